@@ -1,0 +1,1 @@
+"""From a lane estimate to a limited command."""

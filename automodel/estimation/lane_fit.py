@@ -1,0 +1,233 @@
+"""One lane fitted to the points of both its lines: a centerline of piecewise linear curvature, and a width.
+
+The centerline is c(s) with c(0) = p_ref - d n(theta0), c' = (cos theta, sin theta),
+theta(s) = theta0 + int_0^s kappa, kappa piecewise linear between nodes (a chain of clothoids). A point q of the line on
+side sigma (+1 left, -1 right) should lie at the signed distance sigma w / 2 from it. Parameters
+(d, theta0, kappa_0 .. kappa_m, w) minimise the robust weighted sum of squared distances plus a prior (the last
+solution, moved by the odometry) by Gauss-Newton with analytic Jacobian.
+
+Body frame: d is the car's offset (left positive) at the reference point, -theta0 its heading in the lane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.curves import TabulatedCurve
+from automodel.geometry import SE2
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneFitConfig:
+    """Scales of the fit; lengths in lane widths, so that one set holds from scale car to highway."""
+
+    lane_width_m: float
+    reference_x_m: float
+    behind_lanes: float = 1.4  # reach of the centerline behind the reference point
+    ahead_lanes: float = 4.0  # and ahead of it
+    node_lanes: float = 0.6  # spacing of the curvature's nodes
+    outlier_lanes: float = 0.06  # Tukey's biweight goes to 0 at this distance
+    width_sigma: float = 0.10  # how well the configured width is known, relative
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LineSamples:
+    """Points (n, 2) [m] in the body frame, their side (n,) +1 left or -1 right, their standard deviation (n,) [m]."""
+
+    points_m: FloatArray
+    side: FloatArray
+    sigma_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneSolution:
+    """Parameters (d, theta0, kappa.., w) and their information matrix (prior not counted twice: it is this frame's)."""
+
+    parameters: FloatArray
+    information: FloatArray
+    inliers: BoolArray
+
+    @property
+    def offset_m(self) -> float:
+        """The car's distance to the left of the centerline [m]."""
+        return float(self.parameters[0])
+
+    @property
+    def heading_rad(self) -> float:
+        """The car's direction relative to the centerline [rad]."""
+        return -float(self.parameters[1])
+
+    @property
+    def width_m(self) -> float:
+        """The lane's width [m]."""
+        return float(self.parameters[-1])
+
+
+class LaneFit:
+    """The fit's fixed grids, and one solve a frame."""
+
+    def __init__(self, config: LaneFitConfig) -> None:
+        self.config = config
+        unit = config.lane_width_m
+        spacing = max(config.node_lanes, (config.behind_lanes + config.ahead_lanes) / 12.0) * unit
+        behind, ahead = (
+            int(np.ceil(config.behind_lanes * unit / spacing)),
+            int(np.ceil(config.ahead_lanes * unit / spacing)),
+        )
+        self.nodes_m: FloatArray = np.arange(-behind, ahead + 1, dtype=np.float64) * spacing
+        self._fine = spacing / 4.0
+        self.grid_m: FloatArray = np.arange(-4 * behind, 4 * ahead + 1, dtype=np.float64) * self._fine
+        self._zero = 4 * behind  # the grid's index of s = 0
+        middle = 0.5 * (self.grid_m[1:] + self.grid_m[:-1])
+        self._hats = _hats(self.nodes_m, self.grid_m)
+        self._turn = _hat_integrals(self.nodes_m, self.grid_m)  # d theta / d kappa on the grid
+        self._turn_middle = _hat_integrals(self.nodes_m, middle)
+        count = len(self.grid_m)
+        below = np.tril(np.ones((count, count - 1)), -1)
+        self._sum = (below - below[self._zero]) * self._fine  # int_0^s on the grid, of values at the middles
+        self._smooth = self._smoothness(spacing)
+
+    @property
+    def size(self) -> int:
+        """How many parameters there are."""
+        return len(self.nodes_m) + 3
+
+    def start(self, offset_m: float, theta_rad: float, curvature_per_m: float, width_m: float) -> FloatArray:
+        """Parameters of an arc."""
+        return np.concatenate(([offset_m, theta_rad], np.full(len(self.nodes_m), curvature_per_m), [width_m]))
+
+    def moved(self, parameters: FloatArray, after_from_before: SE2) -> FloatArray:
+        """The same lane after the car has moved: the origin slides along s, the body frame turns."""
+        points, theta = self._curve(parameters)[:2]
+        reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))
+        s, d = self._foot(points, theta, parameters, reference)
+        kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-1])
+        heading = float(np.interp(s, self.grid_m, theta)) + after_from_before.yaw_rad
+        return np.concatenate(([d, heading], kappa, parameters[-1:]))
+
+    def solve(self, samples: LineSamples, prior: FloatArray, prior_sigma: FloatArray, rounds: int = 3) -> LaneSolution:
+        """Fit `samples`, starting at and held by `prior` (m,) with standard deviations (m,); a few rounds suffice."""
+        unit = self.config.lane_width_m
+        weight_prior = 1.0 / prior_sigma**2
+        parameters = prior.copy()
+        cut = self.config.outlier_lanes * unit
+        for left in range(rounds - 1, -1, -1):  # graduated: the cut narrows from round to round
+            residual, jacobian = self.residuals(parameters, samples)
+            keep = np.clip(1.0 - (residual / np.maximum(cut * 2.0**left, 3.0 * samples.sigma_m)) ** 2, 0.0, None) ** 2
+            weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
+            information = weighted.T @ jacobian + self._smooth
+            information[np.diag_indices_from(information)] += weight_prior
+            gradient = weighted.T @ residual + self._smooth @ parameters + weight_prior * (parameters - prior)
+            parameters = parameters - np.linalg.solve(information, gradient)
+        return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
+
+    def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
+        """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""
+        points, theta, jacobian = self._curve(parameters, want_jacobian=True)
+        q = samples.points_m
+        nearest = np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
+        cos, sin = np.cos(theta[nearest]), np.sin(theta[nearest])
+        ex, ey = q[:, 0] - points[nearest, 0], q[:, 1] - points[nearest, 1]
+        ahead, left = ex * cos + ey * sin, ey * cos - ex * sin
+        kappa = self._hats[nearest] @ parameters[2:-1]
+        ahead = ahead / np.maximum(1.0 - kappa * left, 0.2)
+        residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * 0.5 * parameters[-1]
+        rows = jacobian[nearest]  # (n, 2, m - 1): d position / d (d, theta0, kappa)
+        out = np.empty((len(q), self.size))
+        out[:, :-1] = sin[:, None] * rows[:, 0] - cos[:, None] * rows[:, 1]
+        out[:, 1] -= ahead
+        out[:, 2:-1] -= ahead[:, None] * self._turn[nearest]
+        out[:, -1] = -0.5 * samples.side
+        return residual, out
+
+    def support(self, samples: LineSamples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Arc length (n,) and residual (n,) of points under `parameters`."""
+        points = self._curve(parameters)[0]
+        q = samples.points_m
+        nearest = np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
+        return self.grid_m[nearest], self.residuals(parameters, samples)[0]
+
+    def centerline(self, parameters: FloatArray, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
+        """The centerline, or the curve `lateral_m` to its left, as a `TabulatedCurve` over the whole grid."""
+        points, theta = self._curve(parameters)[:2]
+        kappa = self._hats @ parameters[2:-1]
+        s = self.grid_m - self.grid_m[0]
+        if lateral_m:
+            points = points + lateral_m * np.column_stack((-np.sin(theta), np.cos(theta)))
+            stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
+            s = np.concatenate(([0.0], np.cumsum(0.5 * (stretch[1:] + stretch[:-1]) * self._fine)))
+            kappa = kappa / stretch
+        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
+
+    def covariance(self, solution: LaneSolution) -> FloatArray:
+        """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
+        picked = np.zeros((self.size, 3))
+        picked[0, 0], picked[1, 1], picked[-1, 2] = 1.0, -1.0, 1.0
+        return np.asarray(picked.T @ np.linalg.solve(solution.information, picked))
+
+    def curvature(self, parameters: FloatArray, s_m: float = 0.0) -> float:
+        """Curvature [1/m] of the centerline at s."""
+        return float(np.interp(s_m, self.nodes_m, parameters[2:-1]))
+
+    def _curve(self, p: FloatArray, want_jacobian: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
+        kappa = p[2:-1]
+        theta = p[1] + self._turn @ kappa
+        middle = p[1] + self._turn_middle @ kappa
+        cos, sin = np.cos(middle), np.sin(middle)
+        c0, s0 = np.cos(p[1]), np.sin(p[1])
+        points = np.empty((len(theta), 2))
+        points[:, 0] = self.config.reference_x_m + p[0] * s0 + self._sum @ cos
+        points[:, 1] = -p[0] * c0 + self._sum @ sin
+        jacobian = np.empty((0, 0, 0))
+        if want_jacobian:
+            jacobian = np.empty((len(theta), 2, self.size - 1))
+            jacobian[:, :, 0] = s0, -c0
+            jacobian[:, 0, 1] = p[0] * c0 - self._sum @ sin
+            jacobian[:, 1, 1] = p[0] * s0 + self._sum @ cos
+            jacobian[:, 0, 2:] = -self._sum @ (sin[:, None] * self._turn_middle)
+            jacobian[:, 1, 2:] = self._sum @ (cos[:, None] * self._turn_middle)
+        return points, theta, jacobian
+
+    def _foot(
+        self, points: FloatArray, theta: FloatArray, parameters: FloatArray, q: FloatArray
+    ) -> tuple[float, float]:
+        i = int(np.argmin((points[:, 0] - q[0]) ** 2 + (points[:, 1] - q[1]) ** 2))
+        cos, sin = np.cos(theta[i]), np.sin(theta[i])
+        ex, ey = q - points[i]
+        left = ey * cos - ex * sin
+        kappa = float(self._hats[i] @ parameters[2:-1])
+        ahead = (ex * cos + ey * sin) / max(1.0 - kappa * left, 0.2)
+        return float(self.grid_m[i] + ahead), float(left - 0.5 * kappa * ahead**2)
+
+    def _smoothness(self, spacing: float) -> FloatArray:
+        """Information of: the curvature is a random walk along s, and the lane's width is roughly the configured."""
+        unit = self.config.lane_width_m
+        count = len(self.nodes_m)
+        step_sigma = 0.35 / unit * np.sqrt(spacing / (0.6 * unit))
+        difference = np.diff(np.eye(count), axis=0) / step_sigma
+        information = np.zeros((count + 3, count + 3))
+        information[2:-1, 2:-1] = difference.T @ difference
+        return information
+
+
+def _hats(nodes: FloatArray, s: FloatArray) -> FloatArray:
+    """Values (len(s), len(nodes)) of the linear hat functions on evenly spaced nodes."""
+    spacing = nodes[1] - nodes[0]
+    return np.asarray(np.clip(1.0 - np.abs(s[:, None] - nodes) / spacing, 0.0, None))
+
+
+def _hat_integrals(nodes: FloatArray, s: FloatArray) -> FloatArray:
+    """int_0^s of each hat function, (len(s), len(nodes))."""
+    spacing = nodes[1] - nodes[0]
+
+    def primitive(x: FloatArray) -> FloatArray:
+        t = np.clip((x[:, None] - nodes) / spacing, -1.0, 1.0)
+        return np.asarray(spacing * np.where(t < 0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2))
+
+    return primitive(s) - primitive(np.zeros(1))

@@ -1,0 +1,122 @@
+"""The lane over time: points remembered in the moving body frame, and one `LaneFit` a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.estimation.lane_fit import LaneFit, LaneFitConfig, LaneSolution, LineSamples
+from automodel.geometry import SE2
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observation:
+    """Line points of one frame, body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
+
+    left_m: FloatArray
+    right_m: FloatArray
+    left_sigma_m: FloatArray
+    right_sigma_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Support:
+    """How many of a frame's points carry the lane, a line."""
+
+    left: int
+    right: int
+
+
+class LaneTracker:
+    """Carries one lane from frame to frame.
+
+    A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
+    the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
+    Sigmas are in lane widths.
+    """
+
+    KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
+    KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
+    CAPACITY = 96
+    DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
+
+    def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
+        self.fit = LaneFit(config)
+        self.unit = config.lane_width_m
+        self.near_x_m = near_x_m
+        nodes = len(self.fit.nodes_m)
+        u = self.unit
+        self._sigma = np.concatenate(([0.03 * u, 0.03], np.full(nodes, 0.25 / u), [0.004 * u]))
+        self._start_sigma = np.concatenate(([0.3 * u, 0.5], np.full(nodes, 1.0 / u), [0.1 * u]))
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the lane and all remembered points."""
+        self.parameters: FloatArray | None = None
+        self._memory = np.empty((0, 4))  # x, y, side, sigma
+        self._since_kept = np.inf
+
+    def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
+        """Carry lane and points over to the body frame after a motion; unknown motion forgets the points."""
+        if self.parameters is not None:
+            self.parameters = self.fit.moved(self.parameters, after_from_before)
+        if not known:
+            self._memory = self._memory[:0]
+            return
+        self._since_kept += abs(distance_m)
+        if len(self._memory):
+            self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
+            self._memory[:, 3] += self.DRIFT * abs(distance_m)
+            behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
+            self._memory = self._memory[self._memory[:, 0] > behind]
+
+    def begin(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
+        """Start from one frame's points near a guess of the parameters; None where they do not make a lane."""
+        samples = _samples(seen)
+        solution = self.fit.solve(samples, guess, self._start_sigma, rounds=6)
+        residual = self.fit.residuals(solution.parameters, samples)[0]
+        good = solution.inliers
+        if good.mean() < 0.7 or float(np.std(residual[good])) > 0.03 * self.unit:
+            return None
+        self.parameters = solution.parameters
+        self._keep(samples, good)
+        return solution
+
+    def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
+        """One frame's points into the lane; `parameters` must be there."""
+        if self.parameters is None:
+            raise ValueError("update: nothing is tracked; begin first")
+        fresh = _samples(seen)
+        samples = LineSamples(
+            points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
+            side=np.concatenate((fresh.side, self._memory[:, 2])),
+            sigma_m=np.concatenate((fresh.sigma_m, self._memory[:, 3])),
+        )
+        solution = self.fit.solve(samples, self.parameters, self._sigma)
+        if len(samples.side):
+            self.parameters = solution.parameters
+        good = solution.inliers[: len(fresh.side)]
+        self._keep(fresh, good)
+        return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+
+    def _keep(self, samples: LineSamples, good: NDArray[np.bool_]) -> None:
+        if self._since_kept < self.KEEP_EVERY_LANES * self.unit:
+            return
+        near = good & (samples.points_m[:, 0] < self.near_x_m + self.KEEP_DEPTH_LANES * self.unit)
+        if not near.any():
+            return
+        new = np.column_stack((samples.points_m[near], samples.side[near], samples.sigma_m[near]))
+        self._memory = np.concatenate((self._memory, new))[-self.CAPACITY :]
+        self._since_kept = 0.0
+
+
+def _samples(seen: Observation) -> LineSamples:
+    return LineSamples(
+        points_m=np.concatenate((seen.left_m, seen.right_m)),
+        side=np.concatenate((np.ones(len(seen.left_m)), -np.ones(len(seen.right_m)))),
+        sigma_m=np.concatenate((seen.left_sigma_m, seen.right_sigma_m)),
+    )

@@ -1,0 +1,46 @@
+"""Polynomial regression by the normal equations (seed 003, eq. (1)-(3), (6))."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike | None = None) -> FloatArray:
+    """Coefficients (degree + 1,), lowest power first, of the least-squares polynomial y(x).
+
+    The paper solves the normal equations on raw rows, which are ill-conditioned; here x is centred and scaled to
+    -1 .. 1 first and the coefficients are carried back. The degree falls to what the points can carry. Raises
+    ValueError without any point.
+    """
+    xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    if len(xs) == 0:
+        raise ValueError("x: no point to fit")
+    w = np.ones(len(xs)) if weights is None else np.asarray(weights, dtype=np.float64)
+    low, high = float(xs.min()), float(xs.max())
+    centre, scale = 0.5 * (low + high), max(0.5 * (high - low), 1e-12)
+    degree = min(degree, len(np.unique(xs)) - 1)
+    powers = ((xs - centre) / scale)[:, None] ** np.arange(degree + 1)
+    weighted = powers * w[:, None]
+    normal = weighted.T @ powers + 1e-12 * np.eye(degree + 1)
+    return shift_polynomial(np.linalg.solve(normal, weighted.T @ ys), centre, scale)
+
+
+def shift_polynomial(local: FloatArray, centre: float, scale: float) -> FloatArray:
+    """Coefficients in x of sum local_k ((x - centre) / scale)^k, by Horner's scheme on polynomials."""
+    out = np.zeros(len(local))
+    out[0] = local[-1]
+    for count, coefficient in enumerate(local[-2::-1], 1):
+        shifted = np.zeros(len(local))
+        shifted[1 : count + 1] = out[:count] / scale
+        shifted[:count] -= out[:count] * centre / scale
+        out = shifted
+        out[0] += coefficient
+    return out
+
+
+def evaluate_polynomial(coefficients: FloatArray, x: ArrayLike) -> FloatArray:
+    """The polynomial's values at x."""
+    return np.polynomial.polynomial.polyval(np.asarray(x, dtype=np.float64), coefficients)

@@ -1,0 +1,80 @@
+"""The bird's-eye view: the ground seen from straight above, by one remap with fixed-point maps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from automodel.geometry.ground import GroundCamera
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """The part of the ground that a bird's-eye view shows; rows run towards the car, columns to the right."""
+
+    x_near_m: float
+    x_far_m: float
+    half_width_m: float
+    m_per_px: float  # across, from column to column
+    m_per_row: float = 0.0  # along, from row to row; 0: as across
+
+    def __post_init__(self) -> None:
+        if self.m_per_row == 0.0:
+            object.__setattr__(self, "m_per_row", self.m_per_px)
+        positive = min(self.half_width_m, self.m_per_px, self.m_per_row) > 0
+        if not (self.x_far_m > self.x_near_m and positive):
+            raise ValueError(f"View: nothing to see in {self}")
+
+    @property
+    def height_px(self) -> int:
+        """Rows of the view."""
+        return max(round((self.x_far_m - self.x_near_m) / self.m_per_row), 1)
+
+    @property
+    def width_px(self) -> int:
+        """Columns of the view."""
+        return max(round(2.0 * self.half_width_m / self.m_per_px), 1)
+
+    def to_px(self, points_m: ArrayLike) -> FloatArray:
+        """Body points (..., 2) [m] -> view pixels (..., 2) as (column, row)."""
+        p = np.asarray(points_m, dtype=np.float64)
+        column = (self.half_width_m - p[..., 1]) / self.m_per_px - 0.5
+        row = (self.x_far_m - p[..., 0]) / self.m_per_row - 0.5
+        return np.stack((column, row), axis=-1)
+
+    def to_body(self, pixels: ArrayLike) -> FloatArray:
+        """View pixels (..., 2) as (column, row) -> body points (..., 2) [m]."""
+        p = np.asarray(pixels, dtype=np.float64)
+        x = self.x_far_m - (p[..., 1] + 0.5) * self.m_per_row
+        y = self.half_width_m - (p[..., 0] + 0.5) * self.m_per_px
+        return np.stack((x, y), axis=-1)
+
+
+class BirdsEye:
+    """Warps pictures of one calibrated camera into a `View`.
+
+    `mask` (h, w) is 255 where the view's ground lies inside the picture, else 0.
+    """
+
+    def __init__(self, camera: GroundCamera, view: View) -> None:
+        self.view = view
+        rows, columns = np.mgrid[0 : view.height_px, 0 : view.width_px]
+        pixels = camera.ground_to_px(view.to_body(np.stack((columns, rows), axis=-1)))
+        inside = camera.camera.inside(pixels)
+        self.mask: Image = np.where(inside, 255, 0).astype(np.uint8)
+        limits = (camera.camera.width_px - 1.0, camera.camera.height_px - 1.0)
+        source = np.clip(np.where(np.isnan(pixels), 0.0, pixels), 0.0, limits).astype(np.float32)
+        self._map_xy, self._map_fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+
+    def warp(self, image: Image) -> Image:
+        """The view (h, w[, 3]) of a picture; ground outside the picture repeats the picture's edge."""
+        return np.asarray(
+            cv2.remap(image, self._map_xy, self._map_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
+            dtype=np.uint8,
+        )

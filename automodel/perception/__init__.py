@@ -1,0 +1,1 @@
+"""From an image to markings and line points."""

@@ -1,0 +1,49 @@
+"""Binarisation of the bird's-eye view, and the white-areas filter of seed 003 (section IV-B), in metres."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.geometry import BirdsEye
+
+Image = NDArray[np.uint8]
+
+
+class WhiteAreas:
+    """Keeps what is about as wide as a marking.
+
+    `step` gives two binary views (h, w), 0 or 255: everything brighter than its surroundings, and of this only the
+    runs along a row whose length lies between `narrow` and `wide` marking widths (a slanted line is cut wider than it
+    is). The threshold is local, against the mean of a box five markings wide, so that light that changes slowly over
+    the floor has no say; it follows the picture's own contrast between `contrast` and six times of it.
+    """
+
+    NARROW, WIDE = 0.45, 2.4
+    SHARE = 0.35  # of the contrast of the brightest hundredth, that a marking has at least
+
+    def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float, dark: bool = False) -> None:
+        self.contrast, self.dark = contrast, dark
+        marking_px = marking_width_m / birdseye.view.m_per_px
+        self._box = 2 * int(2.5 * marking_px) + 1
+        self._narrow = np.ones((1, max(int(self.NARROW * marking_px), 1)), np.uint8)
+        self._wide = np.ones((1, int(self.WIDE * marking_px) + 1), np.uint8)
+        edge = np.ones((3, 2 * int(0.5 * marking_px) + 3), np.uint8)
+        padded = cv2.copyMakeBorder(birdseye.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
+        self._mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
+        self.visible_px = max(int(np.count_nonzero(self._mask)), 1)
+
+    def step(self, view: Image) -> tuple[Image, Image]:
+        """(all bright areas, line-wide bright areas) of a grey view (h, w)."""
+        around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
+        stands_out = cv2.subtract(around, view) if self.dark else cv2.subtract(view, around)
+        stands_out = cv2.bitwise_and(stands_out, self._mask)
+        counts = cv2.calcHist([stands_out], [0], None, [256], [0, 256]).ravel()
+        above = np.cumsum(counts[::-1])
+        brightest = 255 - int(np.searchsorted(above, 0.01 * self.visible_px))
+        level = min(max(self.SHARE * brightest, self.contrast), 6.0 * self.contrast)
+        bright = cv2.threshold(stands_out, level, 255, cv2.THRESH_BINARY)[1]
+        no_specks = cv2.morphologyEx(bright, cv2.MORPH_OPEN, self._narrow)
+        too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
+        return np.asarray(bright, dtype=np.uint8), np.asarray(cv2.subtract(no_specks, too_wide), dtype=np.uint8)

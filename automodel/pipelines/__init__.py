@@ -1,0 +1,1 @@
+"""The papers' pipelines, side by side."""

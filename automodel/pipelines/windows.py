@@ -1,0 +1,219 @@
+"""`windows`: lane lines for the AutoModelCar category (seed 003), in metres and over time.
+
+Bird's-eye view -> binarisation -> white-areas filter -> histogram start / prediction -> sliding windows ->
+regression -> lane fit (width, offset, heading, curvature) -> crossing. Where the paper treats every frame alone, the
+lane is carried from frame to frame by odometry (estimation/lane_tracker.py), because the nearest ground the camera sees
+lies ahead of the car, and because at a crossing there is nothing to see.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.config import CarConfig
+from automodel.curves import Curve, GraphCurve
+from automodel.estimation.lane_fit import LaneFitConfig, LaneSolution
+from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
+from automodel.estimation.regression import evaluate_polynomial, fit_polynomial
+from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.perception.crossings import CrossingSearch
+from automodel.perception.sliding_windows import HistogramStart, SlidingWindows, Start
+from automodel.perception.white_areas import WhiteAreas
+from automodel.signals import Crossing, Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+
+FloatArray = NDArray[np.float64]
+NO_POINTS: FloatArray = np.empty((0, 2))
+
+
+class Windows:
+    """Seed 003 as a pipeline: `step` one frame, `reset`."""
+
+    name = "windows"
+    MIN_WINDOWS = 2  # windows that make a line seen
+    START_WINDOWS = 3  # and that start one
+    MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
+    MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
+
+    def __init__(self, car: CarConfig) -> None:
+        options, lane = car.pipeline.windows, car.lane
+        camera = GroundCamera.from_config(car.camera)
+        near = camera.first_visible_x_m()
+        across = lane.marking_width_m / options.marking_px
+        self.view = View(
+            x_near_m=near,
+            x_far_m=near + options.view_ahead_lanes * lane.width_m,
+            half_width_m=options.view_half_lanes * lane.width_m,
+            m_per_px=across,
+            m_per_row=max(across, options.view_ahead_lanes * lane.width_m / self.MAX_ROWS),
+        )
+        self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
+        self._size = (car.camera.height_px, car.camera.width_px)
+        self._birdseye = BirdsEye(camera, self.view)
+        self._white = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
+        self._start = HistogramStart(self.view, lane.width_m, lane.marking_width_m, self._reference_x_m)
+        self._windows = SlidingWindows(self.view, lane.marking_width_m)
+        self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
+        self._tracker = LaneTracker(
+            LaneFitConfig(
+                lane_width_m=lane.width_m,
+                reference_x_m=self._reference_x_m,
+                ahead_lanes=(self.view.x_far_m - self._reference_x_m) / lane.width_m + 0.3,
+            ),
+            near,
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the lane."""
+        self._tracker.forget()
+        self._last_t_ns: int | None = None
+        self._seen_t_ns = 0
+        self._blind_m = 0.0
+
+    def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        """The lane in this frame (LOST for a picture of another size than the camera's)."""
+        self._advance(frame.t_ns, motion)
+        if frame.image.shape[:2] != self._size:
+            return self._lost(frame)
+        grey = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
+        bright, lines = self._white.step(self._birdseye.warp(np.asarray(grey, dtype=np.uint8)))
+        if self._tracker.parameters is None:
+            started = self._begin(lines)
+            if started is None:
+                return self._lost(frame)
+            seen, solution, support = started
+        else:
+            seen = self._observe(lines, self._predicted(+1), self._predicted(-1))
+            solution, support = self._tracker.update(seen)
+        return self._estimate(frame, bright, seen, solution, support)
+
+    def _advance(self, t_ns: int, motion: Motion) -> None:
+        """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
+        last, self._last_t_ns = self._last_t_ns, t_ns
+        if last is None:
+            return
+        dt_ns = t_ns - last
+        if not 0 < dt_ns <= self.MAX_GAP_NS:
+            self._tracker.forget()
+            return
+        distance = motion.speed_mps * dt_ns * 1e-9 if motion.known else 0.0
+        turn = motion.yaw_rate_radps * dt_ns * 1e-9 if motion.known else 0.0
+        self._blind_m += abs(distance)
+        self._tracker.move(SE2.arc(distance, turn).inverse(), distance, motion.known)
+
+    def _begin(self, lines: Image) -> tuple[Observation, LaneSolution, Support] | None:
+        start = self._start.step(lines)
+        if start is None:
+            return None
+        x = self._windows.centre_x_m - self._reference_x_m
+        seen = self._observe(lines, start.left_m + start.slope * x, start.right_m + start.slope * x)
+        if min(len(seen.left_m), len(seen.right_m)) < self.START_WINDOWS:
+            return None
+        solution = self._tracker.begin(seen, self._guess(seen, start))
+        if solution is None or not self._plausible(solution):
+            self._tracker.forget()
+            return None
+        return seen, solution, Support(left=len(seen.left_m), right=len(seen.right_m))
+
+    def _guess(self, seen: Observation, start: Start) -> FloatArray:
+        """Offset, heading and curvature of the mean of both lines' regressions, at the reference point."""
+        left, right = (fit_polynomial(p[:, 0], p[:, 1], 2) for p in (seen.left_m, seen.right_m))
+        x = 0.5 * (self.view.x_near_m + self._reference_x_m)
+        y_left, y_right = (float(evaluate_polynomial(c, x)) for c in (left, right))
+        slope, bend = start.slope, 0.0
+        if len(left) == len(right) == 3:
+            slope = float(0.5 * (left[1] + right[1]) + (left[2] + right[2]) * self._reference_x_m)
+            bend = float(left[2] + right[2])
+        theta = math.atan(slope)
+        middle = 0.5 * (y_left + y_right) - slope * (x - self._reference_x_m)
+        width = (y_left - y_right) * math.cos(theta)
+        width = min(max(width, 0.7 * self._lane.width_m), 1.3 * self._lane.width_m)
+        return self._tracker.fit.start(-middle * math.cos(theta), theta, bend * math.cos(theta) ** 3, width)
+
+    def _predicted(self, side: int) -> FloatArray:
+        """y [m] of the tracked lane's line at each window's `centre_x_m`, NaN where it does not go."""
+        fit, parameters = self._tracker.fit, self._tracker.parameters
+        assert parameters is not None
+        points = fit.centerline(parameters, side * 0.5 * parameters[-1], stride=1).points_m
+        x = points[:, 0]
+        first = int(np.argmin(np.abs(x - self._reference_x_m)))
+        folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (fit.grid_m[1] - fit.grid_m[0]))
+        last = first + int(folds[0]) if len(folds) else len(x) - 1
+        wanted = self._windows.centre_x_m
+        if last <= first:
+            return np.full(len(wanted), np.nan)
+        return np.asarray(
+            np.interp(wanted, x[first : last + 1], points[first : last + 1, 1], left=np.nan, right=np.nan)
+        )
+
+    def _observe(self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray) -> Observation:
+        left, right = self._windows.follow(lines, left_y_m), self._windows.follow(lines, right_y_m)
+        return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
+
+    def _sigma(self, points_m: FloatArray) -> FloatArray:
+        """A window's point is good to a tenth of the marking's width near the car; further out calibration counts."""
+        ahead = points_m[:, 0] - self.view.x_near_m
+        return np.asarray(0.12 * self._lane.marking_width_m + 0.01 * np.maximum(ahead, 0.0))
+
+    def _estimate(
+        self, frame: Frame, bright: Image, seen: Observation, solution: LaneSolution, support: Support
+    ) -> LaneEstimate:
+        left_seen, right_seen = support.left >= self.MIN_WINDOWS, support.right >= self.MIN_WINDOWS
+        if left_seen or right_seen:
+            self._seen_t_ns, self._blind_m = frame.t_ns, 0.0
+        blind_ns = frame.t_ns - self._seen_t_ns
+        too_long = blind_ns * 1e-9 > self._options.coast_s or self._blind_m > self._options.coast_m
+        if too_long or not self._plausible(solution):
+            self._tracker.forget()
+            return self._lost(frame)
+        status = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left_seen) + int(right_seen)]
+        fit, p = self._tracker.fit, solution.parameters
+        centerline = fit.centerline(p)
+        pose = LanePose(
+            offset_m=solution.offset_m,
+            heading_rad=solution.heading_rad,
+            width_m=solution.width_m,
+            curvature_per_m=fit.curvature(p),
+            covariance=fit.covariance(solution),
+        )
+        return LaneEstimate(
+            t_ns=frame.t_ns,
+            status=status,
+            left=self._line(seen.left_m, left_seen, p, +1),
+            right=self._line(seen.right_m, right_seen, p, -1),
+            centerline=centerline,
+            pose=pose,
+            crossing=self._crossing(bright, centerline, pose.width_m),
+            frame_age_ns=blind_ns,
+        )
+
+    def _line(self, points_m: FloatArray, seen: bool, parameters: FloatArray, side: int) -> LaneLine:
+        """The paper's regression x(row) of degree 2 through a line that is seen, else the lane's edge."""
+        curve: Curve
+        if seen and np.ptp(points_m[:, 0]) > 2 * self.view.m_per_row:
+            x = points_m[:, 0]
+            curve = GraphCurve(fit_polynomial(x, points_m[:, 1], 2), float(x.min()), float(x.max()))
+        else:
+            curve = self._tracker.fit.centerline(parameters, side * 0.5 * float(parameters[-1]))
+        return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
+
+    def _crossing(self, bright: Image, centerline: Curve, width_m: float) -> Crossing | None:
+        foot = -float(self._tracker.fit.grid_m[0])
+        far = self.view.x_far_m - self._reference_x_m
+        return self._crossings.step(bright, centerline, foot, width_m, far)
+
+    def _plausible(self, solution: LaneSolution) -> bool:
+        unit = self._lane.width_m
+        return bool(
+            np.isfinite(solution.parameters).all()
+            and 0.65 * unit < solution.width_m < 1.35 * unit
+            and abs(solution.offset_m) < 0.9 * unit
+            and abs(solution.heading_rad) < math.radians(60.0)
+        )
+
+    def _lost(self, frame: Frame) -> LaneEstimate:
+        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))

@@ -1,0 +1,185 @@
+"""The values that cross stages <-> JSON objects, without losing a bit.
+
+Python writes the shortest decimal that reads back as the same double, so that every float comes back as it was. What
+is not finite is refused: it would not be JSON.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.curves import Curve, GraphCurve, JoinedCurve, TabulatedCurve, ThetaCurve
+from automodel.signals import (
+    Command,
+    Crossing,
+    Event,
+    LaneEstimate,
+    LaneLine,
+    LanePose,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    VehicleState,
+)
+
+Value: TypeAlias = Motion | VehicleState | LaneEstimate | Command | Event
+Json: TypeAlias = dict[str, Any]
+FloatArray = NDArray[np.float64]
+
+TOPICS: dict[type[Value], str] = {
+    Motion: "/motion",
+    VehicleState: "/vehicle_state",
+    LaneEstimate: "/estimate",
+    Command: "/command",
+    Event: "/event",
+}
+
+
+def encode(value: Value) -> bytes:
+    """The value as JSON; raises ValueError for a number that is not finite and for a curve that is not known here."""
+    return json.dumps(_TO_JSON[type(value)](value), allow_nan=False, separators=(",", ":")).encode()
+
+
+def decode(topic: str, data: bytes) -> Value:
+    """The value in a message of one of `TOPICS`; raises ValueError where the data is not one."""
+    try:
+        value: Value = _FROM_JSON[topic](json.loads(data))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{topic}: a message that automodel did not write ({error!r})") from None
+    return value
+
+
+def curve_to_json(curve: Curve) -> Json:
+    """What the curve was made of; its `kind` names the class."""
+    if isinstance(curve, ThetaCurve):
+        parts: Json = {"x_m": curve.x_m, "y_m": curve.y_m, "length_m": curve.length_m}
+        return {"kind": "theta", "coefficients": curve.coefficients.tolist(), **parts}
+    if isinstance(curve, GraphCurve):
+        parts = {"x0_m": curve.x0_m, "x1_m": curve.x1_m}
+        return {"kind": "graph", "coefficients": curve.coefficients.tolist(), **parts}
+    if isinstance(curve, TabulatedCurve):
+        parts = {"s_m": curve.s_m.tolist(), "headings_rad": curve.headings_rad.tolist()}
+        parts["curvatures_per_m"] = curve.curvatures_per_m.tolist()
+        return {"kind": "table", **parts, **_points(curve.points_m)}
+    if isinstance(curve, JoinedCurve):
+        return {"kind": "joined", "closed": curve.closed, "pieces": [curve_to_json(p) for p in curve.pieces]}
+    raise ValueError(f"curve: {type(curve).__name__} cannot be recorded")
+
+
+def curve_from_json(data: Json) -> Curve:
+    """The curve again, from the same numbers."""
+    kind = data["kind"]
+    if kind == "theta":
+        return ThetaCurve(data["x_m"], data["y_m"], data["coefficients"], data["length_m"])
+    if kind == "graph":
+        return GraphCurve(data["coefficients"], data["x0_m"], data["x1_m"])
+    if kind == "table":
+        return TabulatedCurve(data["s_m"], _points_from(data), data["headings_rad"], data["curvatures_per_m"])
+    if kind == "joined":
+        return JoinedCurve([curve_from_json(piece) for piece in data["pieces"]], closed=data["closed"])
+    raise ValueError(f"curve: kind {kind!r} is not known here; the file is of a newer automodel")
+
+
+def _points(points_m: FloatArray) -> Json:
+    return {"points_x_m": points_m[:, 0].tolist(), "points_y_m": points_m[:, 1].tolist()}
+
+
+def _points_from(data: Json) -> FloatArray:
+    return np.stack((np.array(data["points_x_m"], float), np.array(data["points_y_m"], float)), axis=-1)
+
+
+def _motion(value: Motion) -> Json:
+    return {
+        "t_ns": value.t_ns,
+        "speed_mps": value.speed_mps,
+        "yaw_rate_radps": value.yaw_rate_radps,
+        "source": value.source.value,
+    }
+
+
+def _motion_from(data: Json) -> Motion:
+    return Motion(**{**data, "source": MotionSource(data["source"])})
+
+
+def _state(value: VehicleState) -> Json:
+    return {name: getattr(value, name) for name in VehicleState.__dataclass_fields__}
+
+
+def _state_from(data: Json) -> VehicleState:
+    return VehicleState(**{**data, "ranges_m": tuple(data["ranges_m"]), "faults": tuple(data["faults"])})
+
+
+def _command(value: Command) -> Json:
+    return {name: getattr(value, name) for name in Command.__dataclass_fields__}
+
+
+def _event(value: Event) -> Json:
+    return {"t_ns": value.t_ns, "kind": value.kind, "text": value.text}
+
+
+def _estimate(value: LaneEstimate) -> Json:
+    pose, crossing = value.pose, value.crossing
+    return {
+        "t_ns": value.t_ns,
+        "status": value.status.value,
+        "frame_age_ns": value.frame_age_ns,
+        "pose": None
+        if pose is None
+        else {
+            "offset_m": pose.offset_m,
+            "heading_rad": pose.heading_rad,
+            "width_m": pose.width_m,
+            "curvature_per_m": pose.curvature_per_m,
+            "covariance": pose.covariance.ravel().tolist(),
+        },
+        "crossing": None
+        if crossing is None
+        else {"distance_m": crossing.distance_m, "angle_rad": crossing.angle_rad},
+        "left": None if value.left is None else _line(value.left),
+        "right": None if value.right is None else _line(value.right),
+        "centerline": None if value.centerline is None else curve_to_json(value.centerline),
+    }
+
+
+def _estimate_from(data: Json) -> LaneEstimate:
+    pose, crossing, centerline = data["pose"], data["crossing"], data["centerline"]
+    return LaneEstimate(
+        t_ns=data["t_ns"],
+        status=LaneStatus(data["status"]),
+        frame_age_ns=data["frame_age_ns"],
+        pose=None if pose is None else LanePose(**{**pose, "covariance": np.array(pose["covariance"]).reshape(3, 3)}),
+        crossing=None if crossing is None else Crossing(**crossing),
+        left=None if data["left"] is None else _line_from(data["left"]),
+        right=None if data["right"] is None else _line_from(data["right"]),
+        centerline=None if centerline is None else curve_from_json(centerline),
+    )
+
+
+def _line(line: LaneLine) -> Json:
+    return {"seen": line.seen, **_points(line.points_m), "curve": curve_to_json(line.curve)}
+
+
+def _line_from(data: Json) -> LaneLine:
+    return LaneLine(curve=curve_from_json(data["curve"]), points_m=_points_from(data), seen=data["seen"])
+
+
+_TO_JSON: dict[type[Value], Callable[[Any], Json]] = {
+    Motion: _motion,
+    VehicleState: _state,
+    LaneEstimate: _estimate,
+    Command: _command,
+    Event: _event,
+}
+
+_FROM_JSON: dict[str, Callable[[Json], Any]] = {
+    "/motion": _motion_from,
+    "/vehicle_state": _state_from,
+    "/estimate": _estimate_from,
+    "/command": lambda data: Command(**data),
+    "/event": lambda data: Event(**data),
+}

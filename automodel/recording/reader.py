@@ -1,0 +1,207 @@
+"""Reading a recording back: its messages in the order in which they were written, and its frames as a source."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
+
+from automodel.recording.codec import TOPICS, Value, decode
+from automodel.recording.images import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, decode_image
+from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
+from automodel.signals import Command, Event, Frame, Image, LaneEstimate, Motion, MotionSource, StereoFrame
+from automodel.signals import VehicleState
+from automodel.sources.errors import EndOfSource, SourceError
+
+_DAMAGE = (McapError, ValueError, struct.error, OverflowError, MemoryError)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Recorded:
+    """One message: the value, its topic, and the index of the frame that it belongs to."""
+
+    topic: str
+    frame_index: int
+    value: Frame | StereoFrame | Value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """One turn of the loop as it was recorded: a frame, and what belongs to it.
+
+    `motion` is what the pipeline was given with the frame (its source is NONE where none was recorded); `state` is
+    the newest vehicle state by then. `states`, `commands` and `events` are all up to the next frame, in order.
+    """
+
+    frame: Frame | StereoFrame
+    motion: Motion
+    state: VehicleState | None = None
+    estimate: LaneEstimate | None = None
+    states: tuple[VehicleState, ...] = ()
+    commands: tuple[Command, ...] = ()
+    events: tuple[Event, ...] = ()
+
+
+class Recording:
+    """A run's MCAP file.
+
+    `car_text` is the car.toml that it ran with, `calibration` its calibration (JSON), `origin` the versions and the
+    wall time of its start, `counts` what the recorder wrote and dropped. Raises SourceError for a file that is not
+    there, is not MCAP, or is cut (with the command that recovers it), and while reading, for one that is damaged.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.car_text, self.calibration = "", ""
+        self.origin: dict[str, str] = {}
+        self.counts: dict[str, int] = {}
+        with self._open() as file:
+            self._check_ends(file)
+            try:
+                self._read_header(file)
+            except _DAMAGE as error:
+                raise self._damaged(error) from None
+
+    def __iter__(self) -> Iterator[Recorded]:
+        """All messages, in the order in which they were written; topics of other programs are left out."""
+        channels: dict[int, Channel] = {}
+        left: tuple[int, Image] | None = None
+        with self._open() as file:
+            try:
+                for record in StreamReader(file, validate_crcs=True).records:
+                    if isinstance(record, Channel):
+                        channels[record.id] = record
+                    elif isinstance(record, Message):
+                        topic = channels[record.channel_id].topic
+                        if topic == LEFT:
+                            left = (record.sequence, decode_image(record.data))
+                        elif topic in CAMERA_TOPICS or topic in TOPICS.values():
+                            yield _recorded(topic, record, left)
+            except _DAMAGE as error:
+                raise self._damaged(error) from None
+
+    def steps(self) -> Iterator[Step]:
+        """The turns of the loop, one per frame; what was recorded before the first frame counts to its turn."""
+        waiting: list[Recorded] = []
+        frame: Frame | StereoFrame | None = None
+        for message in self:
+            if isinstance(message.value, Frame | StereoFrame):
+                if frame is not None:
+                    yield _step(frame, waiting)
+                    waiting = []
+                frame = message.value
+            else:
+                waiting.append(message)
+        if frame is not None:
+            yield _step(frame, waiting)
+
+    def _open(self) -> IO[bytes]:
+        try:
+            return open(self.path, "rb")
+        except FileNotFoundError:
+            raise SourceError(f"{self.path}: no such file") from None
+        except OSError as error:
+            raise SourceError(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _check_ends(self, file: IO[bytes]) -> None:
+        size = file.seek(0, 2)
+        file.seek(0)
+        begin = file.read(len(MCAP0_MAGIC))
+        file.seek(max(size - len(MCAP0_MAGIC), 0))
+        end = file.read(len(MCAP0_MAGIC))
+        file.seek(0)
+        if not begin or not MCAP0_MAGIC.startswith(begin):
+            raise SourceError(f"{self.path}: not an MCAP file")
+        if end != MCAP0_MAGIC or size < 2 * len(MCAP0_MAGIC):
+            raise SourceError(f"{self.path}: the file is cut; run: automodel recover {self.path}")
+
+    def _read_header(self, file: IO[bytes]) -> None:
+        reader: Any = make_reader(file)
+        for attachment in reader.iter_attachments():
+            if attachment.name == CAR_TOML:
+                self.car_text = attachment.data.decode()
+            elif attachment.name == CALIBRATION:
+                self.calibration = attachment.data.decode()
+        for metadata in reader.iter_metadata():
+            if metadata.name == METADATA:
+                self.origin = dict(metadata.metadata)
+            elif metadata.name == END_METADATA:
+                self.counts = {name: int(count) for name, count in metadata.metadata.items()}
+
+    def _damaged(self, error: BaseException) -> SourceError:
+        why = str(error) or type(error).__name__
+        return SourceError(f"{self.path}: damaged ({why}); save what can be read: automodel recover {self.path}")
+
+
+class RecordingSource:
+    """The frames of a recording as a source, exactly as the pipeline had them, with all that belongs to them.
+
+    `step` is the turn that the frame read last belongs to.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.recording = Recording(path)
+        self.step: Step | None = None
+        self._steps: Iterator[Step] | None = self.recording.steps()
+
+    def read(self, timeout_s: float) -> Frame | StereoFrame:  # noqa: ARG002 - a file keeps nobody waiting
+        """The next frame; raises EndOfSource after the last, SourceError when there is none at all."""
+        step = None if self._steps is None else next(self._steps, None)
+        if step is None:
+            if self._steps is not None and self.step is None:
+                raise SourceError(f"{self.recording.path}: holds no frames on {CAMERA}")
+            raise EndOfSource
+        self.step = step
+        return step.frame
+
+    def motion_for(self, frame: Frame | StereoFrame) -> Motion:
+        """The motion that the pipeline was given with the frame read last."""
+        if self.step is None or self.step.frame is not frame:
+            raise ValueError("frame: not the one that was read last")
+        return self.step.motion
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._steps = None
+
+
+def _recorded(topic: str, message: Message, left: tuple[int, Image] | None) -> Recorded:
+    t_ns, index = message.log_time, message.sequence
+    value: Frame | StereoFrame | Value
+    if topic == CAMERA:
+        value = Frame(t_ns=t_ns, index=index, image=decode_image(message.data))
+    elif topic == RIGHT:
+        if left is None or left[0] != index:
+            raise ValueError(f"frame {index} has no left picture")
+        value = StereoFrame(t_ns=t_ns, index=index, left=left[1], right=decode_image(message.data))
+    else:
+        value = decode(topic, message.data)
+    return Recorded(topic=topic, frame_index=index, value=value)
+
+
+def _step(frame: Frame | StereoFrame, messages: list[Recorded]) -> Step:
+    """The turn of a frame; values of a frame that was dropped from the recording are not this frame's."""
+    unknown = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+    step = Step(frame=frame, motion=unknown)
+    for message in messages:
+        mine, value = message.frame_index == frame.index, message.value
+        if isinstance(value, VehicleState):
+            newest = value if step.estimate is None else step.state
+            step = replace(step, states=(*step.states, value), state=newest)
+        elif isinstance(value, Event):
+            step = replace(step, events=(*step.events, value))
+        elif isinstance(value, Motion) and mine:
+            step = replace(step, motion=value)
+        elif isinstance(value, LaneEstimate) and mine:
+            step = replace(step, estimate=value)
+        elif isinstance(value, Command) and mine:
+            step = replace(step, commands=(*step.commands, value))
+    return step

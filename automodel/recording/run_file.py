@@ -1,0 +1,134 @@
+"""The MCAP file of one run, as it is being written."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import datetime
+import importlib.metadata
+import json
+import os
+import platform
+from pathlib import Path
+
+import cv2
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from automodel.config import ConfigError, RecordingConfig, parse_car
+from automodel.recording.codec import TOPICS, Value, encode
+from automodel.recording.images import CAMERA, LEFT, RIGHT, SCHEMA, ImageCodec, descriptor_set
+from automodel.recording.schemas import schema_text
+from automodel.signals import Frame, StereoFrame
+
+CHUNK_BYTES = 512 * 1024  # a cut in the middle of a chunk loses that chunk's end only: it is not compressed
+CAR_TOML, CALIBRATION, METADATA, END_METADATA = "car.toml", "calibration.json", "automodel", "automodel end"
+
+
+class RunFile:
+    """Writes values into a new MCAP file; on disk for good after `sync`.
+
+    The log time of a message is its value's `t_ns`; its sequence number is the index of the frame that it belongs to.
+    Chunks are not compressed: pictures are already, and records in a half-written chunk can then be read one by one.
+    Raises ConfigError for a file that is there already or cannot be made, OSError when writing fails, and ValueError
+    for a value that cannot be written (nothing of it is in the file then).
+    """
+
+    def __init__(self, path: str | Path, car_text: str, config: RecordingConfig) -> None:
+        self.path = Path(path)
+        calibration = _calibration(car_text)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = open(self.path, "xb")  # noqa: SIM115 - open as long as the run lasts
+        except FileExistsError:
+            raise ConfigError(f"{path}: is there already; choose another name or delete it") from None
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
+        self._images = ImageCodec(config)
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer.start(library=f"automodel {_version()}")
+        self._writer.add_attachment(0, 0, CAR_TOML, "application/toml", car_text.encode())
+        self._writer.add_attachment(0, 0, CALIBRATION, "application/json", calibration.encode())
+        self._writer.add_metadata(METADATA, _origin(config))
+        self._channels = self._register()
+        self.sync()
+        _sync_folder(self.path.parent)
+
+    def frame(self, frame: Frame | StereoFrame) -> None:
+        """Write a frame."""
+        if isinstance(frame, StereoFrame):
+            pictures = {LEFT: frame.left, RIGHT: frame.right}
+        else:
+            pictures = {CAMERA: frame.image}
+        for topic, image in pictures.items():
+            self._add(topic, frame.t_ns, frame.index, self._images.encode(frame.t_ns, image))
+
+    def value(self, value: Value, frame_index: int) -> None:
+        """Write any other value, as belonging to a frame."""
+        self._add(TOPICS[type(value)], value.t_ns, frame_index, encode(value))
+
+    def sync(self) -> None:
+        """Put all that was written on the disk."""
+        self._writer.flush()
+        os.fsync(self._stream.fileno())
+
+    def finish(self, counts: dict[str, int]) -> None:
+        """Write the counts and the index, and close."""
+        self._writer.add_metadata(END_METADATA, {name: str(count) for name, count in counts.items()})
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+
+    def abandon(self) -> None:
+        """Close without an index, after an error."""
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _add(self, topic: str, t_ns: int, frame_index: int, data: bytes) -> None:
+        if not (0 <= t_ns < 2**63 and 0 <= frame_index < 2**32):
+            raise ValueError(f"{topic}: t_ns {t_ns}, frame {frame_index}: out of range")
+        self._writer.add_message(self._channels[topic], t_ns, data, t_ns, frame_index)
+
+    def _register(self) -> dict[str, int]:
+        camera = self._writer.register_schema(SCHEMA, "protobuf", descriptor_set())
+        channels = {
+            topic: self._writer.register_channel(topic, "protobuf", camera) for topic in (CAMERA, LEFT, RIGHT)
+        }
+        for topic in TOPICS.values():
+            name, text = schema_text(topic)
+            schema = self._writer.register_schema(name, "jsonschema", text)
+            channels[topic] = self._writer.register_channel(topic, "json", schema)
+        return channels
+
+
+def _calibration(car_text: str) -> str:
+    """What the car was calibrated to, the defaults filled in."""
+    car = parse_car(car_text, CAR_TOML)
+    link = {"servo": dataclasses.asdict(car.link.servo), "motor": dataclasses.asdict(car.link.motor)}
+    return json.dumps({"camera": dataclasses.asdict(car.camera), **link}, indent=1)
+
+
+def _origin(config: RecordingConfig) -> dict[str, str]:
+    return {
+        "started": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="milliseconds"),
+        "automodel": _version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "image": config.image,
+    }
+
+
+def _version() -> str:
+    return importlib.metadata.version("automodel")
+
+
+def _sync_folder(folder: Path) -> None:
+    """Put the new file's name on the disk, too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

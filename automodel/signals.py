@@ -1,0 +1,225 @@
+"""The values that cross stages: frozen, slotted, keyword-only.
+
+SI units; ISO 8855 signs (left and anticlockwise positive). Arrays inside are read-only. Time is integer nanoseconds of
+the monotonic clock, taken at capture.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.curves.base import Curve
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim != len(shape) or any(
+        want is not None and got != want for got, want in zip(array.shape, shape, strict=True)
+    ):
+        raise ValueError(f"{name}: shape {array.shape} where {shape} is wanted")
+    array.flags.writeable = False
+    return array
+
+
+def _frozen_image(image: Image, name: str) -> Image:
+    if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+        raise ValueError(f"{name}: uint8 (h, w) or (h, w, 3) wanted, not {image.dtype} {image.shape}")
+    view = image.view()  # a view, not a copy: the source hands the buffer over and does not write to it again
+    view.flags.writeable = False
+    return view
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """One camera picture.
+
+    `t_ns` is the time of capture, `index` counts what the source delivered, `image` is uint8, (h, w) grey or
+    (h, w, 3) BGR.
+    """
+
+    t_ns: int
+    index: int
+    image: Image
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "image", _frozen_image(self.image, "Frame.image"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StereoFrame:
+    """Two pictures taken at the same time; the images as in `Frame`."""
+
+    t_ns: int
+    index: int
+    left: Image
+    right: Image
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "left", _frozen_image(self.left, "StereoFrame.left"))
+        object.__setattr__(self, "right", _frozen_image(self.right, "StereoFrame.right"))
+
+
+class MotionSource(enum.Enum):
+    """Where a `Motion` comes from, the best first."""
+
+    MEASURED = "measured"  # speed and yaw rate both measured
+    MODEL = "model"  # speed measured, yaw rate from the bicycle model on the applied steering
+    COMMAND = "command"  # speed and yaw rate from what was commanded
+    RECORDED = "recorded"  # read from a recording or motion.csv
+    NONE = "none"  # nothing is known: both are zero and must not be used
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """The car's motion at `t_ns`: speed [m/s] of the rear axle's centre, forward positive, and yaw rate [rad/s]."""
+
+    t_ns: int
+    speed_mps: float
+    yaw_rate_radps: float
+    source: MotionSource = MotionSource.MEASURED
+
+    @property
+    def known(self) -> bool:
+        """Whether the values may be used for dead reckoning."""
+        return self.source is not MotionSource.NONE
+
+
+class LaneStatus(enum.Enum):
+    """How far an estimate may be trusted."""
+
+    TRACKING = "TRACKING"  # both lines seen in this frame
+    ONE_LINE = "ONE_LINE"  # one line seen, the other placed by the lane's width
+    COASTING = "COASTING"  # none seen: dead reckoning, for a bounded time
+    LOST = "LOST"  # no estimate; pose, lines and centerline are None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneLine:
+    """One line of the lane in the body frame.
+
+    `points_m` (n, 2) are this frame's measured points [m], empty where `seen` is False; `curve` runs away from the car.
+    """
+
+    curve: Curve
+    points_m: FloatArray
+    seen: bool
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points_m", _read_only(self.points_m, (None, 2), "LaneLine.points_m"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LanePose:
+    """The car's pose in the lane, at the vehicle's reference point.
+
+    `offset_m`: the car's distance from the centerline, left positive. `heading_rad`: the car's direction relative to
+    the centerline's tangent, left positive. `width_m`: the lane's width. `curvature_per_m`: the centerline's
+    curvature at the foot of the perpendicular, positive where the road bends left. `covariance` (3, 3) of
+    (offset, heading, width) in [m, rad, m].
+    """
+
+    offset_m: float
+    heading_rad: float
+    width_m: float
+    curvature_per_m: float
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", _read_only(self.covariance, (3, 3), "LanePose.covariance"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Crossing:
+    """A line across the lane: distance [m] ahead of the reference point along the lane, and its angle [rad].
+
+    The angle is the line's direction in the body frame, pi/2 where it lies square across the car's path.
+    """
+
+    distance_m: float
+    angle_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneEstimate:
+    """What a pipeline says of one frame; body frame, metres.
+
+    `frame_age_ns` is the age of the youngest picture in which a line was seen: 0 while one is seen, growing while
+    coasting.
+    """
+
+    t_ns: int
+    status: LaneStatus
+    left: LaneLine | None = None
+    right: LaneLine | None = None
+    centerline: Curve | None = None
+    pose: LanePose | None = None
+    crossing: Crossing | None = None
+    frame_age_ns: int = 0
+
+    @property
+    def valid(self) -> bool:
+        """Whether there is a pose and a centerline to drive by."""
+        return self.status is not LaneStatus.LOST
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """What the car shall do until `valid_until_ns`: road-wheel angle [rad], left positive, and speed [m/s]."""
+
+    t_ns: int
+    steering_rad: float
+    speed_mps: float
+    valid_until_ns: int
+
+
+NEUTRAL = Command(t_ns=0, steering_rad=0.0, speed_mps=0.0, valid_until_ns=0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleState:
+    """What the vehicle says of itself; None where it does not say.
+
+    `ranges_m`: ultrasonic ranges (left, centre, right) [m], None where there was no echo. `steering_rad` is the
+    angle that the actuator was told last. `faults` are names, empty when all is well. `boot_id` changes whenever the
+    controller restarts.
+    """
+
+    t_ns: int
+    speed_mps: float | None = None
+    yaw_rate_radps: float | None = None
+    steering_rad: float | None = None
+    ranges_m: tuple[float | None, ...] = ()
+    battery_v: float | None = None
+    armed: bool = False
+    faults: tuple[str, ...] = field(default=())
+    boot_id: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """Something that the recording must tell: `kind` is a fixed word, `text` one line for a person."""
+
+    t_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardSensors:
+    """What the sensors on the controller board read at one time.
+
+    `ranges_m`: ultrasonic (left, centre, right) [m], None without an echo. `wheel_ticks` counts up from power-on, down
+    in reverse. `yaw_rate_radps` is None where no gyro is fitted.
+    """
+
+    ranges_m: tuple[float | None, float | None, float | None]
+    wheel_ticks: int
+    battery_v: float
+    yaw_rate_radps: float | None

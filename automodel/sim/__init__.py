@@ -1,0 +1,1 @@
+"""Simulated tracks, cameras and cars."""

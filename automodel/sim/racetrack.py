@@ -1,0 +1,118 @@
+"""Race tracks at full scale: `x_m,y_m,w_tr_right_m,w_tr_left_m` along a closed line, as TUM's racetrack database has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicSpline
+
+from automodel.curves import OffsetCurve, ReversedCurve, SplineCurve
+from automodel.reading import ConfigError, read_text
+from automodel.sim.paint import Grain, paint_line
+from automodel.sim.track import Lane, Track
+from automodel.sim.track_reading import Marking
+
+FloatArray = NDArray[np.float64]
+
+COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
+EDGE = Marking(style="solid", width_m=0.15)
+MARGIN_M = 20.0  # of floor around the track
+
+
+def read_racetrack(path: str | Path) -> Track:
+    """The track in a CSV file; raises ConfigError with file and line.
+
+    The file's line need not be in the middle between its edges; the lane's centerline is. There is one lane, driven
+    in both directions, with a solid white line at each edge.
+    """
+    rows, numbers = _read_rows(read_text(path), str(path))
+    middle, width_m = recentred(rows[:, :2], rows[:, 3], rows[:, 2])
+    try:
+        road = SplineCurve(middle, closed=True)
+        width = _periodic_width(road, width_m)
+        left = OffsetCurve(road, lambda s: 0.5 * width(s))
+        right = OffsetCurve(road, lambda s: -0.5 * width(s))
+    except ValueError as error:
+        raise ConfigError(f"{path}:{numbers[0]}: these points and widths make no road: {error}") from None
+    forward = Lane(centerline=road, left=left, right=right, width_m=width)
+    reverse = Lane(
+        centerline=ReversedCurve(road),
+        left=ReversedCurve(right),
+        right=ReversedCurve(left),
+        width_m=lambda s_m: width(road.length_m - np.asarray(s_m, dtype=np.float64)),
+    )
+    edges = np.vstack([line.position(np.linspace(0.0, line.length_m, 4 * len(rows))) for line in (left, right)])
+    low, high = edges.min(axis=0) - MARGIN_M, edges.max(axis=0) + MARGIN_M
+    grain = Grain.of_lane(float(width_m.mean()))
+    return Track(
+        name=Path(path).stem,
+        road=road,
+        forward=forward,
+        reverse=reverse,
+        floor=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+        start=forward.pose(0.0),
+        painted=tuple(paint for line in (left, right) for paint in paint_line(line, EDGE, (), grain)),
+    )
+
+
+def recentred(points_m: FloatArray, left_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The middle (n, 2) between the edges of a closed line of points (n, 2), and the width (n,) across the middle [m].
+
+    `left_m`, `right_m` (n,) are the distances of the edges from the line of points, along its normals.
+    """
+    line = SplineCurve(points_m, closed=True)
+    theta = line.heading(line.knots_m[:-1])
+    normal = np.stack((-np.sin(theta), np.cos(theta)), axis=-1)
+    middle = points_m + 0.5 * (left_m - right_m)[:, None] * normal
+    course = SplineCurve(middle, closed=True)
+    lean = course.heading(course.knots_m[:-1]) - theta  # the middle's normals lean by so much
+    return middle, (left_m + right_m) * np.cos(lean)
+
+
+def _periodic_width(road: SplineCurve, width_m: FloatArray) -> Callable[[ArrayLike], FloatArray]:
+    spline = CubicSpline(road.knots_m, np.append(width_m, width_m[0]), bc_type="periodic")
+    return lambda s_m: np.asarray(spline(np.asarray(s_m, dtype=np.float64) % road.length_m), dtype=np.float64)
+
+
+def _read_rows(text: str, file: str) -> tuple[FloatArray, list[int]]:
+    """The numbers (n, 4) and the lines that they stand in; a first line with the columns' names may be there."""
+    rows: list[list[float]] = []
+    numbers: list[int] = []
+    for number, row in enumerate(text.splitlines(), 1):
+        content = row.lstrip("# ").strip()
+        if not content or (not rows and [c.strip() for c in content.split(",")] == list(COLUMNS)):
+            continue
+        if row.lstrip().startswith("#"):
+            continue
+        rows.append(_read_row(row, f"{file}:{number}"))
+        numbers.append(number)
+    if len(rows) > 1 and rows[0][:2] == rows[-1][:2]:  # the closing point may be repeated
+        del rows[-1], numbers[-1]
+    if len(rows) < 4:
+        raise ConfigError(f"{file}: {len(rows)} points; a closed track has 4 or more lines of {','.join(COLUMNS)}")
+    for previous, current, number in zip(rows, rows[1:], numbers[1:], strict=False):
+        if previous[:2] == current[:2]:
+            raise ConfigError(f"{file}:{number}: repeats the point of the line before")
+    return np.array(rows), numbers
+
+
+def _read_row(row: str, place: str) -> list[float]:
+    cells = row.split(",")
+    if len(cells) != len(COLUMNS):
+        raise ConfigError(f"{place}: {len(cells)} columns where {','.join(COLUMNS)} are wanted")
+    values = []
+    for name, cell in zip(COLUMNS, cells, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            raise ConfigError(f"{place}: {name}: {cell.strip()!r} is not a number") from None
+        if not math.isfinite(value):
+            raise ConfigError(f"{place}: {name}: {cell.strip()} where a finite number is wanted")
+        values.append(value)
+    if min(values[2:]) < 0 or values[2] + values[3] <= 0:
+        raise ConfigError(f"{place}: w_tr_right_m, w_tr_left_m: the widths must not be negative, nor both be 0")
+    return values

@@ -1,0 +1,137 @@
+"""The simulated world in a process of its own, against the real clock: as a camera and a serial port, nothing else.
+
+The parent gets frames through shared memory (a ring of `SLOTS`), each announced over a pipe at its very time of
+capture, and the name of the board's serial port. Pictures are rendered ahead of their time (see `World`), so that they
+arrive when a camera without delay would deliver them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import time
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, Protocol
+
+import numpy as np
+
+from automodel.signals import Frame
+from automodel.sim.world import Scene, World
+from automodel.sources.errors import SourceError
+
+SLOTS = 8
+LEAD_NS = 14_000_000  # time that a picture is rendered ahead
+
+
+class Port(Protocol):
+    """The board's serial port, served against the real clock."""
+
+    path: str
+
+    def start(self) -> None:
+        """Serve it in a thread."""
+        ...
+
+    def close(self) -> None:
+        """Stop and remove it."""
+        ...
+
+
+WorldFactory = Callable[..., tuple[World, Port]]
+
+
+class RealTimeWorld:
+    """Implements `Source`. `port` is the serial port to open; `factory(*arguments)` builds the world in the child."""
+
+    START_TIMEOUT_S = 20.0
+
+    def __init__(
+        self,
+        factory: WorldFactory,
+        arguments: tuple[Any, ...],
+        shape: tuple[int, ...],
+        rate_hz: float,
+        on_scene: Callable[[Scene], None],
+    ) -> None:
+        context = multiprocessing.get_context("spawn")
+        size = int(np.prod(shape))
+        memory = context.RawArray("B", size * SLOTS)
+        self._slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))  # type: ignore[call-overload]
+        self._pipe, theirs = context.Pipe()
+        self._on_scene = on_scene
+        self._process = context.Process(
+            target=_serve, args=(factory, arguments, memory, shape, rate_hz, theirs), daemon=True
+        )
+        self._process.start()
+        theirs.close()
+        self.port = self._await_port()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """The next frame, None when none came in time; raises SourceError when the world's process died."""
+        try:
+            if not self._pipe.poll(timeout_s):
+                return None
+            slot, scene = self._pipe.recv()
+        except (EOFError, OSError) as error:
+            raise SourceError("the simulated world's process has ended") from error
+        self._on_scene(scene)
+        return Frame(t_ns=scene.t_ns, index=scene.index, image=self._slots[slot].copy())
+
+    def close(self) -> None:
+        """End the world's process."""
+        with contextlib.suppress(OSError):
+            self._pipe.send("stop")
+        self._process.join(2.0)
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(2.0)
+        self._pipe.close()
+
+    def _await_port(self) -> str:
+        try:
+            if self._pipe.poll(self.START_TIMEOUT_S):
+                return str(self._pipe.recv())
+        except EOFError:
+            pass
+        self._process.terminate()
+        raise SourceError("the simulated world's process did not start")
+
+
+def _serve(
+    factory: WorldFactory,
+    arguments: tuple[Any, ...],
+    memory: Any,
+    shape: tuple[int, ...],
+    rate_hz: float,
+    pipe: Connection,
+) -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group: the parent ends this process
+    slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
+    world, port = factory(*arguments)
+    port.start()
+    pipe.send(port.path)
+    index, start = 0, time.monotonic_ns()
+    try:
+        while not pipe.poll(0):
+            index += 1
+            t_ns = start + round(index * 1e9 / rate_hz)
+            _sleep_until(t_ns - LEAD_NS)
+            now = time.monotonic_ns()
+            if now > t_ns:  # the machine was busy: this picture is lost, as a camera would lose it
+                continue
+            image, scene = world.capture(t_ns, index)
+            slots[index % SLOTS] = image
+            _sleep_until(t_ns)
+            pipe.send((index % SLOTS, scene))
+    except (BrokenPipeError, EOFError, OSError):
+        pass  # the parent is gone
+    finally:
+        port.close()
+
+
+def _sleep_until(t_ns: int) -> None:
+    while (left := t_ns - time.monotonic_ns()) > 0:
+        time.sleep(left * 1e-9)

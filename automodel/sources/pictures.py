@@ -1,0 +1,68 @@
+"""Pictures as the stages want them: decoded whole, grey or BGR, and of the configured size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from automodel.config import CameraConfig
+from automodel.signals import Frame, Image
+from automodel.sources.errors import SourceError
+
+_TAIL_BYTES = 4096  # cameras may write a few bytes after a picture's end mark
+_JPEG = (b"\xff\xd8", b"\xff\xd9")
+_PNG = (b"\x89PNG", b"IEND")
+
+
+@contextmanager
+def opencv_silenced() -> Iterator[None]:
+    """Keep OpenCV's own log lines off stderr: the error that is raised instead says it in one line."""
+    level = cv2.getLogLevel()
+    cv2.setLogLevel(0)
+    try:
+        yield
+    finally:
+        cv2.setLogLevel(level)
+
+
+def read_picture(path: Path, colour: bool) -> Image:
+    """The picture in a file, (h, w) grey or (h, w, 3) BGR; raises SourceError where it is missing, cut or no picture.
+
+    Decoders fill the missing part of a cut JPEG with grey and go on; here the end mark is demanded first.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
+    for begin, end in (_JPEG, _PNG):
+        if data.startswith(begin) and end not in data[-_TAIL_BYTES:]:
+            raise SourceError(f"{path}: the picture is cut; replace it or take it out")
+    image: Image | None = None
+    if data:
+        with opencv_silenced():
+            flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)  # type: ignore[assignment]
+    if image is None:
+        raise SourceError(f"{path}: not a picture, or a damaged one; replace it or take it out")
+    return image
+
+
+def in_colour(image: Image, colour: bool) -> Image:
+    """The image as (h, w, 3) BGR where `colour`, else as (h, w) grey; unchanged where it is so already."""
+    if colour == (image.ndim == 3):
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def check_size(frame: Frame, camera: CameraConfig) -> None:
+    """Raise SourceError unless the frame has the size that the camera was calibrated for."""
+    height, width = frame.image.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise SourceError(
+            f"frame {frame.index}: {width}x{height} pixels where car.toml says "
+            f"{camera.width_px}x{camera.height_px}; set [camera] width_px, height_px and the intrinsics for this source"
+        )

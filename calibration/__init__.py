@@ -1,0 +1,1 @@
+"""Calibration that measures its own error."""

@@ -1,0 +1,1 @@
+"""The vehicle's controller behind a pipe: wire format, drivers, emulators."""

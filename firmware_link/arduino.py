@@ -1,0 +1,291 @@
+"""The serial Arduino as a `VehicleLink`: commands to pulses to bytes, and bytes to what the vehicle says."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from dataclasses import dataclass, field
+
+from automodel.config import LinkConfig, VehicleConfig
+from automodel.signals import Command, VehicleState
+from firmware_link import messages
+from firmware_link.errors import HandshakeError, LinkError, PortLost
+from firmware_link.framing import FrameErrors
+from firmware_link.messages import CommandFlag, Fault, StatusFlag
+from firmware_link.pulses import PulseTable
+from firmware_link.timing import BoardClock, SpeedMeter
+from firmware_link.transport import Transport
+
+LATCHED_FAULTS = frozenset({"command_timeout", "board_restarted", "link_silent"})  # they say why it is disarmed
+
+_MS = 1_000_000
+_HELLO_TIMEOUT_NS = 5_000 * _MS  # the slowest bootloaders wait 2 s
+_VALID_NS = 100 * _MS  # no command is good for longer than the board's own timer
+_SETUP_RETRY_NS = 100 * _MS
+_ARM_RETRY_NS = 50 * _MS  # two statuses tell whether it worked
+_ARM_NS = 300 * _MS
+_SILENT_NS = 200 * _MS  # ten statuses missing
+_FAULT_NAMES = tuple((int(fault), str(fault.name).lower()) for fault in Fault)
+
+
+@dataclass(slots=True)
+class _Session:
+    """What is known of the board since the port was opened."""
+
+    opened_ns: int | None = None
+    hello: messages.Hello | None = None
+    status: messages.Status | None = None
+    status_ns: int = 0
+    faults: int = 0
+    odometry: messages.Odometry | None = None
+    ranges: messages.Ranges | None = None
+    speed_mps: float | None = None
+    limits_known: bool = False  # the board has said that ours are in force
+    setup_ns: int | None = None  # when Limits were sent last
+    restarted: bool = False
+    silent: bool = False
+    wants_armed: bool = False
+    arm_ns: int = 0  # when arming was asked for
+    arm_sent_ns: int | None = None
+    armed_nonce: int | None = None  # of the arming in force
+    void_nonce: int | None = None  # a Disarm was sent for it; the board's next one shows that it arrived
+    disarm_sent_ns: int | None = None
+    clock: BoardClock = field(default_factory=BoardClock)
+
+
+class ArduinoLink:
+    """The car behind an Arduino, by the protocol of `messages`.
+
+    - Nothing is sent before the board's hello. Then the limits of the pulse tables are, until the board confirms them;
+      from its first status on, `poll` gives a state.
+    - Until `arm` is called, and after `disarm`, every command leaves as neutral and straight. So does one that is past
+      its `valid_until_ns` or not finite; such a command does not feed the board's timer.
+    - A fresh command carries its deadline in board time, at most 100 ms ahead, so that one that is held up on the way
+      is not taken for a fresh one.
+    - `arm` is tried for 300 ms. What ends it (the board's command timer, a restart, 200 ms of silence) ends it for
+      good: only another `arm` brings it back. The faults of `LATCHED_FAULTS` say what it was, until then.
+
+    After a LinkError call `close`, then `open` until it succeeds; the car stays disarmed. HandshakeError is for good.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        link_config: LinkConfig,
+        vehicle_config: VehicleConfig,
+        *,
+        servo_slew_us: float = 200.0,
+        motor_slew_us: float = 100.0,
+    ) -> None:
+        self._transport = transport
+        self._place = f"{link_config.port} at {link_config.baud} baud"
+        self._servo = PulseTable(link_config.servo.pulse_us, link_config.servo.steering_rad)
+        self._motor = PulseTable(link_config.motor.pulse_us, link_config.motor.speed_mps)
+        self._limits = messages.Limits(
+            servo_min_us=self._servo.min_us,
+            servo_straight_us=self._servo.zero_us,
+            servo_max_us=self._servo.max_us,
+            motor_min_us=self._motor.min_us,
+            motor_neutral_us=self._motor.zero_us,
+            motor_max_us=self._motor.max_us,
+            servo_slew_us=servo_slew_us,
+            motor_slew_us=motor_slew_us,
+        )
+        self._limits_crc = messages.limits_crc(self._limits)
+        self._decoder = messages.decoder(on_board=False)
+        self._speed = SpeedMeter(vehicle_config.ticks_per_m)
+        self._session: _Session | None = None
+        self._counter = 0
+
+    @property
+    def errors(self) -> FrameErrors:
+        """Damaged frames since the link was made."""
+        return self._decoder.errors
+
+    @property
+    def hello(self) -> messages.Hello | None:
+        """The board's newest hello, None before the first."""
+        return None if self._session is None else self._session.hello
+
+    def open(self) -> None:
+        """Open the pipe, which may reset the board; raises LinkError."""
+        self._session = None
+        self._transport.open()
+        self._decoder.reset()
+        self._speed.reset()
+        self._session = _Session()
+
+    def poll(self, now_ns: int) -> VehicleState | None:
+        """Take in what has arrived; None until the board has said hello and confirmed the limits."""
+        session = self._live()
+        if session.opened_ns is None:
+            session.opened_ns = now_ns
+        faults = None
+        for frame in self._decoder.feed(self._transport.read()):
+            message = messages.decode(frame)
+            if isinstance(message, messages.Status):
+                faults = (faults or 0) | message.faults
+                self._take_status(session, message, now_ns)
+            elif isinstance(message, messages.Odometry):
+                self._take_odometry(session, message, now_ns)
+            elif isinstance(message, messages.Ranges):
+                session.ranges = message
+            elif isinstance(message, messages.Hello):
+                self._take_hello(session, message)
+        if faults is not None:
+            session.faults = faults
+        self._follow_up(session, now_ns)
+        return self._state(session) if session.limits_known and session.status is not None else None
+
+    def send(self, command: Command, now_ns: int) -> None:
+        """Put the command on the wire; nothing is sent while `poll` still gives None."""
+        session = self._live()
+        valid_until_ns = min(command.valid_until_ns, now_ns + _VALID_NS)
+        deadline_ns = session.clock.board_ns(valid_until_ns)
+        if not session.limits_known or deadline_ns is None:
+            return
+        fresh = (
+            session.wants_armed
+            and now_ns <= command.valid_until_ns
+            and math.isfinite(command.steering_rad)
+            and math.isfinite(command.speed_mps)
+        )
+        self._write(
+            messages.Command(
+                servo_us=self._servo.pulse_us(command.steering_rad) if fresh else self._servo.zero_us,
+                motor_us=self._motor.pulse_us(command.speed_mps) if fresh else self._motor.zero_us,
+                deadline_ms=deadline_ns // _MS & 0xFFFF,
+                flags=int(CommandFlag.FRESH) if fresh else 0,
+            )
+        )
+
+    def arm(self, now_ns: int) -> None:
+        """Ask the board to accept commands; ignored while `poll` still gives None."""
+        session = self._live()
+        if session.limits_known and session.status is not None and session.armed_nonce is None:
+            session.wants_armed, session.arm_ns, session.arm_sent_ns = True, now_ns, None
+            session.restarted = session.silent = False
+            self._follow_up(session, now_ns)
+
+    def disarm(self, now_ns: int) -> None:
+        """Neutral and straight, at once; repeated until the board shows that it heard."""
+        session = self._live()
+        _end_arming(session)
+        if session.hello is not None:
+            session.void_nonce = None if session.status is None else session.status.nonce
+            session.disarm_sent_ns = now_ns
+            self._write(messages.Disarm())
+
+    def close(self) -> None:
+        """Disarm as far as the pipe allows, and close."""
+        if self._session is not None and self._session.hello is not None:
+            with contextlib.suppress(LinkError):
+                self._write(messages.Disarm())
+        self._session = None
+        self._transport.close()
+
+    def _live(self) -> _Session:
+        if self._session is None:
+            raise PortLost(f"{self._place}: not open")
+        return self._session
+
+    def _write(self, message: messages.ToBoard) -> None:
+        self._counter = (self._counter + 1) & 0xFF
+        self._transport.write(messages.encode(message, self._counter))
+
+    def _take_hello(self, session: _Session, hello: messages.Hello) -> None:
+        if (hello.table_hash, hello.version) != (messages.TABLE_HASH, messages.PROTOCOL_VERSION):
+            raise HandshakeError(
+                f"{self._place}: the board speaks message table {hello.table_hash:#06x} version {hello.version}, this "
+                f"program {messages.TABLE_HASH:#06x} version {messages.PROTOCOL_VERSION}; flash the matching firmware"
+            )
+        if session.hello is not None and session.hello.boot_id != hello.boot_id:
+            self._board_restarted(session)
+        session.hello = hello
+        session.limits_known = hello.limits_crc == self._limits_crc and session.setup_ns is not None
+
+    def _take_status(self, session: _Session, status: messages.Status, now_ns: int) -> None:
+        self._board_time(session, status.time_us, now_ns)
+        session.status, session.status_ns = status, now_ns
+        if not status.flags & StatusFlag.ARMED:
+            if session.armed_nonce is not None:
+                _end_arming(session)
+        elif session.wants_armed and status.nonce != session.void_nonce:
+            session.armed_nonce = status.nonce
+
+    def _take_odometry(self, session: _Session, odometry: messages.Odometry, now_ns: int) -> None:
+        board_ns = self._board_time(session, odometry.time_us, now_ns)
+        session.odometry = odometry
+        session.speed_mps = self._speed.step(board_ns, odometry.wheel_ticks)
+
+    def _board_time(self, session: _Session, time_us: int, now_ns: int) -> int:
+        board_ns = session.clock.observe(time_us, now_ns)
+        if board_ns is None:
+            self._board_restarted(session)
+            self._write(messages.HelloRequest())  # its first hello was lost
+            board_ns = session.clock.observe(time_us, now_ns) or 0
+        return board_ns
+
+    def _board_restarted(self, session: _Session) -> None:
+        session.restarted = True
+        _end_arming(session)
+        session.clock.reset()
+        self._speed.reset()
+
+    def _follow_up(self, session: _Session, now_ns: int) -> None:
+        if session.hello is None:
+            if session.opened_ns is not None and now_ns - session.opened_ns > _HELLO_TIMEOUT_NS:
+                raise HandshakeError(f"{self._place}: no hello from the board; check port, baud rate and firmware")
+            return
+        if not session.limits_known and _due(session.setup_ns, _SETUP_RETRY_NS, now_ns):
+            session.setup_ns = now_ns
+            self._write(messages.Disarm())  # a board that did not reset may still be armed, and refuses limits then
+            self._write(self._limits)
+        status = session.status
+        if status is None:
+            return
+        if now_ns - session.status_ns > _SILENT_NS:
+            session.silent = True
+            _end_arming(session)
+        if status.flags & StatusFlag.ARMED and not session.wants_armed:
+            session.void_nonce = status.nonce
+        if status.nonce == session.void_nonce:
+            if _due(session.disarm_sent_ns, _ARM_RETRY_NS, now_ns):
+                session.disarm_sent_ns = now_ns
+                self._write(messages.Disarm())
+        elif session.wants_armed and session.armed_nonce is None:
+            self._try_arming(session, session.hello, status, now_ns)
+
+    def _try_arming(self, session: _Session, hello: messages.Hello, status: messages.Status, now_ns: int) -> None:
+        if now_ns - session.arm_ns > _ARM_NS:
+            _end_arming(session)
+        elif _due(session.arm_sent_ns, _ARM_RETRY_NS, now_ns):
+            session.arm_sent_ns = now_ns
+            self._write(messages.Arm(nonce=status.nonce, boot_id=hello.boot_id))
+
+    def _state(self, session: _Session) -> VehicleState:
+        status, odometry, ranges = session.status, session.odometry, session.ranges
+        faults = [name for bit, name in _FAULT_NAMES if session.faults & bit] if session.faults else []
+        if session.restarted:
+            faults.append("board_restarted")
+        if session.silent:
+            faults.append("link_silent")
+        return VehicleState(
+            t_ns=session.status_ns,
+            speed_mps=session.speed_mps,
+            yaw_rate_radps=None if odometry is None else odometry.yaw_rate_radps,
+            steering_rad=None if status is None else self._servo.value(status.servo_us),
+            ranges_m=() if ranges is None else (ranges.left_m, ranges.centre_m, ranges.right_m),
+            battery_v=None if ranges is None else ranges.battery_v,
+            armed=session.armed_nonce is not None,
+            faults=tuple(faults),
+            boot_id=None if session.hello is None else session.hello.boot_id,
+        )
+
+
+def _end_arming(session: _Session) -> None:
+    session.wants_armed, session.armed_nonce = False, None
+
+
+def _due(last_ns: int | None, period_ns: int, now_ns: int) -> bool:
+    return last_ns is None or now_ns - last_ns >= period_ns

@@ -1,0 +1,1 @@
+"""Vehicles that answer real bytes without hardware."""

@@ -1,0 +1,316 @@
+"""An Arduino that is not there: answers real bytes, on time that is passed in."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Protocol
+
+from automodel.signals import BoardSensors
+from firmware_link import messages
+from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic
+from firmware_link.emulator.uart import UartLine
+from firmware_link.framing import RawFrame
+from firmware_link.messages import Fault, ResetCause, StatusFlag
+
+TICK_NS = 1_000_000  # the main loop
+SERVO_FRAME_NS = 20_000_000
+REPORT_NS = 20_000_000
+HELLO_NS = 500_000_000
+_STATUS_PHASE_NS = 1_000_000  # after the servo frame's start, so that it tells of this frame's pulses
+_SENSOR_PHASE_NS = 11_000_000  # halfway between two statuses
+_RX_RING_BYTES = 64
+_TX_RING_BYTES = 128
+_WIRE_BYTES = 4096  # waiting on the host's side, as in a tty's buffer
+
+
+class Peripherals(Protocol):
+    """What hangs on the board's pins. Times never go back."""
+
+    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
+        """The pulses [us] at the pins from `t_ns` on; called at each servo frame."""
+        ...
+
+    def read_sensors(self, t_ns: int) -> BoardSensors:
+        """What the sensors read at `t_ns`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardOptions:
+    """How the board differs from the usual one. `table_hash` is that of its program's message table."""
+
+    boot_ns: int = 300_000_000  # bootloader: deaf and dumb
+    watchdog_ns: int = 60_000_000  # a program that hangs is restarted after so long
+    boot_id: int = 1  # of the first start
+    table_hash: int = messages.TABLE_HASH
+
+    def __post_init__(self) -> None:
+        if self.boot_ns < 0 or self.watchdog_ns <= 0:
+            raise ValueError("boot_ns, watchdog_ns: a time >= 0 and one > 0 are wanted")
+
+
+@dataclass(slots=True, kw_only=True)
+class BoardCounters:
+    """What went wrong on the board's side since power came on."""
+
+    rx_in_boot: int = 0  # bytes that came while the bootloader ran
+    rx_lost: int = 0  # bytes that found the ring buffer full
+    tx_skipped: int = 0  # frames that did not fit into the ring buffer
+    resets: int = 0
+
+
+class _State(enum.Enum):
+    OFF = "off"
+    BOOT = "boot"
+    RUN = "run"
+    HUNG = "hung"
+
+
+class EmulatedArduino:
+    """The board: UART, 1 ms main loop, 50 Hz servo pulses, watchdog. The real program behaves like this, too.
+
+    ===========  ==========================================  =====================================================
+    state        event                                       becomes
+    ===========  ==========================================  =====================================================
+    any          power, reset line, brown-out, watchdog      BOOT: straight and neutral, deaf and dumb, new boot id
+    BOOT         `boot_ns` over                              DISARMED, new nonce; says Hello
+    any but BOOT HelloRequest; every 500 ms                  the same; says Hello
+    DISARMED     Arm with the nonce and boot id in force     ARMED, command timer starts, counter taken over
+    DISARMED     Arm with others                             DISARMED, fault ARM_REFUSED
+    DISARMED     Limits that fit                             DISARMED, limits kept over restarts; says Hello
+    DISARMED     Command                                     DISARMED, does nothing
+    ARMED        Command, fresh, counter 1..127 ahead,       ARMED, timer starts anew; the pulses, clamped and
+                 deadline 0..150 ms ahead                    slewed, from the next servo frame on
+    ARMED        Command, not fresh, counter ahead           ARMED, straight and neutral; the timer runs on
+    ARMED        Command that is late, repeated, impossible  ARMED, a fault; else as if it had not come
+    ARMED        Limits; Arm                                 ARMED, fault LIMITS_REFUSED; nothing
+    ARMED        command timer: 100 ms without a fresh one   DISARMED (latched), new nonce, fault COMMAND_TIMEOUT
+    any but BOOT Disarm                                      DISARMED, new nonce
+    ===========  ==========================================  =====================================================
+
+    DISARMED always means straight and neutral, without slewing, from the next servo frame on. Leaving it takes an Arm,
+    which the host sends only on a person's wish: the nonce changes with every disarming, so no older Arm works.
+    COMMAND_TIMEOUT is reported until the next Arm that works.
+
+    `advance` runs the main loop's ticks in which something happens and skips the others. The first call switches the
+    power on. A program that hangs leaves its last pulses at the pins (a timer makes them) until the watchdog restarts it.
+    """
+
+    def __init__(self, peripherals: Peripherals, baud: int = 115200, options: BoardOptions | None = None) -> None:
+        self._peripherals = peripherals
+        self._options = options or BoardOptions()
+        self._boot_id = (self._options.boot_id - 1) & 0xFFFF
+        self._limits = DEFAULT_LIMITS
+        self._limits_crc = messages.limits_crc(DEFAULT_LIMITS)
+        self._decoder = messages.decoder(on_board=True, table_hash=self._options.table_hash)
+        self._rx = UartLine(baud, _WIRE_BYTES)
+        self._tx = UartLine(baud, _TX_RING_BYTES)
+        self._sent = b""
+        self._logic = BoardLogic(self._boot_id, self._limits)
+        self._cause = ResetCause.POWER_ON
+        self._state = _State.OFF
+        self._start_ns = 0  # board time zero
+        self._until_ns = 0  # end of booting, or the watchdog's time
+        self._servo_due_ns = self._status_due_ns = self._sensors_due_ns = self._hello_due_ns = 0
+        self._counter = 0
+        self._errors_told = 0
+        self.counters = BoardCounters()
+
+    @property
+    def armed(self) -> bool:
+        """Whether commands move anything."""
+        return self._logic.arming.armed
+
+    @property
+    def boot_id(self) -> int:
+        """The number of this start."""
+        return self._boot_id
+
+    def reset(self, now_ns: int, cause: ResetCause = ResetCause.EXTERNAL) -> None:
+        """Restart, as the reset line does when a host opens the port."""
+        if self._state is not _State.OFF:
+            self.advance(now_ns)
+        self._restart(now_ns, cause)
+
+    def hang(self, now_ns: int) -> None:
+        """Fault: the program stops; the watchdog restarts it."""
+        self.advance(now_ns)
+        if self._state is _State.RUN:
+            self._state = _State.HUNG
+            self._until_ns = now_ns + self._options.watchdog_ns
+
+    def brown_out(self, now_ns: int) -> None:
+        """Fault: the supply dips."""
+        self.reset(now_ns, ResetCause.BROWN_OUT)
+
+    def room(self, now_ns: int) -> int:
+        """How many bytes `receive` takes at `now_ns`."""
+        return self._rx.room(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> int:
+        """Put the host's bytes on the line; how many there was room for, the others are lost."""
+        taken = data[: self._rx.room(now_ns)]
+        if taken:
+            self._rx.put(taken, now_ns)
+        return len(taken)
+
+    def transmit(self, now_ns: int) -> bytes:
+        """The bytes whose last bit has left by `now_ns`, since the last call; what the host leaves unread is bounded."""
+        self._collect(now_ns)
+        sent, self._sent = self._sent, b""
+        return sent
+
+    def advance(self, now_ns: int) -> None:
+        """Do all that happens up to `now_ns`; times never go back."""
+        if self._state is _State.OFF:
+            self._restart(now_ns, ResetCause.POWER_ON)
+        while (t_ns := self._next_ns()) <= now_ns:
+            if self._state is _State.RUN:
+                self._loop(t_ns)
+            elif self._state is _State.BOOT:
+                self._run(t_ns)
+            else:
+                self._restart(t_ns, ResetCause.WATCHDOG)
+
+    def _next_ns(self) -> int:
+        if self._state is not _State.RUN:
+            return self._until_ns
+        due = min(self._servo_due_ns, self._status_due_ns, self._sensors_due_ns, self._hello_due_ns)
+        timer_ms = self._logic.timer.due_ms
+        if timer_ms is not None:
+            due = min(due, self._start_ns + timer_ms * TICK_NS)
+        arrival_ns = self._rx.next_ns()
+        if arrival_ns is not None:
+            ticks = -(-(arrival_ns - self._start_ns) // TICK_NS)
+            due = min(due, self._start_ns + ticks * TICK_NS)
+        return due
+
+    def _restart(self, t_ns: int, cause: ResetCause) -> None:
+        self._collect(t_ns)
+        self._tx.clear()
+        self.counters.resets += 1
+        self._boot_id = (self._boot_id + 1) & 0xFFFF
+        self._cause = cause
+        self._logic = BoardLogic(self._boot_id, self._limits)
+        self._decoder.reset()
+        self._state = _State.BOOT
+        self._until_ns = t_ns + self._options.boot_ns
+        self._rx.take(t_ns)
+        self._pulses(t_ns)
+
+    def _run(self, t_ns: int) -> None:
+        self.counters.rx_in_boot += len(self._rx.take(t_ns))
+        self._state = _State.RUN
+        self._start_ns = self._servo_due_ns = self._hello_due_ns = t_ns
+        self._status_due_ns = t_ns + _STATUS_PHASE_NS
+        self._sensors_due_ns = t_ns + _SENSOR_PHASE_NS
+        self._counter = 0
+        self._errors_told = self._decoder.errors.total
+
+    def _loop(self, t_ns: int) -> None:
+        """One turn of the main loop, in the order of the real one."""
+        t_ms = (t_ns - self._start_ns) // TICK_NS
+        data = self._rx.take(t_ns)
+        if data:
+            self._take(data, t_ms)
+        self._logic.tick(t_ms)
+        if t_ns >= self._servo_due_ns:
+            self._servo_due_ns += SERVO_FRAME_NS
+            self._logic.pulses.frame()
+            self._pulses(t_ns)
+        if t_ns >= self._status_due_ns:
+            self._status_due_ns += REPORT_NS
+            self._say_status(t_ns)
+        if t_ns >= self._sensors_due_ns:
+            self._sensors_due_ns += REPORT_NS
+            self._say_sensors(t_ns)
+        if t_ns >= self._hello_due_ns:
+            self._hello_due_ns += HELLO_NS
+            self._say_hello(t_ns)
+
+    def _take(self, data: bytes, t_ms: int) -> None:
+        lost = len(data) - _RX_RING_BYTES  # the loop empties the ring once a tick
+        if lost > 0:
+            self.counters.rx_lost += lost
+            self._logic.event(Fault.RX_OVERFLOW)
+            data = data[:_RX_RING_BYTES]
+        for frame in self._decoder.feed(data):
+            self._obey(frame, t_ms)
+
+    def _obey(self, frame: RawFrame, t_ms: int) -> None:
+        message = messages.decode(frame)
+        if isinstance(message, messages.Command):
+            self._logic.on_command(message, frame.counter, t_ms)
+        elif isinstance(message, messages.Arm):
+            self._logic.on_arm(message, frame.counter, t_ms)
+        elif isinstance(message, messages.Disarm):
+            self._logic.on_disarm()
+        elif isinstance(message, messages.Limits):
+            if self._logic.on_limits(message):
+                self._limits = message
+                self._limits_crc = messages.limits_crc(message)
+                self._say_hello(self._start_ns + t_ms * TICK_NS)
+        elif isinstance(message, messages.HelloRequest):
+            self._say_hello(self._start_ns + t_ms * TICK_NS)
+
+    def _pulses(self, t_ns: int) -> None:
+        pulses = self._logic.pulses
+        self._at_pin = (pulses.servo_us, pulses.motor_us)
+        self._peripherals.set_pulses(t_ns, *self._at_pin)
+
+    def _say_hello(self, t_ns: int) -> None:
+        hello = messages.Hello(
+            table_hash=self._options.table_hash,
+            version=messages.PROTOCOL_VERSION,
+            reset_cause=int(self._cause),
+            boot_id=self._boot_id,
+            limits_crc=self._limits_crc,
+        )
+        self._say(hello, t_ns)
+
+    def _say_status(self, t_ns: int) -> None:
+        if self._decoder.errors.total != self._errors_told:
+            self._errors_told = self._decoder.errors.total
+            self._logic.event(Fault.FRAME_ERRORS)
+        servo_us, motor_us = self._at_pin
+        status = messages.Status(
+            time_us=self._time_us(t_ns),
+            servo_us=servo_us,
+            motor_us=motor_us,
+            faults=self._logic.take_faults(),
+            nonce=self._logic.arming.nonce,
+            command_counter=self._logic.command_counter,
+            flags=int(StatusFlag.ARMED) if self._logic.arming.armed else 0,
+        )
+        self._say(status, t_ns)
+
+    def _say_sensors(self, t_ns: int) -> None:
+        sensors = self._peripherals.read_sensors(t_ns)
+        time_us = self._time_us(t_ns)
+        odometry = messages.Odometry(
+            time_us=time_us, wheel_ticks=sensors.wheel_ticks, yaw_rate_radps=sensors.yaw_rate_radps
+        )
+        left_m, centre_m, right_m = sensors.ranges_m
+        ranges = messages.Ranges(
+            time_us=time_us, left_m=left_m, centre_m=centre_m, right_m=right_m, battery_v=sensors.battery_v
+        )
+        self._say(odometry, t_ns)
+        self._say(ranges, t_ns)
+
+    def _time_us(self, t_ns: int) -> int:
+        return (t_ns - self._start_ns) // 1000 & 0xFFFFFFFF
+
+    def _say(self, message: messages.FromBoard, t_ns: int) -> None:
+        frame = messages.encode(message, self._counter, self._options.table_hash)
+        if len(frame) > self._tx.room(t_ns):
+            self.counters.tx_skipped += 1
+            self._logic.event(Fault.TX_OVERFLOW)
+            return
+        self._counter = (self._counter + 1) & 0xFF
+        self._tx.put(frame, t_ns)
+
+    def _collect(self, now_ns: int) -> None:
+        arrived = self._tx.take(now_ns)
+        if arrived:
+            self._sent = (self._sent + arrived)[:_WIRE_BYTES]  # a full tty throws the newest away

@@ -1,0 +1,201 @@
+"""The board's decisions, apart from its registers: what the emulated board does and the real one must.
+
+Time is the board's own, in whole milliseconds since its program started, passed in. Nothing here allocates, blocks or
+needs more than integer arithmetic on half microseconds.
+"""
+
+from __future__ import annotations
+
+from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fault, Limits
+
+COMMAND_TIMEOUT_MS = 100
+MAX_DEADLINE_MS = 150  # a deadline further ahead is one of the past, wrapped around
+DEFAULT_LIMITS = Limits(
+    servo_min_us=1000.0,
+    servo_straight_us=1500.0,
+    servo_max_us=2000.0,
+    motor_min_us=1000.0,
+    motor_neutral_us=1500.0,
+    motor_max_us=2000.0,
+    servo_slew_us=200.0,
+    motor_slew_us=100.0,
+)
+_NONCE_STEP = 0x9E37  # odd: all 65536 nonces come before one comes again
+
+
+def limits_fit(limits: Limits) -> bool:
+    """Whether the limits are pulses, in order, and let the pulses move at all."""
+    low, high = PULSE_RANGE_US
+    return (
+        low <= limits.servo_min_us <= limits.servo_straight_us <= limits.servo_max_us <= high
+        and low <= limits.motor_min_us <= limits.motor_neutral_us <= limits.motor_max_us <= high
+        and limits.servo_slew_us > 0
+        and limits.motor_slew_us > 0
+    )
+
+
+class CommandTimer:
+    """Runs out 100 ms after it was last fed; stands still until it is fed first."""
+
+    def __init__(self) -> None:
+        self.due_ms: int | None = None
+
+    def feed(self, t_ms: int) -> None:
+        """Begin the 100 ms anew."""
+        self.due_ms = t_ms + COMMAND_TIMEOUT_MS
+
+    def stop(self) -> None:
+        """Stand still."""
+        self.due_ms = None
+
+    def expired(self, t_ms: int) -> bool:
+        """Whether the time is over."""
+        return self.due_ms is not None and t_ms >= self.due_ms
+
+
+class Arming:
+    """Armed or not. Each arming needs the nonce of its own: an Arm from before a Disarm or restart is worth nothing."""
+
+    def __init__(self, boot_id: int) -> None:
+        self._boot_id = boot_id
+        self.armed = False
+        self.nonce = boot_id
+
+    def arm(self, message: Arm) -> bool:
+        """Arm, if nonce and boot id are right; whether they were."""
+        if (message.nonce, message.boot_id) != (self.nonce, self._boot_id):
+            return False
+        self.armed = True
+        return True
+
+    def disarm(self) -> None:
+        """Disarm, and void every Arm that is under way."""
+        self.armed = False
+        self.nonce = (self.nonce + _NONCE_STEP) & 0xFFFF
+
+
+class CommandGate:
+    """Tells a fresh, possible command from others; gives the fault, or None where the command is good."""
+
+    def __init__(self) -> None:
+        self._counter = 0
+
+    def start(self, counter: int) -> None:
+        """Count from `counter` on."""
+        self._counter = counter
+
+    def fault_of(self, command: Command, counter: int, t_ms: int) -> Fault | None:
+        """What is wrong with the command: its values, its counter (must be 1 .. 127 ahead) or its deadline."""
+        low, high = PULSE_RANGE_US
+        if not (low <= command.servo_us <= high and low <= command.motor_us <= high):
+            return Fault.COMMAND_REFUSED
+        if command.flags & ~CommandFlag.FRESH:
+            return Fault.COMMAND_REFUSED
+        if not 1 <= (counter - self._counter) & 0xFF <= 127:
+            return Fault.COMMAND_REPEATED
+        if command.flags & CommandFlag.FRESH and (command.deadline_ms - t_ms) & 0xFFFF > MAX_DEADLINE_MS:
+            return Fault.COMMAND_LATE
+        self._counter = counter
+        return None
+
+
+class Pulses:
+    """Wanted pulses -> pulses at the pin: clamped to the limits when wanted, slewed at each 20 ms servo frame.
+
+    Towards neutral the motor is not slewed: nothing delays a stop.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.straighten()
+
+    def want(self, servo_us: float, motor_us: float) -> None:
+        """Take pulses over from the next servo frame on."""
+        limits = self.limits
+        self._servo_want_us = min(max(servo_us, limits.servo_min_us), limits.servo_max_us)
+        self._motor_want_us = min(max(motor_us, limits.motor_min_us), limits.motor_max_us)
+
+    def straighten(self) -> None:
+        """Straight and neutral from the next servo frame on, without slewing."""
+        self.servo_us = self._servo_want_us = self.limits.servo_straight_us
+        self.motor_us = self._motor_want_us = self.limits.motor_neutral_us
+
+    def frame(self) -> None:
+        """Begin a servo frame: `servo_us` and `motor_us` are its pulses."""
+        limits = self.limits
+        slew = limits.servo_slew_us
+        self.servo_us = min(max(self._servo_want_us, self.servo_us - slew), self.servo_us + slew)
+        now = self.motor_us - limits.motor_neutral_us
+        want = self._motor_want_us - limits.motor_neutral_us
+        reach = (abs(now) if now * want > 0 else 0.0) + limits.motor_slew_us
+        self.motor_us = limits.motor_neutral_us + min(max(want, -reach), reach)
+
+
+class BoardLogic:
+    """The state machine between the messages and the pulses; the table is in `EmulatedArduino`.
+
+    `faults` gathers what went wrong since the last status; `limits` are those in force.
+    """
+
+    def __init__(self, boot_id: int, limits: Limits) -> None:
+        self.arming = Arming(boot_id)
+        self.timer = CommandTimer()
+        self.pulses = Pulses(limits)
+        self.command_counter = 0
+        self._gate = CommandGate()
+        self._events = 0
+        self._timed_out = False
+
+    def on_command(self, command: Command, counter: int, t_ms: int) -> None:
+        """Follow a good command while armed; only a fresh one feeds the timer."""
+        self.command_counter = counter
+        if not self.arming.armed:
+            return
+        fault = self._gate.fault_of(command, counter, t_ms)
+        if fault is not None:
+            self.event(fault)
+        elif command.flags & CommandFlag.FRESH:
+            self.timer.feed(t_ms)
+            self.pulses.want(command.servo_us, command.motor_us)
+        else:
+            self.pulses.straighten()
+
+    def on_arm(self, message: Arm, counter: int, t_ms: int) -> None:
+        """Disarmed -> armed; the first fresh command must follow within the timer's 100 ms."""
+        if self.arming.armed:
+            return
+        if not self.arming.arm(message):
+            self.event(Fault.ARM_REFUSED)
+            return
+        self._timed_out = False
+        self._gate.start(counter)
+        self.timer.feed(t_ms)
+
+    def on_disarm(self) -> None:
+        """Any state -> disarmed."""
+        self.arming.disarm()
+        self.timer.stop()
+        self.pulses.straighten()
+
+    def on_limits(self, limits: Limits) -> bool:
+        """Take other limits over while disarmed; whether they were."""
+        if self.arming.armed or not limits_fit(limits):
+            self.event(Fault.LIMITS_REFUSED)
+            return False
+        self.pulses = Pulses(limits)
+        return True
+
+    def tick(self, t_ms: int) -> None:
+        """Each millisecond, after the messages: armed -> disarmed when the timer has run out."""
+        if self.timer.expired(t_ms):
+            self.on_disarm()
+            self._timed_out = True
+
+    def event(self, fault: Fault) -> None:
+        """Note a fault for the next status."""
+        self._events |= int(fault)
+
+    def take_faults(self) -> int:
+        """The faults for a status; what it has told is forgotten."""
+        events, self._events = self._events, 0
+        return events | (int(Fault.COMMAND_TIMEOUT) if self._timed_out else 0)

@@ -1,0 +1,62 @@
+"""One direction of a serial line: bytes take their time, 10 bits each."""
+
+from __future__ import annotations
+
+from collections import deque
+
+_BITS_NS = 10 * 1_000_000_000  # start, 8 data, stop
+
+
+class UartLine:
+    """Bytes handed over at any time leave one after the other at the baud rate, and arrive when the last bit has left.
+
+    `capacity` bytes may wait or be on their way.
+    """
+
+    def __init__(self, baud: int, capacity: int) -> None:
+        if not baud > 0:
+            raise ValueError(f"baud: {baud} where a positive number is wanted")
+        self._baud = baud
+        self._capacity = capacity
+        self._free_ns = 0  # when all that was handed over has left
+        self._bursts: deque[tuple[int, bytes]] = deque()  # start of the first byte, bytes back to back
+        self._gone = 0  # bytes of the first burst that were taken
+
+    def put(self, data: bytes, now_ns: int) -> None:
+        """Hand over `data`."""
+        start_ns = max(now_ns, self._free_ns)
+        self._free_ns = start_ns + len(data) * _BITS_NS // self._baud
+        self._bursts.append((start_ns, data))
+
+    def room(self, now_ns: int) -> int:
+        """How many bytes may be handed over at `now_ns`."""
+        waiting = -(-max(self._free_ns - now_ns, 0) * self._baud // _BITS_NS)
+        return max(self._capacity - waiting, 0)
+
+    def next_ns(self) -> int | None:
+        """When the next byte arrives."""
+        if not self._bursts:
+            return None
+        return self._bursts[0][0] + (self._gone + 1) * _BITS_NS // self._baud
+
+    def take(self, now_ns: int) -> bytes:
+        """The bytes that have arrived by `now_ns`."""
+        bursts = self._bursts
+        out = b""
+        while bursts:
+            start_ns, data = bursts[0]
+            count = min(((now_ns - start_ns + 1) * self._baud - 1) // _BITS_NS, len(data))  # those at now_ns too
+            if count > self._gone:
+                out += data[self._gone : count]
+                self._gone = count
+            if self._gone < len(data):
+                break
+            bursts.popleft()
+            self._gone = 0
+        return out
+
+    def clear(self) -> None:
+        """Lose all that has not arrived."""
+        self._bursts.clear()
+        self._gone = 0
+        self._free_ns = 0

@@ -1,0 +1,155 @@
+"""Frames on a serial line: bytes <-> (type, counter, payload); no I/O, no knowledge of what the payload means.
+
+On the wire: `00, COBS(type, counter, payload, crc low, crc high), 00`. Type and counter are a byte each; the payload's
+length is fixed by the type; type, counter and payload are 16 bytes at most. The CRC is CRC-16/DNP (polynomial 0x3D65,
+reflected, final XOR 0xFFFF), started from `seed` instead of 0: two programs with different message tables reject each
+other's frames. That polynomial has Hamming distance 6 up to 135 bits of data (P. Koopman, Best CRC Polynomials).
+
+The zero ahead of each frame closes whatever garbage came before it, so the first frame after garbage is not lost.
+
+A receiver on a microcontroller needs one 20-byte buffer: collect bytes until a zero, then decode; ignore everything up
+to the next zero when the buffer is full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+MAX_BODY_BYTES = 16  # type, counter and payload
+_CRC_BYTES = 2
+_MIN_RAW_BYTES = 2 + _CRC_BYTES
+_MAX_ENCODED_BYTES = MAX_BODY_BYTES + _CRC_BYTES + 1
+_POLYNOMIAL_REFLECTED = 0xA6BC  # 0x3D65 with its bits reversed
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for value in range(256):
+        for _ in range(8):
+            value = (value >> 1) ^ (_POLYNOMIAL_REFLECTED if value & 1 else 0)
+        table.append(value)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16_dnp(data: bytes, seed: int = 0) -> int:
+    """CRC-16/DNP of `data`, started from `seed` (0 in the standard)."""
+    crc, table = seed, _CRC_TABLE
+    for byte in data:
+        crc = (crc >> 8) ^ table[(crc ^ byte) & 0xFF]
+    return crc ^ 0xFFFF
+
+
+def cobs_encode(data: bytes) -> bytes:
+    """Consistent overhead byte stuffing of fewer than 254 bytes: no zero in the result, one byte longer."""
+    return b"".join(bytes((len(block) + 1,)) + block for block in data.split(b"\0"))
+
+
+def cobs_decode(data: bytes) -> bytes | None:
+    """The bytes that `cobs_encode` was given; None where `data` was not made by it."""
+    out = bytearray()
+    place, end = 0, len(data)
+    while place < end:
+        code = data[place]
+        if code == 0 or place + code > end:
+            return None
+        out += data[place + 1 : place + code]
+        place += code
+        if place < end:
+            out.append(0)
+    return bytes(out)
+
+
+class RawFrame(NamedTuple):
+    """A frame whose CRC was right."""
+
+    type: int
+    counter: int
+    payload: bytes
+
+
+class FrameFormat(NamedTuple):
+    """What is fixed for a frame type: the payload's length [bytes] and the CRC's start value."""
+
+    payload_bytes: int
+    seed: int
+
+
+@dataclass(slots=True, kw_only=True)
+class FrameErrors:
+    """How many frames were thrown away, and why."""
+
+    cobs: int = 0
+    length: int = 0
+    unknown_type: int = 0
+    crc: int = 0
+
+    @property
+    def total(self) -> int:
+        """All of them together."""
+        return self.cobs + self.length + self.unknown_type + self.crc
+
+
+def encode(frame_type: int, counter: int, payload: bytes, seed: int) -> bytes:
+    """The bytes of one frame, delimiters included; raises ValueError for what does not fit."""
+    body = bytes((frame_type, counter)) + payload
+    if len(body) > MAX_BODY_BYTES:
+        raise ValueError(f"frame type {frame_type}: {len(body)} bytes where {MAX_BODY_BYTES} are the most")
+    return b"\0" + cobs_encode(body + crc16_dnp(body, seed).to_bytes(2, "little")) + b"\0"
+
+
+class Decoder:
+    """Bytes in, frames out; whatever is damaged is counted in `errors` and thrown away.
+
+    `formats` gives the types that are taken. The memory is bounded: at most one frame is kept between calls.
+    """
+
+    def __init__(self, formats: Mapping[int, FrameFormat]) -> None:
+        self._formats = dict(formats)
+        self._tail = b""
+        self.errors = FrameErrors()
+
+    def reset(self) -> None:
+        """Forget a frame that has begun; the counters stay."""
+        self._tail = b""
+
+    def feed(self, data: bytes) -> list[RawFrame]:
+        """Take in `data`; the frames that it completes."""
+        if not data:
+            return []
+        *chunks, tail = (self._tail + data).split(b"\0")
+        self._tail = tail[: _MAX_ENCODED_BYTES + 1]  # one more than fits: still known as too long at its end
+        frames = []
+        for chunk in chunks:
+            if chunk and (frame := self._decode(chunk)) is not None:
+                frames.append(frame)
+        return frames
+
+    def _decode(self, chunk: bytes) -> RawFrame | None:
+        errors = self.errors
+        if len(chunk) > _MAX_ENCODED_BYTES:
+            errors.length += 1
+            return None
+        raw = cobs_decode(chunk)
+        if raw is None:
+            errors.cobs += 1
+            return None
+        if len(raw) < _MIN_RAW_BYTES:
+            errors.length += 1
+            return None
+        known = self._formats.get(raw[0])
+        if known is None:
+            errors.unknown_type += 1
+            return None
+        if len(raw) != known.payload_bytes + _MIN_RAW_BYTES:
+            errors.length += 1
+            return None
+        body = raw[:-_CRC_BYTES]
+        if crc16_dnp(body, known.seed) != raw[-2] | raw[-1] << 8:
+            errors.crc += 1
+            return None
+        return RawFrame(raw[0], raw[1], raw[2:-_CRC_BYTES])
