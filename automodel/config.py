@@ -176,7 +176,7 @@ class ControlConfig:
     stanley_gain_per_s: float = 2.5
     stanley_softening_mps: float = 0.3
     feed_forward: bool = True  # steer for the centerline's curvature
-    actuator_delay_s: float = 0.06  # dead time + lag of camera, wire and servo, compensated by prediction
+    actuator_delay_s: float = 0.07  # frame to wheels: loop, wire, servo frame, dead time, lag; made good by prediction
     obstacle_stop_m: float = 0.35  # stop when the ultrasonic range ahead is below this
     obstacle_go_m: float = 0.45  # and go on above this
     one_line_speed: float = 1.0  # share of the speed with one line seen

@@ -51,12 +51,14 @@ class Limits(Protocol):
 class Tick:
     """What one frame gave.
 
+    `motion` is the one that the pipeline was given, unknown in place of one that was not finite.
     `wanted` is the controller's command, `command` the one after the limits, with `limited_by` naming those. `faults`
     are texts of what was not finite, each already replaced by something safe. `stages_ns` are durations [ns] in the
     order of `STAGES`, zero without a stopwatch.
     """
 
     estimate: LaneEstimate
+    motion: Motion
     wanted: Command
     command: Command
     limited_by: tuple[str, ...] = ()
@@ -120,6 +122,7 @@ class Loop:
             self._limits.reset()
         return Tick(
             estimate=estimate,
+            motion=motion,
             wanted=wanted,
             # A stage may shorten a command's life, never stretch it beyond what the frame it came from allows.
             command=replace(command, valid_until_ns=min(command.valid_until_ns, valid_until_ns)),

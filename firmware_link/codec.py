@@ -42,6 +42,11 @@ class WireField:
         return C_TYPES[self.code]
 
     @property
+    def bytes(self) -> int:
+        """How many bytes it takes."""
+        return struct.calcsize(self.code)
+
+    @property
     def range(self) -> tuple[int, int]:
         """The least and the greatest integer that stands for a value."""
         low, high = _INTEGERS[self.code]

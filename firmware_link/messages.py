@@ -187,8 +187,10 @@ _BY_TYPE = {entry.type_id: entry.codec for entry in TABLE}
 
 
 def table_text(table: Iterable[Entry] = TABLE) -> str:
-    """The table as the hash sees it: a line per message, then one per field; names, types, units, scales."""
+    """The table as the hash sees it: names and values of bits; per message its fields' names, types, units, scales."""
     lines = [f"version {PROTOCOL_VERSION}"]
+    for numbers in (CommandFlag, StatusFlag, Fault, ResetCause):
+        lines += [f"{numbers.__name__} {number.name} {int(number)}" for number in numbers]
     for entry in table:
         lines.append(f"{entry.type_id} {entry.name}")
         lines += [f" {f.name} {f.code} {f.unit} {f.scale} {f.none}" for f in entry.codec.fields]

@@ -15,8 +15,9 @@ class BoardClock:
 
     A message that says board time b arrives at host time h, later than b by an unknown delay: h - b is the offset of
     the clocks plus that delay. The least of the last 0.5 to 1 s is taken, so the board time derived from it is behind
-    the true one by the shortest delay, never ahead but for the clocks' drift in that second. When everything is delayed,
-    it falls behind, and deadlines written in it are past when they arrive: late commands do not pass for fresh ones.
+    the true one by the shortest delay, never ahead but for the clocks' drift in that second. When everything is
+    delayed, it falls behind, and deadlines written in it are past when they arrive: late commands do not pass for
+    fresh ones.
     """
 
     def __init__(self) -> None:

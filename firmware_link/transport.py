@@ -6,7 +6,6 @@ import errno
 import os
 from typing import TYPE_CHECKING, Protocol
 
-from automodel.interfaces import Clock
 from firmware_link.errors import PortLost, PortNotFound, PortRefused
 
 if TYPE_CHECKING:
@@ -14,6 +13,14 @@ if TYPE_CHECKING:
 
 _READ_BYTES = 4096
 _BACKLOG_BYTES = 256  # 18 commands; more than the line carries while a command is valid
+
+
+class Clock(Protocol):
+    """Integer nanoseconds that never go back; the runner's clocks are such."""
+
+    def now_ns(self) -> int:
+        """The time now [ns]."""
+        ...
 
 
 class Transport(Protocol):

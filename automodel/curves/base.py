@@ -31,6 +31,10 @@ class Curve(ABC):
     def curvature(self, s_m: ArrayLike) -> FloatArray:
         """Curvature (...,) [1/m], positive where the curve bends left."""
 
+    def breaks_m(self) -> FloatArray:
+        """Arc lengths (n,) at which the curvature or its rate jumps; the curve is smooth in between."""
+        return np.empty(0)
+
     def offset_position(self, s_m: ArrayLike, d_m: ArrayLike) -> FloatArray:
         """Points (..., 2) at arc length s and distance d to the left."""
         theta = self.heading(s_m)
@@ -48,8 +52,10 @@ class Curve(ABC):
         along the end's normal.
         """
         x, y = np.asarray(point_m, dtype=np.float64)
+        step = self._sample_step()
         if near_s_m is None:
-            low, high = 0.0, self.length_m
+            overlap = step if self.closed else 0.0  # a foot just beside the seam lies between two samples too
+            low, high = -overlap, self.length_m + overlap
         else:
             reach = 0.1 * self.length_m if reach_m is None else reach_m
             low, high = near_s_m - reach, near_s_m + reach
@@ -61,7 +67,6 @@ class Curve(ABC):
                         if near_s_m < 0
                         else (max(self.length_m - reach, 0.0), self.length_m)
                     )
-        step = self._sample_step()
         grid = np.linspace(low, high, max(int(np.ceil((high - low) / step)) + 1, 3))
         points = self.position(grid)
         nearest = int(np.argmin((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2))

@@ -41,6 +41,11 @@ class JoinedCurve(Curve):
         """Curvature (...,) [1/m]."""
         return self._each(s_m, lambda piece, s: piece.curvature(s), 1)
 
+    def breaks_m(self) -> FloatArray:
+        """Arc lengths (n,) of the joints, and of what jumps inside the pieces."""
+        inside = [begin + p.breaks_m() for begin, p in zip(self._begins, self.pieces, strict=True)]
+        return np.unique(np.concatenate((self._begins[1:], *inside)))
+
     def _sample_step(self) -> float:
         return max(min(min(p._sample_step() * 20 for p in self.pieces), self.length_m / 200.0), self.length_m / 5000.0)
 
@@ -78,6 +83,10 @@ class ReversedCurve(Curve):
     def curvature(self, s_m: ArrayLike) -> FloatArray:
         """Curvature (...,) [1/m]."""
         return -self.base.curvature(self.length_m - np.asarray(s_m, dtype=np.float64))
+
+    def breaks_m(self) -> FloatArray:
+        """Arc lengths (n,) at which the curvature or its rate jumps."""
+        return self.length_m - self.base.breaks_m()[::-1]
 
     def _sample_step(self) -> float:
         return self.base._sample_step()

@@ -131,7 +131,7 @@ class LaneFit:
         """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""
         points, theta, jacobian = self._curve(parameters, want_jacobian=True)
         q = samples.points_m
-        nearest = np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
+        nearest = _nearest(points, q)
         cos, sin = np.cos(theta[nearest]), np.sin(theta[nearest])
         ex, ey = q[:, 0] - points[nearest, 0], q[:, 1] - points[nearest, 1]
         ahead, left = ex * cos + ey * sin, ey * cos - ex * sin
@@ -146,12 +146,9 @@ class LaneFit:
         out[:, -1] = -0.5 * samples.side
         return residual, out
 
-    def support(self, samples: LineSamples, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Arc length (n,) and residual (n,) of points under `parameters`."""
-        points = self._curve(parameters)[0]
-        q = samples.points_m
-        nearest = np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
-        return self.grid_m[nearest], self.residuals(parameters, samples)[0]
+    def nearest_s(self, parameters: FloatArray, points_m: FloatArray) -> FloatArray:
+        """Arc length (n,), from the reference point's foot, of the grid point next to each of `points_m` (n, 2)."""
+        return self.grid_m[_nearest(self._curve(parameters)[0], points_m)]
 
     def centerline(self, parameters: FloatArray, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
         """The centerline, or the curve `lateral_m` to its left, as a `TabulatedCurve` over the whole grid."""
@@ -214,6 +211,11 @@ class LaneFit:
         information = np.zeros((count + 3, count + 3))
         information[2:-1, 2:-1] = difference.T @ difference
         return information
+
+
+def _nearest(points: FloatArray, q: FloatArray) -> NDArray[np.intp]:
+    """Index (n,) of the point next to each q (n, 2)."""
+    return np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
 
 
 def _hats(nodes: FloatArray, s: FloatArray) -> FloatArray:

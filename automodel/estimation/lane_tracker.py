@@ -103,6 +103,12 @@ class LaneTracker:
         self._keep(fresh, good)
         return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
 
+    def arc_lengths(self, points_m: FloatArray) -> FloatArray:
+        """Arc length (n,) from the start of `fit.centerline` of body points (n, 2), to the grid's step."""
+        if self.parameters is None:
+            raise ValueError("arc_lengths: nothing is tracked; begin first")
+        return self.fit.nearest_s(self.parameters, points_m) - float(self.fit.grid_m[0])
+
     def _keep(self, samples: LineSamples, good: NDArray[np.bool_]) -> None:
         if self._since_kept < self.KEEP_EVERY_LANES * self.unit:
             return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,24 @@ FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Crossed:
+    """The first crossing, if any, and where along the lane (arc lengths `s_m`) the corridor is `covered` with paint.
+
+    There, what looks like a line along the lane may be a zebra's bar.
+    """
+
+    crossing: Crossing | None
+    s_m: FloatArray
+    covered: NDArray[np.bool_]
+
+    def free(self, s_m: FloatArray) -> NDArray[np.bool_]:
+        """Which arc lengths lie where the corridor is not covered."""
+        step = self.s_m[1] - self.s_m[0]
+        index = np.clip(np.rint((s_m - self.s_m[0]) / step), 0, len(self.s_m) - 1).astype(np.intp)
+        return np.asarray(~self.covered[index])
+
+
 class CrossingSearch:
     """Finds the first stop line or zebra across the lane's corridor.
 
@@ -27,6 +46,8 @@ class CrossingSearch:
     COLUMNS = 24
     STEP_MARKINGS = 1.0 / 3.0
     COVER = 0.42  # share of the corridor that is bright: a stop line 1, a zebra 1/2
+    BUSY = 0.2  # share from which lines there are not trusted
+    SEEN = 0.6  # share of the corridor that must be in view for a crossing
     MAX_SKEW_RAD = math.radians(15.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
@@ -34,16 +55,16 @@ class CrossingSearch:
         self._step = marking_width_m * self.STEP_MARKINGS
         self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # grid rows in a row that are covered
 
-    def step(self, bright: Image, centerline: Curve, start_s_m: float, width_m: float, far_m: float) -> Crossing | None:
-        """The first crossing ahead, or None.
+    def step(self, bright: Image, centerline: Curve, start_s_m: float, width_m: float, far_m: float) -> Crossed:
+        """What lies across the lane.
 
         `bright` is the binary view (h, w), `centerline` the lane in the body frame, `start_s_m` the arc length of the
         reference point's foot, `width_m` the lane's width, `far_m` how far to look.
         """
+        s = start_s_m + np.arange(0.0, far_m, self._step)
         inner = 0.5 * width_m - 1.5 * self.marking_m
         if inner <= 2 * self.marking_m:
-            return None
-        s = start_s_m + np.arange(0.0, far_m, self._step)
+            return Crossed(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
         d = np.linspace(-inner, inner, self.COLUMNS)
         theta = centerline.heading(s)
         normal = np.stack((-np.sin(theta), np.cos(theta)), axis=-1)
@@ -52,12 +73,13 @@ class CrossingSearch:
         inside = (px[..., 0] >= 0) & (px[..., 0] < self.view.width_px) & (px[..., 1] >= 0)
         inside &= px[..., 1] < self.view.height_px
         white = inside & (bright[np.where(inside, px[..., 1], 0), np.where(inside, px[..., 0], 0)] > 0)
-        seen = inside.sum(axis=1) >= 0.6 * self.COLUMNS
-        covered = seen & (white.sum(axis=1) >= self.COVER * np.maximum(inside.sum(axis=1), 1))
-        first = _first_run(covered, self._need)
-        if first is None:
-            return None
-        return self._edge(white, ground, first, float(s[first] - start_s_m), float(theta[first]))
+        share = white.sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
+        seen = inside.sum(axis=1) >= self.SEEN * self.COLUMNS
+        first = _first_run(seen & (share >= self.COVER), self._need)
+        crossing = None
+        if first is not None:
+            crossing = self._edge(white, ground, first, float(s[first] - start_s_m), float(theta[first]))
+        return Crossed(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
 
     def _edge(
         self, white: NDArray[np.bool_], ground: FloatArray, first: int, distance_m: float, lane_rad: float
@@ -77,6 +99,11 @@ class CrossingSearch:
         if abs(angle - lane_rad - 0.5 * math.pi) > self.MAX_SKEW_RAD:
             return None
         return Crossing(distance_m=distance_m, angle_rad=angle)
+
+
+def _widened(flags: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
+    """True also up to `by` places before and after each True."""
+    return np.convolve(flags, np.ones(2 * by + 1), mode="same") > 0
 
 
 def _first_run(covered: NDArray[np.bool_], need: int) -> int | None:

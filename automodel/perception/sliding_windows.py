@@ -17,10 +17,10 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """Where the two lines begin: lateral places [m] at the reference point, and their common slope dy/dx."""
+    """Where the lines begin: lateral places [m] at the reference point, None for one not found, and their slope dy/dx."""
 
-    left_m: float
-    right_m: float
+    left_m: float | None
+    right_m: float | None
     slope: float
 
 
@@ -28,56 +28,71 @@ class HistogramStart:
     """Peaks of the column histogram over the near part, left and right of the car.
 
     The paper takes columns straight up the picture, which smears when the car stands askew; here the columns are
-    sheared by a few headings and the one with the sharpest pair of peaks counts. A pair must stand about a lane's
-    width apart and have the car between its lines.
+    sheared by a few headings and the one with the sharpest peaks counts. A pair must stand about a lane's width apart
+    and have the car between its lines. Without a pair a single line will do that lies within a lane's width: in a
+    tight bend the inner line is out of the picture.
     """
 
     SLOPES = tuple(np.tan(np.radians((0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0, -40.0, 40.0))))
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
+    FILL = 0.2  # share of the near part's rows that a peak's line fills, at least
+    SINGLE_FILL = 0.3  # and a single line's
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
-        self.view, self.lane_m, self.marking_m, self.reference_x_m = view, lane_width_m, marking_width_m, reference_x_m
+        self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
         self._first_row = max(view.height_px - int(self.NEAR_LANES * lane_width_m / view.m_per_row), 0)
         self._bin_m = 0.5 * marking_width_m
         self._half = 1.2 * lane_width_m
         self._bins = int(2 * self._half / self._bin_m)
+        self._places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
+        self._full = (view.height_px - self._first_row) * marking_width_m / view.m_per_px  # pixels of a whole line
 
     def step(self, lines: Image) -> Start | None:
-        """The best pair in a filtered binary view (h, w), or None."""
+        """The best start in a filtered binary view (h, w), or None."""
         found = cv2.findNonZero(lines[self._first_row :])
-        if found is None or len(found) < 20:
+        if found is None:
             return None
         px = found.reshape(-1, 2).astype(np.float64)  # OpenCV 4 gives (n, 1, 2), OpenCV 5 (n, 2)
         px[:, 1] += self._first_row
         points = self.view.to_body(px)
-        # a row of line pixels counts one line's width; so many rows are needed for a peak
-        wanted = 0.2 * (self.view.height_px - self._first_row) * self.marking_m / self.view.m_per_px
-        best, best_score = None, 2.0 * wanted
+        pairs: list[tuple[float, Start]] = []
+        singles: list[tuple[float, Start]] = []
         for slope in self.SLOPES:
             lateral = points[:, 1] - (points[:, 0] - self.reference_x_m) * slope
             counts = np.histogram(lateral, self._bins, (-self._half, self._half))[0].astype(np.float64)
-            peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same")
-            pair = self._pair(peaks, wanted)
-            if pair is not None and pair[0] > best_score * 1.02:
-                best_score, best = pair[0], Start(left_m=pair[1], right_m=pair[2], slope=float(slope))
-        return best
+            peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same") / self._full
+            pairs += self._pairs(peaks, float(slope))
+            singles += self._singles(peaks, float(slope))
+        best = max(pairs or singles, key=lambda scored: scored[0], default=None)
+        return None if best is None else best[1]
 
-    def _pair(self, peaks: FloatArray, wanted: float) -> tuple[float, float, float] | None:
-        places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
-        top = np.flatnonzero((peaks >= wanted) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
-        left, right = top[places[top] > 0.02 * self.lane_m], top[places[top] < -0.02 * self.lane_m]
-        if len(left) == 0 or len(right) == 0:
-            return None
-        width = places[left][:, None] - places[right][None, :]
+    def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, Start]]:
+        top = self._tops(peaks, self.FILL)
+        left = top[self._places[top] > 0.02 * self.lane_m]
+        right = top[self._places[top] < -0.02 * self.lane_m]
+        width = self._places[left][:, None] - self._places[right][None, :]
         error = np.abs(width / self.lane_m - 1.0)
         near, far = peaks[left][:, None], peaks[right][None, :]
-        strength = np.minimum(near, 2 * far) + np.minimum(far, 2 * near)
-        score = np.where(error <= self.WIDTH_TOLERANCE, strength * (1.0 - error), -1.0)
-        i, j = np.unravel_index(int(np.argmax(score)), score.shape)
-        if score[i, j] <= 0:
-            return None
-        return float(score[i, j]), float(places[left[i]]), float(places[right[j]])
+        score = (np.minimum(near, 2 * far) + np.minimum(far, 2 * near)) * (1.0 - error)
+        return [
+            (
+                float(score[i, j]) - 0.02 * abs(slope),  # of equals the straightest
+                Start(left_m=float(self._places[left[i]]), right_m=float(self._places[right[j]]), slope=slope),
+            )
+            for i, j in np.argwhere(error <= self.WIDTH_TOLERANCE)
+        ]
+
+    def _singles(self, peaks: FloatArray, slope: float) -> list[tuple[float, Start]]:
+        out = []
+        for place, peak in ((float(self._places[i]), float(peaks[i])) for i in self._tops(peaks, self.SINGLE_FILL)):
+            if 0.1 * self.lane_m < abs(place) < 0.9 * self.lane_m:
+                left, right = (place, None) if place > 0 else (None, place)
+                out.append((peak - 0.02 * abs(slope), Start(left_m=left, right_m=right, slope=slope)))
+        return out
+
+    def _tops(self, peaks: FloatArray, fill: float) -> NDArray[np.intp]:
+        return np.flatnonzero((peaks >= fill) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
 
 
 class SlidingWindows:
@@ -109,22 +124,30 @@ class SlidingWindows:
         expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
         slope = np.gradient(expected, self.centre_rows)
         points: list[tuple[float, float]] = []
-        shift = 0.0
+        shifts: list[tuple[float, float]] = []  # (row, shift) of the last two windows that found the line
         for k, (far, near) in enumerate(self._rows):
             if not np.isfinite(expected[k]):
                 continue
-            centre = round(float(expected[k]) + shift)
+            centre = round(float(expected[k]) + _carried(shifts, float(self.centre_rows[k])))
             low, high = max(centre - self._half, 0), min(centre + self._half + 1, self.view.width_px)
             if high - low < self._half:
                 continue
             m = cv2.moments(lines[far:near, low:high], True)
             if m["m00"] < self.FILL * self._marking_px * (near - far):
                 continue
-            column, row = m["m10"] / m["m00"], m["m01"] / m["m00"]
-            lean = (float(slope[k]) if np.isfinite(slope[k]) else 0.0) * (near - far)
-            if m["mu20"] / m["m00"] > 0.25 * self._marking_px**2 + 0.2 * lean**2:
+            column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
+            lean = float(slope[k]) if np.isfinite(slope[k]) else 0.0
+            if m["mu20"] / m["m00"] > 0.25 * self._marking_px**2 + 0.2 * (lean * (near - far)) ** 2:
                 continue  # two things in one window
-            found_row = far + row
-            points.append((low + column, found_row))
-            shift = low + column - float(expected[k]) - (lean / (near - far)) * (found_row - self.centre_rows[k])
+            points.append((column, row))
+            shifts = [*shifts[-1:], (row, column - float(expected[k]) - lean * (row - float(self.centre_rows[k])))]
         return self.view.to_body(np.array(points).reshape(-1, 2))
+
+
+def _carried(shifts: list[tuple[float, float]], row: float) -> float:
+    """How far the line lies beside the expectation at `row`, going on from the windows before."""
+    if len(shifts) < 2:
+        return shifts[-1][1] if shifts else 0.0
+    (row0, shift0), (row1, shift1) = shifts
+    trend = (shift1 - shift0) / (row1 - row0) if row1 != row0 else 0.0
+    return shift1 + 0.8 * min(max(trend, -1.0), 1.0) * (row - row1)

@@ -38,12 +38,13 @@ class WhiteAreas:
         """(all bright areas, line-wide bright areas) of a grey view (h, w)."""
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
         stands_out = cv2.subtract(around, view) if self.dark else cv2.subtract(view, around)
-        stands_out = cv2.bitwise_and(stands_out, self._mask)
-        counts = cv2.calcHist([stands_out], [0], None, [256], [0, 256]).ravel()
+        counts = cv2.calcHist([stands_out], [0], self._mask, [256], [0, 256]).ravel()
         above = np.cumsum(counts[::-1])
         brightest = 255 - int(np.searchsorted(above, 0.01 * self.visible_px))
         level = min(max(self.SHARE * brightest, self.contrast), 6.0 * self.contrast)
         bright = cv2.threshold(stands_out, level, 255, cv2.THRESH_BINARY)[1]
         no_specks = cv2.morphologyEx(bright, cv2.MORPH_OPEN, self._narrow)
         too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
-        return np.asarray(bright, dtype=np.uint8), np.asarray(cv2.subtract(no_specks, too_wide), dtype=np.uint8)
+        # Masked only now: what the picture's edge cuts repeats beyond it and counts as wide, not as narrow.
+        lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self._mask)
+        return np.asarray(cv2.bitwise_and(bright, self._mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)

@@ -18,11 +18,12 @@ from automodel.config import CarConfig
 from automodel.curves import Curve, GraphCurve
 from automodel.estimation.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
-from automodel.estimation.regression import evaluate_polynomial, fit_polynomial
+from automodel.estimation.regression import fit_polynomial
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.crossings import CrossingSearch
-from automodel.perception.sliding_windows import HistogramStart, SlidingWindows, Start
+from automodel.perception.crossings import Crossed, CrossingSearch
+from automodel.perception.sliding_windows import HistogramStart, SlidingWindows
 from automodel.perception.white_areas import WhiteAreas
+from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 
 FloatArray = NDArray[np.float64]
@@ -34,7 +35,9 @@ class Windows:
 
     name = "windows"
     MIN_WINDOWS = 2  # windows that make a line seen
-    START_WINDOWS = 3  # and that start one
+    START_WINDOWS = 3  # and that start one of a pair
+    SINGLE_WINDOWS = 5  # and one alone
+    CONFIRM_FRAMES = 8  # a lane started from one line is not told before it was seen so often in a row
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
 
@@ -65,31 +68,45 @@ class Windows:
             ),
             near,
         )
+        self.stages = StageClock()
         self.reset()
 
     def reset(self) -> None:
         """Forget the lane."""
         self._tracker.forget()
         self._last_t_ns: int | None = None
-        self._seen_t_ns = 0
+        self._seen_t_ns = self._to_confirm = 0
         self._blind_m = 0.0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame (LOST for a picture of another size than the camera's)."""
+        self.stages.begin()
         self._advance(frame.t_ns, motion)
+        self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
         grey = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
-        bright, lines = self._white.step(self._birdseye.warp(np.asarray(grey, dtype=np.uint8)))
+        view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
+        self.stages.lap("birdseye")
+        bright, lines = self._white.step(view)
+        self.stages.lap("white_areas")
+        crossing = None
         if self._tracker.parameters is None:
             started = self._begin(lines)
             if started is None:
                 return self._lost(frame)
             seen, solution, support = started
         else:
-            seen = self._observe(lines, self._predicted(+1), self._predicted(-1))
+            crossed = self._cross(bright, self._tracker.parameters)
+            crossing = crossed.crossing
+            self.stages.lap("crossing")
+            seen = self._observe(lines, self._predicted(+1), self._predicted(-1), crossed)
+            self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
-        return self._estimate(frame, bright, seen, solution, support)
+            self.stages.lap("lane_fit")
+        estimate = self._estimate(frame, crossing, seen, solution, support)
+        self.stages.lap("estimate")
+        return estimate
 
     def _advance(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
@@ -109,30 +126,37 @@ class Windows:
         start = self._start.step(lines)
         if start is None:
             return None
-        x = self._windows.centre_x_m - self._reference_x_m
-        seen = self._observe(lines, start.left_m + start.slope * x, start.right_m + start.slope * x)
-        if min(len(seen.left_m), len(seen.right_m)) < self.START_WINDOWS:
+        along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
+        nowhere = np.full(len(along), np.nan)
+        left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
+        seen = self._observe(lines, left, right)
+        support = Support(left=len(seen.left_m), right=len(seen.right_m))
+        counts = [n for n, y in zip((support.left, support.right), (start.left_m, start.right_m), strict=True) if y]
+        if min(counts) < (self.START_WINDOWS if len(counts) == 2 else self.SINGLE_WINDOWS):
             return None
-        solution = self._tracker.begin(seen, self._guess(seen, start))
+        solution = self._tracker.begin(seen, self._guess(seen))
         if solution is None or not self._plausible(solution):
             self._tracker.forget()
             return None
-        return seen, solution, Support(left=len(seen.left_m), right=len(seen.right_m))
+        self._to_confirm = 0 if len(counts) == 2 else self.CONFIRM_FRAMES
+        return seen, solution, support
 
-    def _guess(self, seen: Observation, start: Start) -> FloatArray:
-        """Offset, heading and curvature of the mean of both lines' regressions, at the reference point."""
-        left, right = (fit_polynomial(p[:, 0], p[:, 1], 2) for p in (seen.left_m, seen.right_m))
-        x = 0.5 * (self.view.x_near_m + self._reference_x_m)
-        y_left, y_right = (float(evaluate_polynomial(c, x)) for c in (left, right))
-        slope, bend = start.slope, 0.0
-        if len(left) == len(right) == 3:
-            slope = float(0.5 * (left[1] + right[1]) + (left[2] + right[2]) * self._reference_x_m)
-            bend = float(left[2] + right[2])
-        theta = math.atan(slope)
-        middle = 0.5 * (y_left + y_right) - slope * (x - self._reference_x_m)
-        width = (y_left - y_right) * math.cos(theta)
-        width = min(max(width, 0.7 * self._lane.width_m), 1.3 * self._lane.width_m)
-        return self._tracker.fit.start(-middle * math.cos(theta), theta, bend * math.cos(theta) ** 3, width)
+    def _guess(self, seen: Observation) -> FloatArray:
+        """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
+        width = self._lane.width_m
+        arcs = []
+        for side, points in ((+1, seen.left_m), (-1, seen.right_m)):
+            if len(points):
+                c = np.zeros(3)
+                fitted = fit_polynomial(points[:, 0], points[:, 1], 2)
+                c[: len(fitted)] = fitted
+                x = self._reference_x_m
+                theta = math.atan(c[1] + 2.0 * c[2] * x)
+                bend = 2.0 * c[2] * math.cos(theta) ** 3
+                offset = side * 0.5 * width - (c[0] + c[1] * x + c[2] * x * x) * math.cos(theta)
+                arcs.append((offset, theta, bend / max(1.0 + side * 0.5 * width * bend, 0.3)))
+        offset, theta, bend = np.mean(arcs, axis=0)
+        return self._tracker.fit.start(offset, theta, bend, width)
 
     def _predicted(self, side: int) -> FloatArray:
         """y [m] of the tracked lane's line at each window's `centre_x_m`, NaN where it does not go."""
@@ -150,9 +174,15 @@ class Windows:
             np.interp(wanted, x[first : last + 1], points[first : last + 1, 1], left=np.nan, right=np.nan)
         )
 
-    def _observe(self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray) -> Observation:
-        left, right = self._windows.follow(lines, left_y_m), self._windows.follow(lines, right_y_m)
-        return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
+    def _observe(
+        self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, crossed: Crossed | None = None
+    ) -> Observation:
+        found = [self._windows.follow(lines, y_m) for y_m in (left_y_m, right_y_m)]
+        if crossed is not None and crossed.covered.any():
+            found = [points[crossed.free(self._tracker.arc_lengths(points))] for points in found]
+        return Observation(
+            left_m=found[0], right_m=found[1], left_sigma_m=self._sigma(found[0]), right_sigma_m=self._sigma(found[1])
+        )
 
     def _sigma(self, points_m: FloatArray) -> FloatArray:
         """A window's point is good to a tenth of the marking's width near the car; further out calibration counts."""
@@ -160,15 +190,24 @@ class Windows:
         return np.asarray(0.12 * self._lane.marking_width_m + 0.01 * np.maximum(ahead, 0.0))
 
     def _estimate(
-        self, frame: Frame, bright: Image, seen: Observation, solution: LaneSolution, support: Support
+        self, frame: Frame, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> LaneEstimate:
         left_seen, right_seen = support.left >= self.MIN_WINDOWS, support.right >= self.MIN_WINDOWS
         if left_seen or right_seen:
             self._seen_t_ns, self._blind_m = frame.t_ns, 0.0
         blind_ns = frame.t_ns - self._seen_t_ns
-        too_long = blind_ns * 1e-9 > self._options.coast_s or self._blind_m > self._options.coast_m
+        unconfirmed = self._to_confirm > 0
+        if unconfirmed:
+            self._to_confirm -= 1
+        too_long = (
+            (unconfirmed and blind_ns > 0)
+            or blind_ns * 1e-9 > self._options.coast_s
+            or self._blind_m > self._options.coast_m
+        )
         if too_long or not self._plausible(solution):
             self._tracker.forget()
+            return self._lost(frame)
+        if unconfirmed:
             return self._lost(frame)
         status = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left_seen) + int(right_seen)]
         fit, p = self._tracker.fit, solution.parameters
@@ -187,7 +226,7 @@ class Windows:
             right=self._line(seen.right_m, right_seen, p, -1),
             centerline=centerline,
             pose=pose,
-            crossing=self._crossing(bright, centerline, pose.width_m),
+            crossing=crossing,
             frame_age_ns=blind_ns,
         )
 
@@ -201,10 +240,12 @@ class Windows:
             curve = self._tracker.fit.centerline(parameters, side * 0.5 * float(parameters[-1]))
         return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
 
-    def _crossing(self, bright: Image, centerline: Curve, width_m: float) -> Crossing | None:
-        foot = -float(self._tracker.fit.grid_m[0])
+    def _cross(self, bright: Image, parameters: FloatArray) -> Crossed:
+        fit = self._tracker.fit
         far = self.view.x_far_m - self._reference_x_m
-        return self._crossings.step(bright, centerline, foot, width_m, far)
+        return self._crossings.step(
+            bright, fit.centerline(parameters), -float(fit.grid_m[0]), float(parameters[-1]), far
+        )
 
     def _plausible(self, solution: LaneSolution) -> bool:
         unit = self._lane.width_m

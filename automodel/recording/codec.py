@@ -137,9 +137,7 @@ def _estimate(value: LaneEstimate) -> Json:
             "curvature_per_m": pose.curvature_per_m,
             "covariance": pose.covariance.ravel().tolist(),
         },
-        "crossing": None
-        if crossing is None
-        else {"distance_m": crossing.distance_m, "angle_rad": crossing.angle_rad},
+        "crossing": None if crossing is None else {"distance_m": crossing.distance_m, "angle_rad": crossing.angle_rad},
         "left": None if value.left is None else _line(value.left),
         "right": None if value.right is None else _line(value.right),
         "centerline": None if value.centerline is None else curve_to_json(value.centerline),

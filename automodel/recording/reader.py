@@ -13,15 +13,25 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdError
 
 from automodel.recording.codec import TOPICS, Value, decode
 from automodel.recording.images import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, decode_image
 from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
-from automodel.signals import Command, Event, Frame, Image, LaneEstimate, Motion, MotionSource, StereoFrame
-from automodel.signals import VehicleState
+from automodel.signals import (
+    Command,
+    Event,
+    Frame,
+    Image,
+    LaneEstimate,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
 from automodel.sources.errors import EndOfSource, SourceError
 
-_DAMAGE = (McapError, ValueError, struct.error, OverflowError, MemoryError)
+_DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError, RuntimeError, ZstdError)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -38,7 +48,8 @@ class Step:
     """One turn of the loop as it was recorded: a frame, and what belongs to it.
 
     `motion` is what the pipeline was given with the frame (its source is NONE where none was recorded); `state` is
-    the newest vehicle state by then. `states`, `commands` and `events` are all up to the next frame, in order.
+    the newest vehicle state when the frame's estimate was made. `states`, `commands` and `events` are all
+    up to the next frame, in order.
     """
 
     frame: Frame | StereoFrame
@@ -92,16 +103,19 @@ class Recording:
         """The turns of the loop, one per frame; what was recorded before the first frame counts to its turn."""
         waiting: list[Recorded] = []
         frame: Frame | StereoFrame | None = None
+        state: VehicleState | None = None
         for message in self:
             if isinstance(message.value, Frame | StereoFrame):
                 if frame is not None:
-                    yield _step(frame, waiting)
+                    step = _step(frame, state, waiting)
+                    state = step.states[-1] if step.states else state
+                    yield step
                     waiting = []
                 frame = message.value
             else:
                 waiting.append(message)
         if frame is not None:
-            yield _step(frame, waiting)
+            yield _step(frame, state, waiting)
 
     def _open(self) -> IO[bytes]:
         try:
@@ -152,7 +166,7 @@ class RecordingSource:
         self.step: Step | None = None
         self._steps: Iterator[Step] | None = self.recording.steps()
 
-    def read(self, timeout_s: float) -> Frame | StereoFrame:  # noqa: ARG002 - a file keeps nobody waiting
+    def read(self, timeout_s: float) -> Frame | StereoFrame:
         """The next frame; raises EndOfSource after the last, SourceError when there is none at all."""
         step = None if self._steps is None else next(self._steps, None)
         if step is None:
@@ -187,10 +201,10 @@ def _recorded(topic: str, message: Message, left: tuple[int, Image] | None) -> R
     return Recorded(topic=topic, frame_index=index, value=value)
 
 
-def _step(frame: Frame | StereoFrame, messages: list[Recorded]) -> Step:
+def _step(frame: Frame | StereoFrame, state: VehicleState | None, messages: list[Recorded]) -> Step:
     """The turn of a frame; values of a frame that was dropped from the recording are not this frame's."""
     unknown = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-    step = Step(frame=frame, motion=unknown)
+    step = Step(frame=frame, motion=unknown, state=state)
     for message in messages:
         mine, value = message.frame_index == frame.index, message.value
         if isinstance(value, VehicleState):

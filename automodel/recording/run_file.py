@@ -10,6 +10,7 @@ import json
 import os
 import platform
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -37,15 +38,15 @@ class RunFile:
     def __init__(self, path: str | Path, car_text: str, config: RecordingConfig) -> None:
         self.path = Path(path)
         calibration = _calibration(car_text)
+        if self.path.exists():
+            raise ConfigError(f"{path}: is there already; choose another name or delete it")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = open(self.path, "xb")  # noqa: SIM115 - open as long as the run lasts
-        except FileExistsError:
-            raise ConfigError(f"{path}: is there already; choose another name or delete it") from None
         except OSError as error:
             raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
         self._images = ImageCodec(config)
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        self._writer: Any = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._writer.start(library=f"automodel {_version()}")
         self._writer.add_attachment(0, 0, CAR_TOML, "application/toml", car_text.encode())
         self._writer.add_attachment(0, 0, CALIBRATION, "application/json", calibration.encode())
@@ -92,9 +93,7 @@ class RunFile:
 
     def _register(self) -> dict[str, int]:
         camera = self._writer.register_schema(SCHEMA, "protobuf", descriptor_set())
-        channels = {
-            topic: self._writer.register_channel(topic, "protobuf", camera) for topic in (CAMERA, LEFT, RIGHT)
-        }
+        channels = {topic: self._writer.register_channel(topic, "protobuf", camera) for topic in (CAMERA, LEFT, RIGHT)}
         for topic in TOPICS.values():
             name, text = schema_text(topic)
             schema = self._writer.register_schema(name, "jsonschema", text)

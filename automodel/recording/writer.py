@@ -78,7 +78,8 @@ class McapRecorder:
         """One line for the end of a run: what was recorded, and what was not."""
         parts = [f"{self.path}: {self.frames} frames, {self.written} messages"]
         if self.dropped_frames or self.dropped_values:
-            parts.append(f"{self.dropped_frames} frames and {self.dropped_values} values dropped, the disk is too slow")
+            why = "the disk is too slow" if self.error is None else "after the error"
+            parts.append(f"{self.dropped_frames} frames and {self.dropped_values} values dropped ({why})")
         if self.refused:
             parts.append(f"{self.refused} values left out ({self.refusal})")
         if self.error is not None:
@@ -97,16 +98,21 @@ class McapRecorder:
 
     def _run(self) -> None:
         self._synced_ns = time.monotonic_ns()
+        error: str | None = "the recorder's thread died"
         try:
             stopping = False
             while not stopping:
                 stopping = self._stopping.wait(_POLL_S)
                 self._write_waiting()
             self._file.finish(self._counts())
-        except OSError as error:
-            self.error = f"{error.strerror or error}"
-            self._file.abandon()
-            self._waiting.clear()
+            error = None
+        except OSError as failure:
+            error = failure.strerror or str(failure)
+        finally:
+            self.error = error
+            if error is not None:
+                self._file.abandon()
+                self._waiting.clear()
 
     def _write_waiting(self) -> None:
         """Write all that waits, and put it on the disk when that is due."""

@@ -33,7 +33,7 @@ def find_crossings(road: Curve, step_m: float) -> tuple[RoadCrossing, ...]:
     s = np.linspace(0.0, road.length_m, count + 1)
     points = road.position(s)
     first, second = _crossing_chords(points, road.closed)
-    found = []
+    found: list[RoadCrossing] = []
     for i, j in zip(first, second, strict=True):
         crossing = _refine(road, 0.5 * (s[i] + s[i + 1]), 0.5 * (s[j] + s[j + 1]))
         if not any(abs(crossing.s_first_m - other.s_first_m) < step_m for other in found):
@@ -51,10 +51,11 @@ def _crossing_chords(points: FloatArray, closed: bool) -> tuple[NDArray[np.intp]
     between = start[second] - start[first]
     a, b = along[first], along[second]
     cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    safe = np.where(cross == 0.0, np.inf, cross)
+    crosses = np.abs(cross) > 1e-3 * np.hypot(a[:, 0], a[:, 1]) * np.hypot(b[:, 0], b[:, 1])  # not parallel
+    safe = np.where(crosses, cross, np.inf)
     u = (between[:, 0] * b[:, 1] - between[:, 1] * b[:, 0]) / safe
     v = (between[:, 0] * a[:, 1] - between[:, 1] * a[:, 0]) / safe
-    hit = (cross != 0.0) & (u >= 0.0) & (u < 1.0) & (v >= 0.0) & (v < 1.0)
+    hit = crosses & (u >= 0.0) & (u < 1.0) & (v >= 0.0) & (v < 1.0)
     return first[hit], second[hit]
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from automodel.curves import Curve, OffsetCurve
 from automodel.sim.crossings import RoadCrossing, distance_beside
-from automodel.sim.track_reading import Marking, StopLine, ZebraPattern
+from automodel.sim.track_sections import LINES, Marking, StopLine, TrackFile, ZebraPattern
 
 FloatArray = NDArray[np.float64]
 Span = tuple[float, float]
@@ -146,3 +146,48 @@ def paint_stop_line(road: Curve, stop: StopLine, between: Span, grain: Grain) ->
     """A bar across the distances `between` beside the reference line."""
     span = (stop.s_m - 0.5 * stop.width_m, stop.s_m + 0.5 * stop.width_m)
     return Paint(polygon_m=strip(road, span, between, grain.error_m), colour=stop.colour, kind="stop")
+
+
+def paint_road(
+    sections: TrackFile, lines: tuple[Curve, Curve, Curve], crossings: Sequence[RoadCrossing]
+) -> Iterator[Paint]:
+    """All paint of a track file; `lines` are the road's left edge, reference line and right edge."""
+    road, half_m = lines[1], sections.lanes.half_road_m
+    marked = sections.markings
+    # a line ends flush with the inner border of the edge line that it meets at a crossing
+    inner_m = half_m - 0.5 * max(_painted_width_m(marked.left), _painted_width_m(marked.right))
+    grain = Grain.of_lane(sections.lanes.width_m)
+    gaps: list[list[Span]] = [
+        [(on_line(line, gap.from_m), on_line(line, gap.to_m)) for gap in sections.gaps if name in gap.lines]
+        for name, line in zip(LINES, lines, strict=True)
+    ]
+    for own_and_other_s in passes(crossings):
+        if sections.crossings.interrupt_lines:
+            for line, mine in zip(lines, gaps, strict=True):
+                mine.append(inside_crossing(line, road, own_and_other_s, inner_m))
+        zebra = sections.crossings.zebra
+        if zebra is not None:
+            begin, end = _arms(lines, own_and_other_s, half_m + zebra.distance_m)
+            clear_m = zebra.length_m + zebra.distance_m
+            gaps[1].append((begin - clear_m, end + clear_m))
+            for start in (begin - zebra.length_m, end):
+                yield from paint_zebra(road, start, zebra, inner_m, grain)
+    for line, marking, mine in zip(lines, (marked.left, marked.centre, marked.right), gaps, strict=True):
+        yield from paint_line(line, marking, mine, grain)
+    near_m = 0.5 * _painted_width_m(marked.centre) if sections.lanes.count == 2 else -inner_m
+    for stop in sections.stop_lines:
+        between = (-inner_m, -near_m) if stop.direction == "forward" else (near_m, inner_m)
+        yield paint_stop_line(road, stop, between, grain)
+
+
+def _arms(lines: tuple[Curve, Curve, Curve], own_and_other_s: Span, half_m: float) -> Span:
+    """The span of the reference line over which any of the lines lies within `half_m` of the crossing pass."""
+    spans = np.array([inside_crossing(line, lines[1], own_and_other_s, half_m) for line in lines])
+    on_road = [
+        line.base_s(span) if isinstance(line, OffsetCurve) else span for line, span in zip(lines, spans, strict=True)
+    ]
+    return float(np.min(on_road)), float(np.max(on_road))
+
+
+def _painted_width_m(marking: Marking) -> float:
+    return marking.width_m if marking.style != "none" else 0.0

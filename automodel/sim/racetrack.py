@@ -1,4 +1,4 @@
-"""Race tracks at full scale: `x_m,y_m,w_tr_right_m,w_tr_left_m` along a closed line, as TUM's racetrack database has them."""
+"""Race tracks at full scale, in the form of TUM's racetrack database: `x_m,y_m,w_tr_right_m,w_tr_left_m`, closed."""
 
 from __future__ import annotations
 
@@ -14,13 +14,15 @@ from automodel.curves import OffsetCurve, ReversedCurve, SplineCurve
 from automodel.reading import ConfigError, read_text
 from automodel.sim.paint import Grain, paint_line
 from automodel.sim.track import Lane, Track
-from automodel.sim.track_reading import Marking
+from automodel.sim.track_sections import Marking
 
 FloatArray = NDArray[np.float64]
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 EDGE = Marking(style="solid", width_m=0.15)
 MARGIN_M = 20.0  # of floor around the track
+_SHARPEST = 0.85  # half a road's width, as a share of the bend's radius, at most
+_TAPER = 3  # points over which a road becomes narrower
 
 
 def read_racetrack(path: str | Path) -> Track:
@@ -30,8 +32,8 @@ def read_racetrack(path: str | Path) -> Track:
     in both directions, with a solid white line at each edge.
     """
     rows, numbers = _read_rows(read_text(path), str(path))
-    middle, width_m = recentred(rows[:, :2], rows[:, 3], rows[:, 2])
     try:
+        middle, width_m = recentred(rows[:, :2], rows[:, 3], rows[:, 2])
         road = SplineCurve(middle, closed=True)
         width = _periodic_width(road, width_m)
         left = OffsetCurve(road, lambda s: 0.5 * width(s))
@@ -62,7 +64,8 @@ def read_racetrack(path: str | Path) -> Track:
 def recentred(points_m: FloatArray, left_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The middle (n, 2) between the edges of a closed line of points (n, 2), and the width (n,) across the middle [m].
 
-    `left_m`, `right_m` (n,) are the distances of the edges from the line of points, along its normals.
+    `left_m`, `right_m` (n,) are the distances of the edges from the line of points, along its normals. Where a hairpin
+    is so tight that an edge would fold back, the road is made narrower.
     """
     line = SplineCurve(points_m, closed=True)
     theta = line.heading(line.knots_m[:-1])
@@ -70,7 +73,22 @@ def recentred(points_m: FloatArray, left_m: FloatArray, right_m: FloatArray) -> 
     middle = points_m + 0.5 * (left_m - right_m)[:, None] * normal
     course = SplineCurve(middle, closed=True)
     lean = course.heading(course.knots_m[:-1]) - theta  # the middle's normals lean by so much
-    return middle, (left_m + right_m) * np.cos(lean)
+    return middle, _narrowed(course, (left_m + right_m) * np.cos(lean))
+
+
+def _narrowed(course: SplineCurve, width_m: FloatArray) -> FloatArray:
+    """The widths (n,) with those cut that would fold an edge back, changing smoothly along the road."""
+    s = np.linspace(0.0, course.length_m, 8 * len(width_m), endpoint=False)
+    bend = np.abs(course.curvature(s)).reshape(len(width_m), 8)
+    sharpest = np.maximum(bend.max(axis=1), np.roll(bend, 1, axis=0).max(axis=1))
+    allowed = 2.0 * _SHARPEST / np.maximum(sharpest, 1e-9)
+    if (width_m <= allowed).all():
+        return width_m
+    around = range(-_TAPER, _TAPER + 1)
+    lowest = np.min([np.roll(np.minimum(width_m, allowed), k) for k in around], axis=0)
+    tapered = np.mean([np.roll(lowest, k) for k in around], axis=0)
+    near = np.any([np.roll(width_m > allowed, k) for k in range(-2 * _TAPER, 2 * _TAPER + 1)], axis=0)
+    return np.where(near, np.minimum(tapered, width_m), width_m)
 
 
 def _periodic_width(road: SplineCurve, width_m: FloatArray) -> Callable[[ArrayLike], FloatArray]:

@@ -22,6 +22,7 @@ from automodel.sources.errors import SourceError
 
 SLOTS = 8
 LEAD_NS = 14_000_000  # time that a picture is rendered ahead
+SETTLED_NS = 3_000_000  # the board's thread is no further behind than this
 
 
 class Port(Protocol):
@@ -122,6 +123,7 @@ def _serve(
             now = time.monotonic_ns()
             if now > t_ns:  # the machine was busy: this picture is lost, as a camera would lose it
                 continue
+            world.settle(now - SETTLED_NS)
             image, scene = world.capture(t_ns, index)
             slots[index % SLOTS] = image
             _sleep_until(t_ns)

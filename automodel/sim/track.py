@@ -15,18 +15,9 @@ from automodel.curves import Curve, OffsetCurve, ReversedCurve
 from automodel.geometry import SE2
 from automodel.reading import ConfigError, read_text
 from automodel.sim.crossings import RoadCrossing, find_crossings
-from automodel.sim.paint import (
-    Grain,
-    Paint,
-    Span,
-    inside_crossing,
-    on_line,
-    paint_line,
-    paint_stop_line,
-    paint_zebra,
-    passes,
-)
-from automodel.sim.track_reading import Box, Marking, TrackFile, read_track
+from automodel.sim.paint import Paint, paint_road
+from automodel.sim.track_reading import read_track
+from automodel.sim.track_sections import Box
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +35,7 @@ class Lane:
     width_m: Callable[[ArrayLike], FloatArray]
 
     def pose(self, s_m: float, offset_m: float = 0.0, heading_rad: float = 0.0) -> SE2:
-        """World pose of a point at arc length `s_m`, `offset_m` left of the centerline, turned left by `heading_rad`."""
+        """World pose at arc length `s_m`, `offset_m` left of the centerline, turned left of it by `heading_rad`."""
         x_m, y_m = self.centerline.offset_position(s_m, offset_m)
         return SE2(float(x_m), float(y_m), math.remainder(float(self.centerline.heading(s_m)) + heading_rad, math.tau))
 
@@ -154,7 +145,7 @@ def parse_track(text: str, file: str) -> Track:
         start_direction=start.direction,
         obstacles=tuple(_obstacle(box) for box in sections.obstacles),
         crossings=crossings,
-        painted=tuple(_paint(sections, (left, road, right), crossings)),
+        painted=tuple(paint_road(sections, (left, road, right), crossings)),
     )
 
 
@@ -178,42 +169,3 @@ def _obstacle(box: Box) -> Obstacle:
     corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
     outline = SE2(box.x_m, box.y_m, box.heading_rad).apply(corners)
     return Obstacle(polygon_m=outline, height_m=box.height_m, grey=box.grey)
-
-
-def _paint(sections: TrackFile, lines: tuple[Curve, Curve, Curve], crossings: tuple[RoadCrossing, ...]) -> list[Paint]:
-    road, half_m = lines[1], sections.lanes.half_road_m
-    markings = (sections.markings.left, sections.markings.centre, sections.markings.right)
-    edge_m = 0.5 * max(_painted_width_m(markings[0]), _painted_width_m(markings[2]))
-    grain = Grain.of_lane(sections.lanes.width_m)
-    painted: list[Paint] = []
-    gaps: list[list[Span]] = [
-        [(on_line(line, gap.from_m), on_line(line, gap.to_m)) for gap in sections.gaps if name in gap.lines]
-        for name, line in zip(("left", "centre", "right"), lines, strict=True)
-    ]
-    for own_and_other_s in passes(crossings):
-        # a line ends flush with the inner border of the edge line that it meets
-        inside = [inside_crossing(line, road, own_and_other_s, half_m - edge_m) for line in lines]
-        if sections.crossings.interrupt_lines:
-            for mine, span in zip(gaps, inside, strict=True):
-                mine.append(span)
-        zebra = sections.crossings.zebra
-        if zebra is not None:
-            begin, end = inside_crossing(road, road, own_and_other_s, half_m + zebra.distance_m)
-            clear_m = zebra.length_m + zebra.distance_m
-            gaps[1].append((begin - clear_m, end + clear_m))
-            for start in (begin - zebra.length_m, end):
-                painted += paint_zebra(road, start, zebra, half_m - edge_m, grain)
-    for line, marking, mine in zip(lines, markings, gaps, strict=True):
-        painted += paint_line(line, marking, mine, grain)
-    for stop in sections.stop_lines:
-        outer, inner = (
-            half_m - edge_m,
-            0.5 * _painted_width_m(markings[1]) if sections.lanes.count == 2 else edge_m - half_m,
-        )
-        between = (-outer, -inner) if stop.direction == "forward" else (inner, outer)
-        painted.append(paint_stop_line(road, stop, between, grain))
-    return painted
-
-
-def _painted_width_m(marking: Marking) -> float:
-    return marking.width_m if marking.style != "none" else 0.0

@@ -1,289 +1,21 @@
-"""Track files: TOML -> checked sections (the schema is in tracks/README.md)."""
+"""Track files: TOML -> checked sections and the road's reference line."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import re
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from automodel.curves import Curve, JoinedCurve, arc, clothoid, line
+from automodel.curves import Curve, JoinedCurve
 from automodel.reading import ConfigError, parse_toml, read_section, where
-
-T = TypeVar("T")
+from automodel.sim.track_sections import PIECES, ArcPiece, Box, Gap, LanesSection, Marking, Piece, StopLine, TrackFile
 
 CLOSING_GAP_M = 1e-3
 CLOSING_TURN_RAD = math.radians(0.1)
-STYLES = ("solid", "dashed", "none")
-COLOURS = ("white", "yellow")
-DIRECTIONS = ("forward", "reverse")
-LINES = ("left", "centre", "right")
-
-
-def _positive(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value > 0:
-            raise ValueError(f"{name}: {value} where a positive number is wanted")
-
-
-def _not_negative(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value >= 0:
-            raise ValueError(f"{name}: {value} where a number >= 0 is wanted")
-
-
-def _one_of(section: object, name: str, choices: tuple[str, ...]) -> None:
-    value = getattr(section, name)
-    if value not in choices:
-        raise ValueError(f"{name}: {value!r} where one of {', '.join(choices)} is wanted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FloorSection:
-    """The floor's rectangle in the world frame."""
-
-    x0_m: float
-    y0_m: float
-    x1_m: float
-    y1_m: float
-
-    def __post_init__(self) -> None:
-        if not self.x1_m > self.x0_m:
-            raise ValueError(f"x1_m: {self.x1_m} where more than x0_m = {self.x0_m} is wanted")
-        if not self.y1_m > self.y0_m:
-            raise ValueError(f"y1_m: {self.y1_m} where more than y0_m = {self.y0_m} is wanted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OriginSection:
-    """Where the road's reference line begins, and its direction there."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    heading_rad: float = 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LanesSection:
-    """One lane driven both ways, or two lanes in right-hand traffic."""
-
-    count: int = 2
-    width_m: float = 0.40
-
-    def __post_init__(self) -> None:
-        if self.count not in (1, 2):
-            raise ValueError(f"count: {self.count} where 1 or 2 is wanted")
-        _positive(self, "width_m")
-
-    @property
-    def half_road_m(self) -> float:
-        """From the reference line to the road's edge."""
-        return 0.5 * self.count * self.width_m
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Marking:
-    """How one line is painted; `dash_m` and `gap_m` count where the style is dashed."""
-
-    style: str
-    width_m: float = 0.03
-    dash_m: float = 0.20
-    gap_m: float = 0.20
-    colour: str = "white"
-
-    def __post_init__(self) -> None:
-        _one_of(self, "style", STYLES)
-        _one_of(self, "colour", COLOURS)
-        _positive(self, "width_m", "dash_m", "gap_m")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MarkingsSection:
-    """The road's lines, named as seen in the direction of the reference line."""
-
-    left: Marking = field(default_factory=lambda: Marking(style="solid"))
-    centre: Marking = field(default_factory=lambda: Marking(style="dashed"))
-    right: Marking = field(default_factory=lambda: Marking(style="solid"))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ZebraPattern:
-    """Bars along the road, side by side across it; `distance_m` from the crossing road's edge to the bars."""
-
-    bar_width_m: float = 0.05
-    bar_gap_m: float = 0.05
-    length_m: float = 0.20
-    distance_m: float = 0.05
-    colour: str = "white"
-
-    def __post_init__(self) -> None:
-        _positive(self, "bar_width_m", "bar_gap_m", "length_m")
-        _not_negative(self, "distance_m")
-        _one_of(self, "colour", COLOURS)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CrossingsSection:
-    """What is painted where the road crosses itself."""
-
-    interrupt_lines: bool = True
-    zebra: ZebraPattern | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StopLine:
-    """A bar across the lane of one direction, centred at `s_m` of the reference line."""
-
-    s_m: float
-    direction: str = "forward"
-    width_m: float = 0.04
-    colour: str = "white"
-
-    def __post_init__(self) -> None:
-        _positive(self, "width_m")
-        _one_of(self, "direction", DIRECTIONS)
-        _one_of(self, "colour", COLOURS)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gap:
-    """A stretch of the reference line on which the named lines are not painted."""
-
-    from_m: float
-    to_m: float
-    lines: tuple[str, ...] = LINES
-
-    def __post_init__(self) -> None:
-        _not_negative(self, "from_m")
-        if not self.to_m > self.from_m:
-            raise ValueError(f"to_m: {self.to_m} where more than from_m = {self.from_m} is wanted")
-        for name in self.lines:
-            if name not in LINES:
-                raise ValueError(f"lines: {name!r} where some of {', '.join(LINES)} are wanted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Box:
-    """A box on the floor: its middle and direction in the world frame."""
-
-    x_m: float
-    y_m: float
-    heading_rad: float = 0.0
-    length_m: float = 0.20
-    width_m: float = 0.20
-    height_m: float = 0.20
-    grey: int = 200
-
-    def __post_init__(self) -> None:
-        _positive(self, "length_m", "width_m", "height_m")
-        if not 0 <= self.grey <= 255:
-            raise ValueError(f"grey: {self.grey} where 0 .. 255 is wanted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartSection:
-    """Where the car's rear axle starts, on the lane of `direction`: arc length of that lane and offset to the left."""
-
-    direction: str = "forward"
-    s_m: float = 0.0
-    offset_m: float = 0.0
-    heading_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        _one_of(self, "direction", DIRECTIONS)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinePiece:
-    """A straight piece."""
-
-    length_m: float
-
-    def __post_init__(self) -> None:
-        _positive(self, "length_m")
-
-    @property
-    def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
-        return 0.0
-
-    def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
-        return line(x_m, y_m, heading_rad, self.length_m)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArcPiece:
-    """A circular piece; it turns left where `turn_rad` is positive."""
-
-    radius_m: float
-    turn_rad: float
-
-    def __post_init__(self) -> None:
-        _positive(self, "radius_m")
-        if self.turn_rad == 0:
-            raise ValueError("turn_rad: 0 where a turn is wanted, positive to the left; a straight piece is a line")
-
-    @property
-    def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
-        return 1.0 / self.radius_m
-
-    def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
-        curvature = math.copysign(1.0 / self.radius_m, self.turn_rad)
-        return arc(x_m, y_m, heading_rad, curvature, abs(self.turn_rad) * self.radius_m)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClothoidPiece:
-    """A piece whose curvature goes linearly from one value to another, positive to the left."""
-
-    start_per_m: float
-    end_per_m: float
-    length_m: float
-
-    def __post_init__(self) -> None:
-        _positive(self, "length_m")
-
-    @property
-    def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
-        return max(abs(self.start_per_m), abs(self.end_per_m))
-
-    def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
-        return clothoid(x_m, y_m, heading_rad, self.start_per_m, self.end_per_m, self.length_m)
-
-
-Piece = LinePiece | ArcPiece | ClothoidPiece
-_PIECES: dict[str, type[LinePiece] | type[ArcPiece] | type[ClothoidPiece]] = {
-    "line": LinePiece,
-    "arc": ArcPiece,
-    "clothoid": ClothoidPiece,
-}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrackFile:
-    """A track file as it is written; every value is checked on its own and the road closes where it says so."""
-
-    name: str
-    closed: bool
-    floor: FloorSection
-    origin: OriginSection = field(default_factory=OriginSection)
-    lanes: LanesSection = field(default_factory=LanesSection)
-    markings: MarkingsSection = field(default_factory=MarkingsSection)
-    crossings: CrossingsSection = field(default_factory=CrossingsSection)
-    start: StartSection = field(default_factory=StartSection)
-    stop_lines: tuple[StopLine, ...] = ()
-    gaps: tuple[Gap, ...] = ()
-    obstacles: tuple[Box, ...] = ()
+_LISTS: dict[str, type[StopLine] | type[Gap] | type[Box]] = {"stop_lines": StopLine, "gaps": Gap, "obstacles": Box}
 
 
 def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
@@ -292,28 +24,31 @@ def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
     Raises ConfigError.
     """
     table = parse_toml(text, file)
-    pieces = _read_list(table.pop("pieces", []), "pieces", text, file)
-    if not pieces:
+    raw = {name: _tables(table.pop(name, []), name, text, file) for name in ("pieces", *_LISTS)}
+    if not raw["pieces"]:
         raise ConfigError(f"{where(text, file, (), 'pieces')}: empty; one [[pieces]] or more is wanted")
-    lists: dict[str, Any] = {}
-    for name, cls in (("stop_lines", StopLine), ("gaps", Gap), ("obstacles", Box)):
-        entries = _read_list(table.pop(name, []), name, text, file)
-        lists[name] = tuple(read_section(cls, entry, part, file, (name,)) for entry, part in entries)
     sections = read_section(TrackFile, table, text, file)
-    if sections.lanes.count == 1 and sections.markings.centre.style != "none":
-        if "centre" in table.get("markings", {}):
+    if sections.lanes.count == 1:
+        if "centre" in table.get("markings", {}) and sections.markings.centre.style != "none":
             place = where(text, file, ("markings", "centre"), "style")
             raise ConfigError(f"{place}: a single lane has no centre line; leave it out")
         none = dataclasses.replace(sections.markings, centre=Marking(style="none"))
         sections = dataclasses.replace(sections, markings=none)
-    sections = dataclasses.replace(sections, **lists)
-    road = _join([_read_piece(raw, part, file, sections.lanes) for raw, part in pieces], sections)
+    road = _join([_read_piece(entry, part, file, sections.lanes) for entry, part in raw["pieces"]], sections)
     if sections.closed:
         _check_closed(road, where(text, file, (), "closed"))
-    return sections, road
+    lists: dict[str, Any] = {}
+    for name, cls in _LISTS.items():
+        lists[name] = tuple(read_section(cls, entry, part, file, (name,)) for entry, part in raw[name])
+        for item, (_, part) in zip(lists[name], raw[name], strict=True):
+            key = {"stop_lines": "s_m", "gaps": "from_m"}.get(name)
+            if key and not 0 <= getattr(item, key) <= road.length_m:
+                place = where(part, file, (name,), key)
+                raise ConfigError(f"{place}: {getattr(item, key)} is off the road, 0 .. {road.length_m:.3f} m")
+    return dataclasses.replace(sections, **lists), road
 
 
-def _read_list(raw: Any, name: str, text: str, file: str) -> list[tuple[dict[str, Any], str]]:
+def _tables(raw: Any, name: str, text: str, file: str) -> list[tuple[dict[str, Any], str]]:
     """Each table of an array, with the text in which its line is found: all but its own lines left blank."""
     if not isinstance(raw, list) or not all(isinstance(entry, dict) for entry in raw):
         raise ConfigError(f"{where(text, file, (), name)}: a list of tables is wanted, each under [[{name}]]")
@@ -327,10 +62,10 @@ def _read_list(raw: Any, name: str, text: str, file: str) -> list[tuple[dict[str
 
 def _read_piece(raw: dict[str, Any], text: str, file: str, lanes: LanesSection) -> Piece:
     kind = raw.get("kind")
-    cls = _PIECES.get(kind) if isinstance(kind, str) else None
+    cls = PIECES.get(kind) if isinstance(kind, str) else None
     if cls is None:
         place = where(text, file, ("pieces",), "kind")
-        raise ConfigError(f"{place}: {kind!r} where one of {', '.join(_PIECES)} is wanted")
+        raise ConfigError(f"{place}: {kind!r} where one of {', '.join(PIECES)} is wanted")
     piece: Piece = read_section(cls, {k: v for k, v in raw.items() if k != "kind"}, text, file, ("pieces",))
     if piece.sharpest_per_m * lanes.half_road_m >= 1.0:
         place = where(text, file, ("pieces",), "radius_m" if isinstance(piece, ArcPiece) else "start_per_m")
@@ -358,6 +93,7 @@ def _check_closed(road: JoinedCurve, place: str) -> None:
     turn_rad = abs(math.remainder(float(last.heading(last.length_m)) - float(first.heading(0.0)), 2.0 * math.pi))
     if gap_m > CLOSING_GAP_M or turn_rad > CLOSING_TURN_RAD:
         raise ConfigError(
-            f"{place}: true, but the pieces end {1e3 * gap_m:.2f} mm and {math.degrees(turn_rad):.3f} deg from where they"
-            f" begin; at most {1e3 * CLOSING_GAP_M:.0f} mm and {math.degrees(CLOSING_TURN_RAD):.1f} deg are allowed"
+            f"{place}: true, but the road's end misses its beginning by {1e3 * gap_m:.2f} mm and"
+            f" {math.degrees(turn_rad):.3f} deg; at most {1e3 * CLOSING_GAP_M:.0f} mm and"
+            f" {math.degrees(CLOSING_TURN_RAD):.1f} deg are allowed"
         )

@@ -1,4 +1,4 @@
-"""The simulated world: a car on a track, its camera and its controller board, on time that is passed in."""
+"""The simulated world: a car on a track and its camera, on time that is passed in; a controller board drives it."""
 
 from __future__ import annotations
 
@@ -6,46 +6,43 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
+from automodel.signals import BoardSensors, Image
 from automodel.sim.plant import CarState, Plant
 from automodel.sim.renderer import Renderer
 from automodel.sim.truth import Truth, TruthFollower
-from automodel.signals import Image
-
-
-class Board(Protocol):
-    """The controller board on the car: an emulated Arduino, say. It drives the plant as its peripheral."""
-
-    def advance(self, now_ns: int) -> None:
-        """Run its program up to `now_ns`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is true at one capture."""
+    """What is true at one capture; `reach_m` is how far the car's body reaches from the lane's middle."""
 
     t_ns: int
     index: int
     car: CarState
     truth: Truth
+    reach_m: float
 
 
 class World:
-    """Board and plant advance together; `capture` takes a picture and the truth of the same instant.
+    """The plant behind a lock (a served board lives in a thread of its own), and pictures and truth of it.
 
     The plant's actuators have dead times, so that where the car will be that much later is settled already: a picture
     can be rendered ahead of its time and be exact (`capture` with a time in the near future).
     """
 
-    def __init__(self, plant: Plant, board: Board, renderer: Renderer, follower: TruthFollower) -> None:
-        self.plant, self.board, self.renderer, self.follower = plant, board, renderer, follower
+    def __init__(self, plant: Plant, renderer: Renderer, follower: TruthFollower, reach: Reach) -> None:
+        self.plant, self.renderer, self.follower, self._reach = plant, renderer, follower, reach
         self._lock = threading.Lock()
 
-    def advance(self, t_ns: int) -> None:
-        """Run board and plant up to `t_ns`."""
+    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
+        """The board's pins."""
         with self._lock:
-            self.board.advance(t_ns)
-            self.plant.advance(t_ns)
+            self.plant.set_pulses(t_ns, servo_us, motor_us)
+
+    def read_sensors(self, t_ns: int) -> BoardSensors:
+        """The board's sensors."""
+        with self._lock:
+            return self.plant.read_sensors(t_ns)
 
     def capture(self, t_ns: int, index: int) -> tuple[Image, Scene]:
         """Picture and truth at `t_ns`, now or at most the plant's shortest dead time ahead."""
@@ -53,4 +50,18 @@ class World:
             car = self.plant.predicted(t_ns)
         image = self.renderer.render(car.x_m, car.y_m, car.yaw_rad, car.speed_mps, car.yaw_rate_radps, index)
         truth = self.follower.step(car.x_m, car.y_m, car.yaw_rad)
-        return image, Scene(t_ns=t_ns, index=index, car=car, truth=truth)
+        scene = Scene(t_ns=t_ns, index=index, car=car, truth=truth, reach_m=self._reach(car))
+        return image, scene
+
+    def settle(self, t_ns: int) -> None:
+        """Let the plant's time pass up to `t_ns`, beyond what the board made of it."""
+        with self._lock:
+            self.plant.advance(t_ns)
+
+
+class Reach(Protocol):
+    """How far the car's body reaches from the lane's middle [m]."""
+
+    def __call__(self, car: CarState) -> float:
+        """For one state of the car."""
+        ...

@@ -31,7 +31,7 @@ def jetson_elements(camera: CameraConfig) -> str:
     )
 
 
-def testcard_elements(camera: CameraConfig) -> str:
+def synthetic_elements(camera: CameraConfig) -> str:
     """The head of the pipeline on any machine: GStreamer's test picture at the camera's rate."""
     return f"videotestsrc is-live=true ! video/x-raw,framerate={_fraction(camera.rate_hz)} ! videoconvert"
 
@@ -85,10 +85,10 @@ class CsiSource:
             left_s = max(deadline_ns - time.monotonic_ns(), 0) * 1e-9
             if not select.select([self._pipe], [], [], left_s)[0]:
                 return None
-            got = self._pipe.readinto(memoryview(self._buffer)[self._filled :])  # type: ignore[attr-defined]
+            got = os.readv(self._pipe.fileno(), [self._buffer[self._filled :].data])
             if got == 0:
                 raise SourceError(f"{self._name}: no more frames: {self._last_words()}")
-            self._filled += got or 0
+            self._filled += got
         frame = Frame(t_ns=time.monotonic_ns(), index=self._next, image=self._image())
         self._buffer, self._filled = self._empty(), 0
         self._next += 1

@@ -38,7 +38,7 @@ class ImageSource:
         self._next = 0
         self._shape: tuple[int, ...] | None = None
 
-    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - a file keeps nobody waiting
+    def read(self, timeout_s: float) -> Frame:
         """The next picture; raises EndOfSource after the last."""
         if self._next >= len(self.files):
             raise EndOfSource

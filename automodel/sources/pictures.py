@@ -21,12 +21,12 @@ _PNG = (b"\x89PNG", b"IEND")
 @contextmanager
 def opencv_silenced() -> Iterator[None]:
     """Keep OpenCV's own log lines off stderr: the error that is raised instead says it in one line."""
-    level = cv2.getLogLevel()
-    cv2.setLogLevel(0)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        cv2.setLogLevel(level)
+        cv2.utils.logging.setLogLevel(level)
 
 
 def read_picture(path: Path, colour: bool) -> Image:

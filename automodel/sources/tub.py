@@ -51,7 +51,7 @@ class TubSource:
         self.records = read_tub(self.folder)
         self._next = 0
 
-    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - a file keeps nobody waiting
+    def read(self, timeout_s: float) -> Frame:
         """The next picture; raises EndOfSource after the last."""
         if self._next >= len(self.records):
             raise EndOfSource

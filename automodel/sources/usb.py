@@ -33,7 +33,7 @@ class UsbSource:
         self._configure(camera, fourcc)
         self._next = 0
 
-    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - the driver has a timeout of its own
+    def read(self, timeout_s: float) -> Frame:
         """The next frame."""
         there, image = False, None
         with opencv_silenced():

@@ -44,7 +44,7 @@ class VideoSource:
         self.frame_count = int(count) if math.isfinite(count) and 0 < count < 1e9 else None  # None: not known
         self._next = 0
 
-    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - a file keeps nobody waiting
+    def read(self, timeout_s: float) -> Frame:
         """The next frame; raises EndOfSource after the last."""
         with opencv_silenced():
             there, image = self._capture.read()

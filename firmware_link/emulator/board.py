@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
 from typing import Protocol
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
 from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic
+from firmware_link.emulator.options import BoardCounters, BoardOptions
 from firmware_link.emulator.uart import UartLine
 from firmware_link.framing import RawFrame
 from firmware_link.messages import Fault, ResetCause, StatusFlag
@@ -34,30 +34,6 @@ class Peripherals(Protocol):
     def read_sensors(self, t_ns: int) -> BoardSensors:
         """What the sensors read at `t_ns`."""
         ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoardOptions:
-    """How the board differs from the usual one. `table_hash` is that of its program's message table."""
-
-    boot_ns: int = 300_000_000  # bootloader: deaf and dumb
-    watchdog_ns: int = 60_000_000  # a program that hangs is restarted after so long
-    boot_id: int = 1  # of the first start
-    table_hash: int = messages.TABLE_HASH
-
-    def __post_init__(self) -> None:
-        if self.boot_ns < 0 or self.watchdog_ns <= 0:
-            raise ValueError("boot_ns, watchdog_ns: a time >= 0 and one > 0 are wanted")
-
-
-@dataclass(slots=True, kw_only=True)
-class BoardCounters:
-    """What went wrong on the board's side since power came on."""
-
-    rx_in_boot: int = 0  # bytes that came while the bootloader ran
-    rx_lost: int = 0  # bytes that found the ring buffer full
-    tx_skipped: int = 0  # frames that did not fit into the ring buffer
-    resets: int = 0
 
 
 class _State(enum.Enum):
@@ -94,7 +70,8 @@ class EmulatedArduino:
     COMMAND_TIMEOUT is reported until the next Arm that works.
 
     `advance` runs the main loop's ticks in which something happens and skips the others. The first call switches the
-    power on. A program that hangs leaves its last pulses at the pins (a timer makes them) until the watchdog restarts it.
+    power on. A program that hangs leaves its last pulses at the pins (a timer makes them) until the watchdog restarts
+    it.
     """
 
     def __init__(self, peripherals: Peripherals, baud: int = 115200, options: BoardOptions | None = None) -> None:
@@ -156,7 +133,7 @@ class EmulatedArduino:
         return len(taken)
 
     def transmit(self, now_ns: int) -> bytes:
-        """The bytes whose last bit has left by `now_ns`, since the last call; what the host leaves unread is bounded."""
+        """The bytes whose last bit has left by `now_ns`, since the last call; 4096 at most, the newest are lost."""
         self._collect(now_ns)
         sent, self._sent = self._sent, b""
         return sent
@@ -189,7 +166,7 @@ class EmulatedArduino:
     def _restart(self, t_ns: int, cause: ResetCause) -> None:
         self._collect(t_ns)
         self._tx.clear()
-        self.counters.resets += 1
+        self.counters.starts += 1
         self._boot_id = (self._boot_id + 1) & 0xFFFF
         self._cause = cause
         self._logic = BoardLogic(self._boot_id, self._limits)
@@ -308,6 +285,7 @@ class EmulatedArduino:
             self._logic.event(Fault.TX_OVERFLOW)
             return
         self._counter = (self._counter + 1) & 0xFF
+        self._collect(t_ns)
         self._tx.put(frame, t_ns)
 
     def _collect(self, now_ns: int) -> None:

@@ -89,7 +89,7 @@ class CommandGate:
         low, high = PULSE_RANGE_US
         if not (low <= command.servo_us <= high and low <= command.motor_us <= high):
             return Fault.COMMAND_REFUSED
-        if command.flags & ~CommandFlag.FRESH:
+        if command.flags & ~int(CommandFlag.FRESH):
             return Fault.COMMAND_REFUSED
         if not 1 <= (counter - self._counter) & 0xFF <= 127:
             return Fault.COMMAND_REPEATED

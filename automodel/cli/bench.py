@@ -1,0 +1,79 @@
+"""`automodel bench`: accuracy against the simulator's truth, and speed by stage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from automodel.cli.figures import show
+from automodel.cli.parts import car_of
+from automodel.config import PIPELINES
+from automodel.sim.trajectory import STYLES
+
+TRACKS = ("tmr", "oval", "chicane")
+LOOKS = ("clean", "competition", "varied")
+
+
+@click.group("bench")
+def command() -> None:
+    """Measure a pipeline; every figure can be had as JSON."""
+
+
+@command.command("accuracy")
+@click.option("--car", "car_file", type=click.Path(path_type=Path), help="car.toml (default: the simulated car).")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--track", "tracks", multiple=True, help=f"Name or file.  [default: {', '.join(TRACKS)}]")
+@click.option("--style", "styles", multiple=True, type=click.Choice(STYLES), help="Driving style.  [default: all]")
+@click.option(
+    "--seeds", type=click.IntRange(1), default=1, show_default=True, help="How many seeds of light and noise."
+)
+@click.option("--seed", "first_seed", type=click.IntRange(0), default=0, show_default=True, help="The first seed.")
+@click.option("--look", type=click.Choice(LOOKS), default="competition", show_default=True, help="Floor and light.")
+@click.option("--direction", type=click.Choice(["forward", "reverse"]), default="forward", show_default=True)
+@click.option("--speed", "speed_mps", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True)
+@click.option("--plot", type=click.Path(path_type=Path), help="Estimate against truth over time, as PNG.")
+@click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
+@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
+def accuracy(
+    car_file: Path | None,
+    pipelines: tuple[str, ...],
+    tracks: tuple[str, ...],
+    styles: tuple[str, ...],
+    seeds: int,
+    first_seed: int,
+    plot: Path | None,
+    jobs: int | None,
+    as_json: bool,
+    **drive: object,
+) -> int:
+    """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
+    from automodel.cli.accuracy import Case, measure
+
+    car = car_of(car_file)
+    cases = [
+        Case(pipeline=pipeline, track=track, style=style, seed=seed, **drive)  # type: ignore[arg-type]
+        for pipeline in pipelines or PIPELINES
+        for track in tracks or TRACKS
+        for style in styles or STYLES
+        for seed in range(first_seed, first_seed + seeds)
+    ]
+    rows = measure(car, cases, jobs, plot)
+    show("bench accuracy", rows, as_json)
+    return 0
+
+
+@command.command("speed")
+@click.option("--car", "car_file", type=click.Path(path_type=Path), help="car.toml (default: the simulated car).")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--frames", type=click.IntRange(10), default=300, show_default=True)
+@click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads that OpenCV may use.")
+@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
+def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, threads: int, as_json: bool) -> int:
+    """Milliseconds a frame, by stage, on rendered frames of tmr."""
+    from automodel.cli.speed import measure_speed
+
+    car = car_of(car_file)
+    rows = [row for name in pipelines or PIPELINES for row in measure_speed(car, name, frames, threads)]
+    show("bench speed", rows, as_json)
+    return 0

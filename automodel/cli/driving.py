@@ -1,0 +1,173 @@
+"""Watches a run: progress, the simulator's truth, and what came of it."""
+
+from __future__ import annotations
+
+import csv
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from automodel.config import CarConfig, ConfigError
+from automodel.interfaces import Source, VehicleLink
+from automodel.run_values import RunResult, TickRecord
+from automodel.safety import SafetyMode
+from automodel.signals import Command, Frame, StereoFrame, VehicleState
+from automodel.sim.world import Scene
+
+TRUTH_COLUMNS = (
+    "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
+)  # fmt: skip
+GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
+
+
+class Watcher:
+    """Implements `RunObserver`, and is told the scenes of the simulator."""
+
+    def __init__(self, car: CarConfig, laps: int | None, advance: Callable[..., None]) -> None:
+        self._car, self._laps, self._advance = car, laps, advance
+        self.scenes: list[Scene] = []
+        self._driving_from: int | None = None  # index of the first scene in which it was driving
+        self._stood_since_ns: int | None = None
+        self._lap_times_ns: list[int] = []
+        self.moved = False
+
+    def on_scene(self, scene: Scene) -> None:
+        """The truth of a frame."""
+        if self.scenes:
+            before = self.scenes[-1]
+            self._advance(max(scene.car.distance_m - before.car.distance_m, 0.0))
+            if scene.truth.lap > before.truth.lap:
+                self._lap_times_ns.append(scene.t_ns)
+        self.scenes.append(scene)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """A turn of the runner."""
+        driving = record.decision.mode in (SafetyMode.DRIVING, SafetyMode.HOLD)
+        if driving and self._driving_from is None:
+            self._driving_from = max(len(self.scenes) - 1, 0)
+            self._lap_times_ns = [record.t_ns]
+        for event in record.decision.events:
+            if event.kind in ("hold", "stop", "arm-refused"):
+                print(f"{event.t_ns * 1e-9:.2f} s: {event.kind}: {event.text}", file=sys.stderr)
+        standing = not self.scenes or abs(self.scenes[-1].car.speed_mps) < 0.01
+        self.moved |= not standing
+        if not standing:
+            self._stood_since_ns = None
+        elif self._stood_since_ns is None:
+            self._stood_since_ns = record.t_ns
+        self._now_ns = record.t_ns
+
+    def finished(self) -> bool:
+        """Whether the laps are driven, or the simulated car has given up."""
+        if not self.scenes:
+            return False
+        if self._laps is not None and self.scenes[-1].truth.lap >= self._laps:
+            return True
+        stood = self._stood_since_ns
+        return stood is not None and self._now_ns - stood > GIVE_UP_S * 1e9
+
+    def row(self, result: RunResult, latencies_ms: tuple[float | None, float | None]) -> dict[str, object]:
+        """The figures of a simulated run."""
+        scenes = self.scenes[self._driving_from :] if self._driving_from is not None else []
+        offsets = np.abs([scene.truth.offset_m for scene in scenes])
+        outside = np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=bool)
+        laps = np.diff(self._lap_times_ns) * 1e-9
+        return {
+            "laps": max((scene.truth.lap for scene in scenes), default=0),
+            "lap_s": float(laps.mean()) if len(laps) else None,
+            "max_abs_offset_m": float(offsets.max()) if len(offsets) else None,
+            "mae_offset_m": float(offsets.mean()) if len(offsets) else None,
+            "left_lane": int(np.count_nonzero(np.diff(outside.astype(np.int8), prepend=0) == 1)),
+            "stops": result.stops,
+            "latency_p50_ms": latencies_ms[0],
+            "latency_p99_ms": latencies_ms[1],
+        }
+
+    def write_truth(self, path: Path) -> None:
+        """truth.csv: where the car really was, a row a frame."""
+        try:
+            with open(path, "w", encoding="utf-8", newline="") as file:
+                table = csv.writer(file, lineterminator="\n")
+                table.writerow(TRUTH_COLUMNS)
+                for scene in self.scenes:
+                    truth, car = scene.truth, scene.car
+                    values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
+                    numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
+                    table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+class Stopwatch:
+    """The loop's own time from a frame's delivery to its command on the wire, where the run lives on virtual time."""
+
+    def __init__(self) -> None:
+        self._taken_ns: int | None = None
+        self.latencies_ns: list[int] = []
+
+    def percentile_ms(self, percentile: float) -> float | None:
+        """A percentile (0 .. 100) [ms]."""
+        return float(np.percentile(self.latencies_ns, percentile)) * 1e-6 if self.latencies_ns else None
+
+    def taken(self) -> None:
+        """A frame was delivered."""
+        self._taken_ns = time.perf_counter_ns()
+
+    def sent(self) -> None:
+        """A command is on the wire."""
+        if self._taken_ns is not None:
+            self.latencies_ns.append(time.perf_counter_ns() - self._taken_ns)
+            self._taken_ns = None
+
+
+class TimedSource:
+    """A source that starts the stopwatch."""
+
+    def __init__(self, source: Source, watch: Stopwatch) -> None:
+        self._source, self._watch = source, watch
+
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
+        """As the source's."""
+        frame = self._source.read(timeout_s)
+        if frame is not None:
+            self._watch.taken()
+        return frame
+
+    def close(self) -> None:
+        """As the source's."""
+        self._source.close()
+
+
+class TimedLink:
+    """A link that stops the stopwatch."""
+
+    def __init__(self, link: VehicleLink, watch: Stopwatch) -> None:
+        self._link, self._watch = link, watch
+
+    def open(self) -> None:
+        """As the link's."""
+        self._link.open()
+
+    def poll(self, now_ns: int) -> VehicleState | None:
+        """As the link's."""
+        return self._link.poll(now_ns)
+
+    def send(self, command: Command, now_ns: int) -> None:
+        """As the link's."""
+        self._link.send(command, now_ns)
+        self._watch.sent()
+
+    def arm(self, now_ns: int) -> None:
+        """As the link's."""
+        self._link.arm(now_ns)
+
+    def disarm(self, now_ns: int) -> None:
+        """As the link's."""
+        self._link.disarm(now_ns)
+
+    def close(self) -> None:
+        """As the link's."""
+        self._link.close()

@@ -1,0 +1,32 @@
+"""`automodel export`: a recording as CSV and video."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from automodel.config import ConfigError, parse_car
+from automodel.recording.export import export_csv, export_video
+from automodel.recording.reader import Recording
+
+
+@click.command("export")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write poses.csv here.")
+@click.option("--video", type=click.Path(path_type=Path), help="Write an MP4 with the overlay here.")
+def command(recording: Path, csv_file: Path | None, video: Path | None) -> int:
+    """Write a RECORDING's estimates as CSV, and its frames with overlay as video."""
+    if csv_file is None and video is None:
+        raise click.UsageError("nothing to do: give --csv FILE, --video FILE or both", click.get_current_context())
+    run = Recording(recording)
+    if csv_file is not None:
+        print(f"{csv_file}: {export_csv(run, csv_file)} rows", file=sys.stderr)
+    if video is not None:
+        try:
+            car = parse_car(run.car_text, f"{recording} (car.toml)")
+        except ConfigError as error:
+            raise ConfigError(f"{error}; the recording was made by another version") from None
+        print(f"{video}: {export_video(run, video, car)} frames", file=sys.stderr)
+    return 0

@@ -1,0 +1,21 @@
+"""`automodel recover`: make a cut recording readable."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from automodel.recording.recover import recover
+
+
+@click.command("recover")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="The new file (default: NAME.recovered.mcap).")
+@click.option("--force", is_flag=True, help="Write over a file that is there already.")
+def command(recording: Path, output: Path | None, force: bool) -> int:
+    """Save what is whole in a RECORDING that was cut (power loss, full disk) into a new file."""
+    saved = recover(recording, output, force)
+    print(f"{saved.path}: {saved.messages} messages, {saved.frames} frames, {saved.duration_s:.2f} s", file=sys.stderr)
+    return 0

@@ -1,0 +1,104 @@
+"""Puts the simulated world together, in lock-step or in a process of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from automodel.clocks import MonotonicClock, VirtualClock
+from automodel.config import CarConfig
+from automodel.geometry import GroundCamera
+from automodel.interfaces import Source, VehicleLink
+from automodel.sim.appearance import Appearance
+from automodel.sim.lockstep import LockStepSource
+from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.realtime import RealTimeWorld
+from automodel.sim.renderer import Renderer
+from automodel.sim.track import Track, load_track
+from automodel.sim.truth import TruthFollower
+from automodel.sim.ultrasonic import UltrasonicRanges
+from automodel.sim.world import Scene, World
+from firmware_link.arduino import ArduinoLink
+from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import PtyBoard
+from firmware_link.transport import MemoryTransport, SerialTransport
+
+STYLES = ("clean", "competition", "varied")
+LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor."""
+
+    track: str = "tmr"
+    direction: str = "forward"
+    seed: int = 0
+    style: str = "competition"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedCar:
+    """A source, a link and a clock that belong together, and what closes them."""
+
+    source: Source
+    link: VehicleLink
+    clock: VirtualClock | MonotonicClock
+    close: Callable[[], None]
+
+
+def appearance(style: str, seed: int) -> Appearance:
+    """The look of the world."""
+    return Appearance.clean() if style == "clean" else Appearance.random(seed, style=style)
+
+
+def renderer(track: Track, car: CarConfig, look: Appearance) -> Renderer:
+    """The camera of `car` over `track`."""
+    return Renderer(track.paint(), track.floor, track.obstacles, GroundCamera.from_config(car.camera), look)
+
+
+def build_world(car: CarConfig, simulation: Simulation) -> World:
+    """The car at the start of its lane, standing."""
+    track = load_track(simulation.track)
+    lane = track.lane(simulation.direction)
+    start = track.start if simulation.direction == track.start_direction else lane.pose(0.0)
+    vehicle = car.vehicle
+    true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
+    bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
+    ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
+    follower = TruthFollower(lane, vehicle.reference_x_m)
+    return World(
+        Plant(true, start, ranges),
+        renderer(track, car, appearance(simulation.style, simulation.seed)),
+        follower,
+        lambda state: follower.lateral_reach_m(state, vehicle),
+    )
+
+
+def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """Virtual time: the bytes go through memory, the board's timers run on the same clock."""
+    world = build_world(car, simulation)
+    board = EmulatedArduino(world, car.link.baud)
+
+    def advance(t_ns: int) -> None:
+        board.advance(t_ns)
+        world.settle(t_ns)
+
+    clock = VirtualClock(0, advance)
+    source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
+    link = ArduinoLink(MemoryTransport(board, clock), car.link, car.vehicle)
+    return SimulatedCar(source=source, link=link, clock=clock, close=source.close)
+
+
+def served_world(car: CarConfig, simulation: Simulation) -> tuple[World, PtyBoard]:
+    """World and board for a process of their own; the board answers on a pseudo terminal."""
+    world = build_world(car, simulation)
+    return world, PtyBoard(EmulatedArduino(world, car.link.baud))
+
+
+def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """Real time: camera and board live in another process, behind shared memory and a serial port."""
+    shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
+    source = RealTimeWorld(served_world, (car, simulation), shape, car.camera.rate_hz, on_scene)
+    link = ArduinoLink(SerialTransport(source.port, car.link.baud), car.link, car.vehicle)
+    return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=source.close)

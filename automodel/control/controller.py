@@ -1,0 +1,81 @@
+"""The controller of the loop: a lane estimate in, the wanted command out."""
+
+from __future__ import annotations
+
+from automodel.config import CarConfig
+from automodel.control.delay import SteeringInFlight
+from automodel.control.lateral import lateral_controller
+from automodel.control.limits import Limits
+from automodel.control.path import LanePath
+from automodel.control.speed import STATE_TIMEOUT_NS, SpeedPlanner
+from automodel.signals import Command, LaneEstimate, Motion, VehicleState
+
+
+class LaneController:
+    """Drives along the estimated centerline; implements `interfaces.Controller`.
+
+    The pose that is steered from is the one that the car will have when the command acts: the estimate's, moved on by
+    the bicycle model with the steering that is under way (`SteeringInFlight`, `control.actuator_delay_s`). A lost
+    lane keeps the steering and asks for speed 0. Every command lives `safety.command_validity_s` from its frame on.
+    """
+
+    def __init__(self, car: CarConfig) -> None:
+        self._car = car
+        self._lateral = lateral_controller(car.control, car.vehicle)
+        self._speed = SpeedPlanner(car.control, car.safety.speed_max_mps)
+        self._in_flight = SteeringInFlight(car.control.actuator_delay_s, car.vehicle.wheelbase_m)
+        self._foreseen = Limits(car.safety, car.vehicle)  # what the limits will leave of a command is what will act
+        self._validity_ns = round(car.safety.command_validity_s * 1e9)
+        self._last: Command | None = None
+        self._told_rad = 0.0
+
+    def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None, t_ns: int) -> Command:
+        """The command wanted at `t_ns`."""
+        if self._last is None:
+            self._start(state, t_ns)
+        self._speed.observe(state, t_ns)
+        centerline = estimate.centerline if estimate.valid else None
+        if centerline is None:
+            steering, speed = self._steering_rad, self._speed.stop()
+        else:
+            steering, speed = self._follow(LanePath(centerline), estimate, motion, t_ns)
+        command = Command(
+            t_ns=t_ns,
+            steering_rad=steering,
+            speed_mps=speed,
+            valid_until_ns=estimate.t_ns + self._validity_ns,
+        )
+        self._last = command
+        self._in_flight.add(estimate.t_ns, self._foreseen.step(command, motion, t_ns).command.steering_rad)
+        return command
+
+    def reset(self) -> None:
+        """Forget everything but the configuration."""
+        self._last = None
+        self._told_rad = 0.0
+        self._speed.reset()
+        self._in_flight.reset()
+        self._foreseen.reset()
+
+    @property
+    def _steering_rad(self) -> float:
+        return self._told_rad if self._last is None else self._last.steering_rad
+
+    def _start(self, state: VehicleState | None, t_ns: int) -> None:
+        """Begin from the steering that the vehicle says it was told last."""
+        if state is not None and state.steering_rad is not None and t_ns - state.t_ns <= STATE_TIMEOUT_NS:
+            self._told_rad = state.steering_rad
+        told = Command(t_ns=t_ns, steering_rad=self._told_rad, speed_mps=0.0, valid_until_ns=t_ns)
+        self._foreseen.reset(told)
+
+    def _follow(self, lane: LanePath, estimate: LaneEstimate, motion: Motion, t_ns: int) -> tuple[float, float]:
+        """Steering [rad] and speed [m/s] along a lane that is seen."""
+        speed = motion.speed_mps if motion.known else (0.0 if self._last is None else self._last.speed_mps)
+        then = self._in_flight.drive(estimate.t_ns, speed, self._told_rad)
+        steering_max = self._car.safety.steering_max_rad
+        steering = self._lateral.steer(lane, then, max(speed, 0.0))
+        s_m, _ = lane.foot(then.x_m, then.y_m)
+        return (
+            min(max(steering, -steering_max), steering_max),
+            self._speed.step(lane, s_m, estimate.status, speed, t_ns),
+        )

@@ -1,0 +1,127 @@
+"""How fast to go: the bends ahead, what is in the way, and how well the lane is seen."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from automodel.config import ControlConfig
+from automodel.control.path import LanePath
+from automodel.signals import LaneStatus, VehicleState
+
+REACTION_S = 0.15  # from a lower wish to a slower car: dead time and lag of a scale car's motor
+STATE_TIMEOUT_NS = 500_000_000
+_MAX_STEP_S = 0.1
+_LOOKS = 16  # places ahead at which the curvature is looked at
+_MIN_WINDOW_S = 0.1  # of way over which a bend's curvature is averaged
+_CREEP_MPS = 0.1  # an obstacle is approached at this speed at least, so that the stop comes
+
+
+class ObstacleGuard:
+    """Stop and go by the ultrasonic range ahead, with hysteresis, on the median of the last three readings.
+
+    No echo is a free way. A single wrong reading, short or missing, changes nothing.
+    """
+
+    def __init__(self, stop_m: float, go_m: float) -> None:
+        if not 0 <= stop_m <= go_m:
+            raise ValueError(f"go_m: {go_m} where at least stop_m = {stop_m} >= 0 is wanted")
+        self._stop_m, self._go_m = stop_m, go_m
+        self.blocked = False
+        self._readings: deque[float] = deque(maxlen=3)
+        self._read_ns: int | None = None
+
+    def step(self, state: VehicleState | None, t_ns: int) -> None:
+        """Take in the newest state, which may have been given before."""
+        if state is None or state.t_ns == self._read_ns or t_ns - state.t_ns > STATE_TIMEOUT_NS:
+            return
+        if not state.ranges_m:
+            return
+        self._read_ns = state.t_ns
+        reading = state.ranges_m[len(state.ranges_m) // 2]
+        self._readings.append(math.inf if reading is None or not math.isfinite(reading) else reading)
+        if self.range_m < self._stop_m:
+            self.blocked = True
+        elif self.range_m > self._go_m:
+            self.blocked = False
+
+    @property
+    def range_m(self) -> float:
+        """The way [m] that is free ahead, inf where nothing is heard."""
+        readings = sorted((*self._readings, math.inf, math.inf, math.inf)[:3])
+        return readings[1]
+
+    def reset(self) -> None:
+        """Forget every reading."""
+        self.blocked = False
+        self._readings.clear()
+        self._read_ns = None
+
+
+class SpeedPlanner:
+    """The wanted speed.
+
+    In a bend v^2 |kappa| <= a_lat; a bend at distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. An obstacle
+    allows sqrt(2 a_dec x) for the way x left to the stopping distance, and nothing at all below it.
+    Wishes rise and fall along ramps; only a stop for an obstacle comes at once.
+    """
+
+    def __init__(self, control: ControlConfig, speed_max_mps: float) -> None:
+        self._control = control
+        self._speed_mps = min(control.speed_mps, speed_max_mps)
+        self._guard = ObstacleGuard(control.obstacle_stop_m, control.obstacle_go_m)
+        self._shares = {LaneStatus.ONE_LINE: control.one_line_speed, LaneStatus.COASTING: control.coasting_speed}
+        self._wanted: tuple[int, float] | None = None
+
+    def observe(self, state: VehicleState | None, t_ns: int) -> None:
+        """Take in the vehicle's state, in every frame."""
+        self._guard.step(state, t_ns)
+
+    def step(self, lane: LanePath, s_m: float, status: LaneStatus, speed_mps: float, t_ns: int) -> float:
+        """Wanted speed [m/s] for a car at arc length `s_m` that drives at `speed_mps`."""
+        wanted = min(
+            self._speed_mps * self._shares.get(status, 1.0),
+            self._for_bends(lane, s_m, speed_mps),
+            self._for_obstacle(speed_mps),
+        )
+        if self._wanted is None:
+            start, dt = max(speed_mps, 0.0), 0.0
+        else:
+            start, dt = self._wanted[1], min(max((t_ns - self._wanted[0]) * 1e-9, 0.0), _MAX_STEP_S)
+        ramped = min(max(wanted, start - self._control.decel_mps2 * dt), start + self._control.accel_mps2 * dt)
+        ramped = 0.0 if self._guard.blocked else min(ramped, self._speed_mps)
+        self._wanted = (t_ns, ramped)
+        return ramped
+
+    def stop(self) -> float:
+        """The wanted speed without a lane: 0, at once; the next ramp starts from the speed the car then has."""
+        self._wanted = None
+        return 0.0
+
+    def reset(self) -> None:
+        """Forget everything but the configuration."""
+        self._wanted = None
+        self._guard.reset()
+
+    def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
+        control = self._control
+        speed = max(speed_mps, 0.5 * self._speed_mps)
+        horizon = speed * REACTION_S + speed * speed / (2.0 * control.decel_mps2) + 0.5 * speed * _MIN_WINDOW_S
+        half = max(0.5 * speed * _MIN_WINDOW_S, 1e-3)
+        allowed2 = math.inf
+        for look in range(_LOOKS + 1):
+            ahead = horizon * look / _LOOKS
+            middle = s_m + ahead
+            if middle > lane.length_m and look > 0:
+                break
+            kappa = abs(lane.mean_curvature(middle - half, middle + half))
+            if kappa > 1e-9:
+                braking = max(ahead - speed * REACTION_S, 0.0)
+                allowed2 = min(allowed2, control.lateral_accel_mps2 / kappa + 2.0 * control.decel_mps2 * braking)
+        return math.sqrt(allowed2)
+
+    def _for_obstacle(self, speed_mps: float) -> float:
+        if math.isinf(self._guard.range_m):
+            return math.inf
+        left = self._guard.range_m - self._control.obstacle_stop_m - max(speed_mps, 0.0) * REACTION_S
+        return max(math.sqrt(2.0 * self._control.decel_mps2 * max(left, 0.0)), _CREEP_MPS)

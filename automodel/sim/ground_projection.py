@@ -1,0 +1,119 @@
+"""Edges on the ground to edges in the picture of any calibrated camera."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.geometry import GroundCamera
+
+FloatArray = NDArray[np.float64]
+Edges = tuple[FloatArray, FloatArray]
+
+PIECE_PX = 8.0  # with distortion, the picture of a straight edge is a chain of pieces about this long
+
+
+class GroundProjection:
+    """Carries closed rings of the ground plane to the picture.
+
+    What the camera cannot see is drawn in to the border of what it can, so that rings stay closed. `row0` is the first
+    row that shows any ground, `shape` that of the rows from there on, `ground_m` (h, w, 2) [m] the ground of each pixel in the body frame (NaN above the horizon).
+    """
+
+    def __init__(self, camera: GroundCamera) -> None:
+        self.camera = camera
+        model = camera.camera
+        rows, columns = np.mgrid[0 : model.height_px, 0 : model.width_px]
+        pixels = np.stack((columns, rows), axis=-1).astype(np.float64)
+        self.ground_m: FloatArray = camera.px_to_ground(pixels)
+        self.seen: NDArray[np.bool_] = np.isfinite(self.ground_m[..., 0])
+        seen_rows = np.flatnonzero(self.seen.any(axis=1))
+        # the row above may show ground in its lower half
+        self.row0 = max(int(seen_rows[0]) - 1, 0) if len(seen_rows) else model.height_px
+        self.shape = (model.height_px - self.row0, model.width_px)
+        turn = camera.cam_from_body
+        self._cam_from_ground = np.column_stack((turn[:, 0], turn[:, 1], -turn @ camera.centre_m))
+        self._near_m = 0.3 * self._nearest_depth_m()
+        self._box = self._seen_box(pixels) if model.distortion.any() else None
+
+    def _nearest_depth_m(self) -> float:
+        ground = self.ground_m[self.seen]
+        if not len(ground):
+            return 1.0
+        return float((ground @ self._cam_from_ground[2, :2] + self._cam_from_ground[2, 2]).min())
+
+    def _seen_box(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """Corners of the box around the picture's rays, a little larger, and the greatest radius of a ray."""
+        rays = self.camera.camera.rays(pixels)[..., :2]
+        rays = rays[np.isfinite(rays[..., 0])]
+        low, high = rays.min(axis=0), rays.max(axis=0)
+        margin = 0.03 * (high - low)
+        return low - margin, high + margin, float(np.hypot(rays[:, 0], rays[:, 1]).max())
+
+    def edges_px(self, edges_m: Edges, ahead_m: float = 0.0) -> Edges:
+        """Edges (n, 2) [m] of the body frame -> edges as `covered` wants them, rows counted from `row0`.
+
+        `ahead_m` is how far ahead of the body frame's origin the car is. The number of edges may change.
+        """
+        shift = self._cam_from_ground[:, 2] + ahead_m * -self._cam_from_ground[:, 0]
+        begin, end = (edge @ self._cam_from_ground[:, :2].T + shift for edge in edges_m)
+        begin, end = self._in_front(begin, end)
+        begin, end = begin[:, :2] / begin[:, 2:], end[:, :2] / end[:, 2:]
+        if self._box is None:
+            return self._pinhole_px(begin), self._pinhole_px(end)
+        begin, end = _into_box(begin, end, self._box[0], self._box[1])
+        begin, end = _chopped(begin, end, PIECE_PX / float(self.camera.camera.matrix[0, 0]))
+        return self._lens_px(begin, self._box[2]), self._lens_px(end, self._box[2])
+
+    def _in_front(self, begin: FloatArray, end: FloatArray) -> Edges:
+        """Edges in the cam frame, those behind the near line moved onto it along the ground."""
+        begin, end = _split(begin, end, begin[:, 2] - self._near_m, end[:, 2] - self._near_m)
+        normal = self._cam_from_ground[2, :2]
+        steepness = float(normal @ normal)
+        if steepness < 1e-12:
+            return begin, end
+        push = self._cam_from_ground[:, :2] @ normal / steepness
+        return tuple(p + np.maximum(self._near_m - p[:, 2:], 0.0) * push for p in (begin, end))  # type: ignore[return-value]
+
+    def _pinhole_px(self, points: FloatArray) -> FloatArray:
+        m = self.camera.camera.matrix
+        return np.column_stack(
+            (m[0, 0] * points[:, 0] + (m[0, 2] + 0.5), m[1, 1] * points[:, 1] + (m[1, 2] + 0.5 - self.row0))
+        )
+
+    def _lens_px(self, points: FloatArray, radius: float) -> FloatArray:
+        inwards = np.minimum(1.0, radius / np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-12))
+        rays = np.column_stack((points * inwards[:, None], np.ones(len(points))))
+        return np.asarray(self.camera.camera.project(rays) + (0.5, 0.5 - self.row0))
+
+
+def _split(begin: FloatArray, end: FloatArray, side_begin: FloatArray, side_end: FloatArray) -> Edges:
+    """Edges that change sides are cut in two where the side (n,) is 0."""
+    crossing = np.flatnonzero(side_begin * side_end < 0.0)
+    if not len(crossing):
+        return begin, end
+    t = side_begin[crossing] / (side_begin[crossing] - side_end[crossing])
+    middle = begin[crossing] + t[:, None] * (end[crossing] - begin[crossing])
+    first_end = end.copy()
+    first_end[crossing] = middle
+    return np.concatenate((begin, middle)), np.concatenate((first_end, end[crossing]))
+
+
+def _into_box(begin: FloatArray, end: FloatArray, low: FloatArray, high: FloatArray) -> Edges:
+    """Edges cut at the sides of a box, the parts outside moved onto it."""
+    for axis in (0, 1):
+        for bound in (low[axis], high[axis]):
+            begin, end = _split(begin, end, begin[:, axis] - bound, end[:, axis] - bound)
+    return np.clip(begin, low, high), np.clip(end, low, high)
+
+
+def _chopped(begin: FloatArray, end: FloatArray, length: float) -> Edges:
+    """Edges cut into equal pieces no longer than `length`."""
+    pieces = np.maximum(np.ceil(np.abs(end - begin).max(axis=1, initial=0.0) / length), 1.0)
+    owner = np.repeat(np.arange(len(begin)), pieces.astype(np.intp))
+    step = np.arange(len(owner)) - (np.cumsum(pieces) - pieces)[owner]
+    along = (end - begin)[owner] / pieces[owner, None]
+    start = begin[owner] + step[:, None] * along
+    # the same arithmetic for the end of a piece and the begin of the next: no hairline cracks
+    stop = np.where((step + 1 == pieces[owner])[:, None], end[owner], begin[owner] + (step[:, None] + 1.0) * along)
+    return start, stop

@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from recorded_values import CAR_TEXT, make_command, make_estimate, make_frame
+
+from automodel.config import ConfigError, RecordingConfig, parse_car
+from automodel.curves import line
+from automodel.recording.export import export_csv, export_video, mean_rate_hz
+from automodel.recording.poses_csv import PosesCsv
+from automodel.recording.reader import Recording
+from automodel.recording.writer import McapRecorder
+from automodel.signals import Command, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus
+from automodel.sources.errors import SourceError
+
+HEADER = (
+    "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"
+    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms"
+)
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_rows_have_the_header_and_every_field(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    frame = Frame(t_ns=12_000_000_345, index=7, image=np.zeros((2, 2), np.uint8))
+    with PosesCsv(path) as table:
+        table.row(frame, make_estimate(1), make_command(1), 2.5)
+    assert path.read_text().splitlines()[0] == HEADER
+    (row,) = rows(path)
+    estimate = make_estimate(1)
+    assert estimate.pose is not None
+    assert estimate.crossing is not None
+    assert (row["t_s"], row["frame"], row["status"]) == ("12.000000345", "7", "ONE_LINE")
+    assert float(row["offset_m"]) == pytest.approx(estimate.pose.offset_m, abs=5e-7)
+    assert float(row["heading_rad"]) == pytest.approx(estimate.pose.heading_rad, abs=5e-7)
+    assert float(row["curvature_per_m"]) == 0.0
+    assert float(row["width_m"]) == pytest.approx(0.3)
+    assert (row["left_seen"], row["right_seen"]) == ("1", "0")
+    assert float(row["crossing_distance_m"]) == pytest.approx(estimate.crossing.distance_m, abs=5e-7)
+    assert float(row["crossing_angle_rad"]) == 0.0
+    assert float(row["steering_rad"]) == pytest.approx(make_command(1).steering_rad, abs=5e-7)
+    assert row["latency_ms"] == "2.500"
+
+
+def test_what_does_not_exist_is_empty_never_0(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    curve = line(0.0, 0.2, 0.0, 1.0)
+    pose = LanePose(offset_m=0.0, heading_rad=0.0, width_m=0.4, curvature_per_m=0.0, covariance=np.eye(3))
+    one = LaneLine(curve=curve, points_m=np.empty((0, 2)), seen=False)
+    frame = make_frame(0)
+    with PosesCsv(path) as table:
+        table.row(frame, LaneEstimate(t_ns=0, status=LaneStatus.LOST))
+        table.row(frame, None)
+        coasting = LaneEstimate(t_ns=0, status=LaneStatus.COASTING, left=one, centerline=curve, pose=pose)
+        table.row(frame, coasting, Command(t_ns=0, steering_rad=0.0, speed_mps=0.0, valid_until_ns=0), 0.0)
+    lost, none, zero = path.read_text().splitlines()[1:]
+    assert lost == "1.000000000,0,LOST" + "," * 10
+    assert none == "1.000000000,0," + "," * 10
+    assert zero == "1.000000000,0,COASTING,0.000000,0.000000,0.000000,0.400000,0,,,,0.000000,0.000"
+
+
+def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be written"):
+        PosesCsv(tmp_path / "no" / "poses.csv")
+
+
+def test_a_recording_exports_to_csv(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    seen: list[int] = []
+    assert export_csv(Recording(recorded_run(5)), path, seen.append) == 5
+    assert seen == [1, 2, 3, 4, 5]
+    table = rows(path)
+    assert [row["frame"] for row in table] == ["0", "1", "2", "3", "4"]
+    assert all(row["latency_ms"] == "3.000" for row in table)
+    assert table[1]["t_s"] == "1.016666667"
+
+
+def test_a_recording_exports_to_video(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
+    path = tmp_path / "run.mp4"
+    assert export_video(Recording(recorded_run(5)), path, parse_car(CAR_TEXT, "car.toml")) == 5
+    capture = cv2.VideoCapture(str(path))
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(60.0, abs=0.1)
+    frames = 0
+    while capture.read()[0]:
+        frames += 1
+    capture.release()
+    assert frames == 5
+
+
+def test_a_car_with_another_camera_is_refused(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"64x36 pixels where car\.toml says 640x360"):
+        export_video(Recording(recorded_run(1)), tmp_path / "run.mp4", parse_car("", "car.toml"))
+
+
+def test_the_rate_of_one_frame_is_a_default(tmp_path: Path) -> None:
+    recorder = McapRecorder(tmp_path / "run.mcap", "", RecordingConfig())
+    recorder.frame(make_frame(0))
+    recorder.close()
+    assert mean_rate_hz(Recording(recorder.path)) == 20.0

@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+import itertools
+import shutil
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from automodel.config import CameraConfig
+from automodel.signals import Frame
+from automodel.sources import usb as usb_module
+from automodel.sources.capture import CaptureThread
+from automodel.sources.csi import CsiSource, gst_command, jetson_elements, synthetic_elements
+from automodel.sources.errors import SourceError
+from automodel.sources.usb import UsbSource, captured_ns
+
+CAMERA = CameraConfig(source="csi", device=1, width_px=320, height_px=180, rate_hz=59.94)
+needs_gstreamer = pytest.mark.skipif(
+    shutil.which("gst-launch-1.0") is None,
+    reason="gst-launch-1.0 is not installed (apt-get install gstreamer1.0-tools gstreamer1.0-plugins-base)",
+)
+
+# --- CSI --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_jetson_pipeline_is_what_gstreamer_wants() -> None:
+    assert " ".join(gst_command(CAMERA, jetson_elements(CAMERA))) == (
+        "gst-launch-1.0 --quiet nvarguscamerasrc sensor-id=1 "
+        "! video/x-raw(memory:NVMM),width=320,height=180,framerate=59940/1000 ! nvvidconv "
+        "! video/x-raw,format=GRAY8,width=320,height=180 "
+        "! queue leaky=downstream max-size-buffers=1 ! fdsink sync=false"
+    )
+
+
+def test_colour_and_whole_rates() -> None:
+    camera = CameraConfig(colour=True, rate_hz=30.0)
+    command = " ".join(gst_command(camera, jetson_elements(camera)))
+    assert "format=BGRx,width=640,height=360" in command
+    assert "framerate=30/1" in command
+
+
+def next_frame(source: CsiSource | CaptureThread) -> Frame:
+    for _ in range(100):
+        frame = source.read(0.2)
+        if frame is not None:
+            assert isinstance(frame, Frame)
+            return frame
+    raise AssertionError("no frame within 20 s")
+
+
+@needs_gstreamer
+@pytest.mark.parametrize("width", [320, 161])  # 161: rows are padded
+def test_frames_come_whole_and_in_order(width: int) -> None:
+    camera = CameraConfig(width_px=width, height_px=90, rate_hz=30.0)
+    source = CsiSource(camera, synthetic_elements(camera))
+    try:
+        frames = [next_frame(source) for _ in range(4)]
+    finally:
+        source.close()
+        source.close()
+    assert [f.index for f in frames] == [0, 1, 2, 3]
+    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(frames))
+    for frame in frames:
+        assert frame.image.shape == (90, width)
+        bars = frame.image[:50].astype(int)  # the test picture's colour bars: rows alike, falling from left to right
+        assert np.abs(bars - bars[0]).max() <= 2
+        thirds = [bars[:, int(width * (i + 0.5) / 7)].mean() for i in range(7)]
+        assert all(a > b for a, b in itertools.pairwise(thirds))
+    with pytest.raises(SourceError, match="closed"):
+        source.read(0.0)
+
+
+@needs_gstreamer
+def test_colour_frames_are_bgr() -> None:
+    camera = CameraConfig(width_px=322, height_px=90, rate_hz=30.0, colour=True)
+    source = CaptureThread(CsiSource(camera, synthetic_elements(camera)))
+    try:
+        image = next_frame(source).image
+    finally:
+        source.close()
+    assert image.shape == (90, 322, 3)
+    yellow = image[20, int(322 * 1.5 / 7)]
+    assert yellow[0] < 60 < 150 < min(yellow[1], yellow[2])
+
+
+def read_to_the_end(source: CsiSource) -> None:
+    for _ in range(30):
+        source.read(1.0)
+
+
+@needs_gstreamer
+def test_a_camera_that_stops_says_why() -> None:
+    source = CsiSource(CAMERA, "videotestsrc num-buffers=2")
+    with pytest.raises(SourceError, match="CSI camera 1: no more frames"):
+        read_to_the_end(source)
+    source.close()
+
+
+@needs_gstreamer
+def test_an_element_that_is_not_there_is_named() -> None:
+    source = CsiSource(CAMERA, "nosuchcamerasrc")
+    with pytest.raises(SourceError, match="nosuchcamerasrc"):
+        read_to_the_end(source)
+    source.close()
+
+
+def test_without_gstreamer_the_user_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/nonexistent")
+    with pytest.raises(SourceError, match=r"apt-get install gstreamer1\.0-tools"):
+        CsiSource(CAMERA)
+
+
+# --- USB --------------------------------------------------------------------------------------------------------------
+
+
+class FakeCapture:
+    """Stands for OpenCV's V4L2 capture: says what it was asked for, gives scripted frames."""
+
+    sizes = (320, 180)
+    opened = True
+    frames = 3
+    driver_ms = float("nan")
+
+    def __init__(self, device: int, backend: int) -> None:
+        self.device, self.backend = device, backend
+        self.asked: dict[int, float] = {}
+        self.released = 0
+
+    def isOpened(self) -> bool:
+        return self.opened
+
+    def set(self, key: int, value: float) -> bool:
+        self.asked[key] = value
+        return True
+
+    def get(self, key: int) -> float:
+        known = {cv2.CAP_PROP_FRAME_WIDTH: self.sizes[0], cv2.CAP_PROP_FRAME_HEIGHT: self.sizes[1]}
+        return self.driver_ms if key == cv2.CAP_PROP_POS_MSEC else known[key]
+
+    def grab(self) -> bool:
+        self.frames -= 1
+        return self.frames >= 0
+
+    def retrieve(self) -> tuple[bool, Any]:
+        return True, np.full((self.sizes[1], self.sizes[0], 3), 77, np.uint8)
+
+    def release(self) -> None:
+        self.released += 1
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeCapture]:
+    class Fresh(FakeCapture):
+        pass
+
+    monkeypatch.setattr(usb_module.cv2, "VideoCapture", Fresh)
+    return Fresh
+
+
+def test_a_usb_camera_is_asked_for_size_rate_and_one_buffer(fake: type[FakeCapture]) -> None:
+    source = UsbSource(CAMERA)
+    capture: Any = source._capture
+    assert (capture.device, capture.backend) == (1, cv2.CAP_V4L2)
+    assert capture.asked == {
+        cv2.CAP_PROP_FOURCC: cv2.VideoWriter.fourcc(*"MJPG"),
+        cv2.CAP_PROP_FRAME_WIDTH: 320,
+        cv2.CAP_PROP_FRAME_HEIGHT: 180,
+        cv2.CAP_PROP_FPS: 59.94,
+        cv2.CAP_PROP_BUFFERSIZE: 1,
+    }
+    frames = [source.read(1.0) for _ in range(3)]
+    assert [f.index for f in frames] == [0, 1, 2]
+    assert all(f.image.shape == (180, 320) for f in frames)
+    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(frames))
+    with pytest.raises(SourceError, match="/dev/video1: no more frames"):
+        source.read(1.0)
+    source.close()
+    assert capture.released == 1
+
+
+def test_a_usb_camera_of_another_size_is_refused(fake: type[FakeCapture]) -> None:
+    fake.sizes = (640, 480)
+    with pytest.raises(SourceError, match=r"gives 640x480 pixels where car\.toml asks for 320x180"):
+        UsbSource(CAMERA)
+
+
+def test_a_usb_camera_that_is_not_there(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SourceError, match=r"/dev/video97: cannot be opened"):
+        UsbSource(CameraConfig(device=97))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("driver_ms", "want_ns"),
+    [
+        (4_990.0, 4_990_000_000),  # 10 ms ago on the same clock
+        (5_000.5, 5_000_000_000),  # in the future: another clock
+        (1_000.0, 5_000_000_000),  # 4 s ago: another clock
+        (0.0, 5_000_000_000),
+        (-1.0, 5_000_000_000),
+        (float("nan"), 5_000_000_000),
+    ],
+)
+def test_the_drivers_time_counts_where_it_can_be_right(driver_ms: float, want_ns: int) -> None:
+    assert captured_ns(driver_ms, 5_000_000_000) == want_ns

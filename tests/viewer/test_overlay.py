@@ -1,0 +1,209 @@
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from automodel.config import CameraConfig, ConfigError, Extrinsics, Intrinsics
+from automodel.curves import arc, line
+from automodel.geometry import GroundCamera
+from automodel.signals import Command, Crossing, LaneEstimate, LaneLine, LanePose, LaneStatus
+from automodel.viewer import overlay
+from automodel.viewer.overlay import crossing_ends, draw, scale_of, status_lines
+from automodel.viewer.video import VideoWriter
+
+CAMERA = CameraConfig()
+GROUND = GroundCamera.from_config(CAMERA)
+BLACK = np.zeros((360, 640), np.uint8)
+
+
+def lane_line(y_m: float, seen: bool = True) -> LaneLine:
+    points = [(0.6, y_m), (0.9, y_m)] if seen else np.empty((0, 2))
+    return LaneLine(curve=line(0.4, y_m, 0.0, 1.5), points_m=np.array(points), seen=seen)
+
+
+def estimate(**changes: object) -> LaneEstimate:
+    pose = LanePose(offset_m=0.012, heading_rad=-0.1, width_m=0.4, curvature_per_m=0.7, covariance=np.eye(3))
+    base = LaneEstimate(
+        t_ns=0,
+        status=LaneStatus.TRACKING,
+        left=lane_line(0.2),
+        right=lane_line(-0.2),
+        centerline=line(0.0, 0.0, 0.0, 1.9),
+        pose=pose,
+    )
+    return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
+
+
+def pixel_of(x_m: float, y_m: float) -> tuple[int, int]:
+    """Row and column by hand: a pinhole at height z, pitched down, on the x axis of the body."""
+    e, k = CAMERA.extrinsics, CAMERA.intrinsics
+    ahead, cos, sin = x_m - e.x_m, math.cos(e.pitch_rad), math.sin(e.pitch_rad)
+    depth = ahead * cos + e.z_m * sin
+    down = e.z_m * cos - ahead * sin
+    return round(k.cy_px + k.fy_px * down / depth), round(k.cx_px - k.fx_px * y_m / depth)
+
+
+def colour_at(picture: np.ndarray, x_m: float, y_m: float) -> tuple[int, ...]:
+    row, column = pixel_of(x_m, y_m)
+    return tuple(int(v) for v in picture[row, column])
+
+
+def test_lines_are_green_and_the_centerline_orange_where_they_lie() -> None:
+    picture = draw(BLACK, estimate(), GROUND)
+    for x_m in (0.5, 0.75, 1.2, 1.7):
+        assert colour_at(picture, x_m, 0.2) == overlay.GREEN
+        assert colour_at(picture, x_m, -0.2) == overlay.GREEN
+        assert colour_at(picture, x_m, 0.0) == overlay.ORANGE
+        assert colour_at(picture, x_m, 0.1) == (0, 0, 0)
+
+
+def test_measured_points_are_marked() -> None:
+    picture = draw(BLACK, estimate(), GROUND)
+    assert colour_at(picture, 0.6, 0.2) == overlay.YELLOW
+    assert colour_at(picture, 0.9, -0.2) == overlay.YELLOW
+
+
+def test_a_line_that_is_not_seen_is_dashed() -> None:
+    def green(picture: np.ndarray) -> int:
+        return int((picture[:360, 330:] == overlay.GREEN).all(axis=2).sum())
+
+    whole = green(draw(BLACK, estimate(right=dataclasses.replace(lane_line(-0.2), points_m=np.empty((0, 2)))), GROUND))
+    dashed = green(draw(BLACK, estimate(right=lane_line(-0.2, seen=False)), GROUND))
+    assert 0.25 * whole < dashed < 0.75 * whole
+
+
+def test_the_crossing_lies_across_the_lane_at_its_distance() -> None:
+    crossing = Crossing(distance_m=0.6, angle_rad=math.pi / 2)
+    picture = draw(BLACK, estimate(crossing=crossing), GROUND, reference_x_m=0.13)
+    for y_m in (-0.1, 0.1):
+        assert colour_at(picture, 0.73, y_m) == overlay.MAGENTA
+    assert colour_at(picture, 0.73, 0.25) == (0, 0, 0)
+
+
+def test_a_crossing_is_found_along_the_bend() -> None:
+    curve = arc(0.0, 0.0, 0.0, 1.0, 1.5)  # a circle of 1 m around (0, 1)
+    crossing = Crossing(distance_m=0.5, angle_rad=1.3)
+    ends = crossing_ends(crossing, curve, 0.0, 0.4)
+    middle = 0.5 * (ends[0] + ends[1])
+    np.testing.assert_allclose(middle, (math.sin(0.5), 1.0 - math.cos(0.5)), atol=1e-9)
+    along = ends[1] - ends[0]
+    assert np.hypot(*along) == pytest.approx(0.4)
+    assert math.atan2(along[1], along[0]) == pytest.approx(1.3)
+
+
+def test_a_crossing_without_a_centerline_is_straight_ahead() -> None:
+    ends = crossing_ends(Crossing(distance_m=0.5, angle_rad=math.pi / 2), None, 0.1, 0.4)
+    np.testing.assert_allclose(ends, ((0.6, -0.2), (0.6, 0.2)), atol=1e-12)
+
+
+def test_the_picture_itself_is_kept_and_not_written_to() -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (360, 640, 3), np.uint8)
+    before = noise.copy()
+    lost = draw(noise, LaneEstimate(t_ns=0, status=LaneStatus.LOST), GROUND)
+    np.testing.assert_array_equal(lost[:360], before)
+    draw(noise, estimate(), GROUND)
+    np.testing.assert_array_equal(noise, before)
+
+
+def test_the_status_is_legible_in_its_colour_below_the_picture() -> None:
+    for status, colour in overlay.STATUS_COLOURS.items():
+        lost = status is LaneStatus.LOST
+        value = LaneEstimate(t_ns=0, status=status) if lost else estimate(status=status)
+        strip = draw(BLACK, value, GROUND)[360:]
+        assert 20 < len(strip) < 90
+        assert (strip == colour).all(axis=2).any()
+        assert not (strip[:, -4:].max() > 24)  # the text ends inside
+
+
+def test_the_numbers_are_those_of_the_estimate() -> None:
+    command = Command(t_ns=0, steering_rad=0.2, speed_mps=1.5, valid_until_ns=0)
+    crossing = Crossing(distance_m=0.81, angle_rad=math.pi / 2)
+    first, second = status_lines(estimate(crossing=crossing), command, "frame 12")
+    assert first == "TRACKING  offset   +1.2 cm  heading  -5.7 deg  width  40.0 cm  curv +0.70 /m"
+    assert second == "crossing 0.81 m at 90 deg  steer +11.5 deg 1.50 m/s  frame 12"
+    assert status_lines(None, None, "") == ("no estimate", "crossing -  steer -")
+    assert status_lines(LaneEstimate(t_ns=0, status=LaneStatus.LOST), None, "")[0] == "LOST"
+
+
+@pytest.mark.parametrize(("width", "scale"), [(80, 8), (160, 4), (320, 2), (480, 1), (640, 1), (1920, 1)])
+def test_small_pictures_are_enlarged(width: int, scale: int) -> None:
+    assert scale_of(width) == scale
+
+
+def test_a_small_picture_has_its_overlay_at_the_right_place() -> None:
+    small = CameraConfig(
+        width_px=160,
+        height_px=120,
+        intrinsics=Intrinsics(fx_px=120.0, fy_px=120.0, cx_px=79.5, cy_px=59.5),
+        extrinsics=Extrinsics(pitch_rad=0.0),
+    )
+    picture = draw(np.zeros((120, 160), np.uint8), estimate(), GroundCamera.from_config(small))
+    assert picture.shape[1] == 640
+    assert picture.shape[0] > 480
+    # a pixel centre u of the small picture is at 4 u + 1.5 of the large one
+    v, u = 59.5 + 120.0 * 0.18 / 0.8, 79.5 - 120.0 * 0.2 / 0.8
+    assert tuple(picture[round(4 * v + 1.5), round(4 * u + 1.5)]) == overlay.GREEN
+
+
+def test_curves_behind_the_camera_and_far_outside_do_no_harm() -> None:
+    behind = line(-3.0, 0.2, 0.0, 3.0)
+    around = arc(0.0, 0.0, 0.0, 3.0, 30.0)
+    points = np.array([(-1.0, 0.0), (0.2001, 5.0), (0.5, 0.0)])
+    left = LaneLine(curve=behind, points_m=points, seen=True)
+    right = LaneLine(curve=around, points_m=points, seen=True)
+    picture = draw(BLACK, estimate(left=left, right=right, crossing=Crossing(distance_m=-2.0, angle_rad=0.0)), GROUND)
+    assert picture.dtype == np.uint8
+
+
+def test_sizes_are_even() -> None:
+    odd = CameraConfig(width_px=641, height_px=361)
+    picture = draw(np.zeros((361, 641), np.uint8), None, GroundCamera.from_config(odd))
+    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
+
+
+# --- video ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_video_is_written_at_its_rate(tmp_path: Path) -> None:
+    path = tmp_path / "v.mp4"
+    with VideoWriter(path, 20.0) as video:
+        for level in range(0, 200, 20):
+            video.write(np.full((48, 64, 3), level, np.uint8))
+        video.write(np.full((48, 64), 200, np.uint8))
+    video.close()
+    capture = cv2.VideoCapture(str(path))
+    assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(20.0)
+    levels = []
+    while True:
+        there, image = capture.read()
+        if not there:
+            break
+        levels.append(float(image.mean()))
+    capture.release()
+    np.testing.assert_allclose(levels, range(0, 201, 20), atol=4)
+
+
+def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"v\.avi: videos are written as MP4"):
+        VideoWriter(tmp_path / "v.avi", 20.0)
+    with pytest.raises(ConfigError, match="is not there"):
+        VideoWriter(tmp_path / "no" / "v.mp4", 20.0)
+    with pytest.raises(ValueError, match="rate_hz"):
+        VideoWriter(tmp_path / "v.mp4", 0.0)
+    (tmp_path / "folder.mp4").mkdir()
+    with VideoWriter(tmp_path / "folder.mp4", 20.0) as video, pytest.raises(ConfigError, match="cannot be written"):
+        video.write(np.zeros((48, 64), np.uint8))
+
+
+def test_pictures_of_a_video_have_one_even_size(tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.mp4", 20.0) as video:
+        with pytest.raises(ValueError, match="even"):
+            video.write(np.zeros((47, 64), np.uint8))
+        video.write(np.zeros((48, 64), np.uint8))
+        with pytest.raises(ValueError, match="first picture"):
+            video.write(np.zeros((64, 64), np.uint8))
