@@ -19,7 +19,9 @@ def car(x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0) -> CarState:
 
 def box(x_m: float, y_m: float, side_m: float = 0.2) -> np.ndarray:
     half = 0.5 * side_m
-    return np.array([(x_m - half, y_m - half), (x_m + half, y_m - half), (x_m + half, y_m + half), (x_m - half, y_m + half)])
+    return np.array(
+        [(x_m - half, y_m - half), (x_m + half, y_m - half), (x_m + half, y_m + half), (x_m - half, y_m + half)]
+    )
 
 
 def test_a_wall_ahead_is_heard_at_its_distance() -> None:

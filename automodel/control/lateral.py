@@ -87,7 +87,7 @@ def _target_left_m(lane: LanePath, car: SE2, lookahead_m: float) -> float:
     """How far left [m] of the car's axis the lane's point lies whose distance from the rear axle is `lookahead_m`."""
     s, d = lane.foot(car.x_m, car.y_m)
     s += lookahead_m if abs(d) >= lookahead_m else math.sqrt(lookahead_m**2 - d * d)
-    for _ in range(4):  # nearly a straight way: each round leaves a small share of the error
+    for _ in range(6):  # nearly a straight way: each round leaves a small share of the error
         x, y = lane.position(s)
         s += lookahead_m - math.hypot(x - car.x_m, y - car.y_m)
     x, y = lane.position(s)

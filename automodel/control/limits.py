@@ -91,7 +91,9 @@ def _steering(
         steering = _clipped(steering, steepest, LATERAL_ACCEL, reasons)
     start = min(max(before.steering_rad, -safety.steering_max_rad), safety.steering_max_rad)
     dt = min(max(before.dt_s, 0.0), MAX_STEP_S)
-    steering = start + _clipped(steering - start, safety.steering_rate_max_radps * dt, STEERING_RATE, reasons)
+    if abs(steering - start) > safety.steering_rate_max_radps * dt:
+        steering = start + math.copysign(safety.steering_rate_max_radps * dt, steering - start)
+        reasons.append(STEERING_RATE)
     if speed > _STILL_MPS:
         kappa = curvature_per_m(start, wheelbase)
         change = curvature_per_m(steering, wheelbase) - kappa

@@ -106,17 +106,17 @@ class SpeedPlanner:
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
         control = self._control
         speed = max(speed_mps, 0.5 * self._speed_mps)
-        horizon = speed * REACTION_S + speed * speed / (2.0 * control.decel_mps2) + 0.5 * speed * _MIN_WINDOW_S
-        half = max(0.5 * speed * _MIN_WINDOW_S, 1e-3)
+        horizon = speed * REACTION_S + speed * speed / (2.0 * control.decel_mps2)
+        spacing = max(horizon / _LOOKS, 1e-3)
+        window = max(speed * _MIN_WINDOW_S, spacing)
         allowed2 = math.inf
-        for look in range(_LOOKS + 1):
-            ahead = horizon * look / _LOOKS
-            middle = s_m + ahead
-            if middle > lane.length_m and look > 0:
+        for look in range(_LOOKS + 2):
+            begin = s_m + look * spacing
+            if begin > lane.length_m and look > 0:
                 break
-            kappa = abs(lane.mean_curvature(middle - half, middle + half))
-            if kappa > 1e-9:
-                braking = max(ahead - speed * REACTION_S, 0.0)
+            kappa = abs(lane.mean_curvature(begin, begin + window))
+            if kappa > 1e-9:  # a bend may begin anywhere after the look before
+                braking = max((look - 1) * spacing - speed * REACTION_S, 0.0)
                 allowed2 = min(allowed2, control.lateral_accel_mps2 / kappa + 2.0 * control.decel_mps2 * braking)
         return math.sqrt(allowed2)
 

@@ -46,8 +46,25 @@ class LineSamples:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LanePrior:
+    """Mean and standard deviation (m,) of each parameter."""
+
+    mean: FloatArray
+    sigma: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bearing:
+    """The lane's direction [rad, body frame] at arc length s from the reference point's foot, known otherwise."""
+
+    s_m: float
+    theta_rad: float
+    sigma_rad: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSolution:
-    """Parameters (d, theta0, kappa.., w) and their information matrix (prior not counted twice: it is this frame's)."""
+    """Parameters (d, theta0, kappa.., w), their information matrix, and which samples were inliers (n,)."""
 
     parameters: FloatArray
     information: FloatArray
@@ -111,19 +128,26 @@ class LaneFit:
         heading = float(np.interp(s, self.grid_m, theta)) + after_from_before.yaw_rad
         return np.concatenate(([d, heading], kappa, parameters[-1:]))
 
-    def solve(self, samples: LineSamples, prior: FloatArray, prior_sigma: FloatArray, rounds: int = 3) -> LaneSolution:
-        """Fit `samples`, starting at and held by `prior` (m,) with standard deviations (m,); a few rounds suffice."""
+    def solve(
+        self, samples: LineSamples, prior: LanePrior, rounds: int = 3, bearing: Bearing | None = None
+    ) -> LaneSolution:
+        """Fit `samples` (and a known bearing of the lane), starting at and held by `prior`; a few rounds suffice."""
         unit = self.config.lane_width_m
-        weight_prior = 1.0 / prior_sigma**2
-        parameters = prior.copy()
+        weight_prior = 1.0 / prior.sigma**2
+        fixed, pull = self._smooth + np.diag(weight_prior), weight_prior * prior.mean
+        if bearing is not None:
+            row = np.zeros(self.size)
+            row[1], row[2:-1] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
+            fixed = fixed + np.outer(row, row) / bearing.sigma_rad**2
+            pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
+        parameters = prior.mean.copy()
         cut = self.config.outlier_lanes * unit
         for left in range(rounds - 1, -1, -1):  # graduated: the cut narrows from round to round
             residual, jacobian = self.residuals(parameters, samples)
             keep = np.clip(1.0 - (residual / np.maximum(cut * 2.0**left, 3.0 * samples.sigma_m)) ** 2, 0.0, None) ** 2
             weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
-            information = weighted.T @ jacobian + self._smooth
-            information[np.diag_indices_from(information)] += weight_prior
-            gradient = weighted.T @ residual + self._smooth @ parameters + weight_prior * (parameters - prior)
+            information = weighted.T @ jacobian + fixed
+            gradient = weighted.T @ residual + fixed @ parameters - pull
             parameters = parameters - np.linalg.solve(information, gradient)
         return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
 
@@ -167,6 +191,10 @@ class LaneFit:
         picked = np.zeros((self.size, 3))
         picked[0, 0], picked[1, 1], picked[-1, 2] = 1.0, -1.0, 1.0
         return np.asarray(picked.T @ np.linalg.solve(solution.information, picked))
+
+    def direction(self, parameters: FloatArray, s_m: float) -> float:
+        """Direction [rad] of the centerline at s, body frame."""
+        return float(parameters[1] + _hat_integrals(self.nodes_m, np.array([s_m]))[0] @ parameters[2:-1])
 
     def curvature(self, parameters: FloatArray, s_m: float = 0.0) -> float:
         """Curvature [1/m] of the centerline at s."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.estimation.lane_fit import LaneFit, LaneFitConfig, LaneSolution, LineSamples
+from automodel.estimation.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LaneSolution, LineSamples
 from automodel.geometry import SE2
 
 FloatArray = NDArray[np.float64]
@@ -36,12 +36,14 @@ class LaneTracker:
 
     A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
     the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
-    Sigmas are in lane widths.
+    Where a crossing was seen the lane is expected to go straight on, square to it: a road bends before or after it.
     """
 
     KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
     KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
     CAPACITY = 96
+    CROSSING_LANES = 3.0  # depth of a crossing
+    CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
     DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
@@ -59,12 +61,16 @@ class LaneTracker:
         self.parameters: FloatArray | None = None
         self._memory = np.empty((0, 4))  # x, y, side, sigma
         self._since_kept = np.inf
+        self._crossing: Bearing | None = None
+        self._crossing_s_m = -np.inf
 
     def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
         """Carry lane and points over to the body frame after a motion; unknown motion forgets the points."""
         if self.parameters is not None:
             self.parameters = self.fit.moved(self.parameters, after_from_before)
+        self._crossing_s_m -= distance_m
         if not known:
+            self._crossing_s_m = -np.inf
             self._memory = self._memory[:0]
             return
         self._since_kept += abs(distance_m)
@@ -74,17 +80,26 @@ class LaneTracker:
             behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
             self._memory = self._memory[self._memory[:, 0] > behind]
 
-    def begin(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
-        """Start from one frame's points near a guess of the parameters; None where they do not make a lane."""
+    def fit_alone(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
+        """A lane from one frame's points near a guess of the parameters; None where they do not make one."""
         samples = _samples(seen)
-        solution = self.fit.solve(samples, guess, self._start_sigma, rounds=6)
+        solution = self.fit.solve(samples, LanePrior(mean=guess, sigma=self._start_sigma), rounds=6)
         residual = self.fit.residuals(solution.parameters, samples)[0]
         good = solution.inliers
         if good.mean() < 0.7 or float(np.std(residual[good])) > 0.03 * self.unit:
             return None
-        self.parameters = solution.parameters
-        self._keep(samples, good)
         return solution
+
+    def begin(self, seen: Observation, solution: LaneSolution) -> None:
+        """Go on from a lane that `fit_alone` found."""
+        self.forget()
+        self.parameters = solution.parameters
+        self._keep(_samples(seen), solution.inliers)
+
+    def cross(self, distance_m: float, theta_rad: float) -> None:
+        """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
+        self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
+        self._crossing_s_m = distance_m
 
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """One frame's points into the lane; `parameters` must be there."""
@@ -96,12 +111,20 @@ class LaneTracker:
             side=np.concatenate((fresh.side, self._memory[:, 2])),
             sigma_m=np.concatenate((fresh.sigma_m, self._memory[:, 3])),
         )
-        solution = self.fit.solve(samples, self.parameters, self._sigma)
-        if len(samples.side):
-            self.parameters = solution.parameters
+        bearing, self._crossing = self._crossing, None
+        solution = self.fit.solve(samples, self._prior(self.parameters), bearing=bearing)
+        self.parameters = solution.parameters
         good = solution.inliers[: len(fresh.side)]
         self._keep(fresh, good)
         return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+
+    def _prior(self, parameters: FloatArray) -> LanePrior:
+        mean, sigma = parameters.copy(), self._sigma.copy()
+        nodes, begin = self.fit.nodes_m, self._crossing_s_m
+        straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
+        mean[2:-1][straight] = 0.0
+        sigma[2:-1][straight] = 0.1 / self.unit
+        return LanePrior(mean=mean, sigma=sigma)
 
     def arc_lengths(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) from the start of `fit.centerline` of body points (n, 2), to the grid's step."""

@@ -43,4 +43,4 @@ def shift_polynomial(local: FloatArray, centre: float, scale: float) -> FloatArr
 
 def evaluate_polynomial(coefficients: FloatArray, x: ArrayLike) -> FloatArray:
     """The polynomial's values at x."""
-    return np.polynomial.polynomial.polyval(np.asarray(x, dtype=np.float64), coefficients)
+    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(x, dtype=np.float64), coefficients), dtype=np.float64)

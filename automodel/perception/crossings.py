@@ -40,7 +40,9 @@ class CrossingSearch:
 
     The bright view is sampled on a grid along and across the predicted lane (the paper turns the picture by 90 degrees;
     following the lane keeps it right in bends). The histogram along the lane gives the candidate, one window per
-    column the near edge, a straight fit of degree 1 the angle; accepted within 90 +- 15 degrees (eq. (7)-(9)).
+    column the near edge, a straight fit of degree 1 the angle (eq. (7)-(9)). The paper accepts 90 +- 15 degrees; here the
+    predicted lane may still be wrong by more before a bend's end is seen, so `MAX_SKEW_RAD` is wider, and what is told
+    to the outside is for the pipeline to decide.
     """
 
     COLUMNS = 24
@@ -48,7 +50,7 @@ class CrossingSearch:
     COVER = 0.42  # share of the corridor that is bright: a stop line 1, a zebra 1/2
     BUSY = 0.2  # share from which lines there are not trusted
     SEEN = 0.6  # share of the corridor that must be in view for a crossing
-    MAX_SKEW_RAD = math.radians(15.0)
+    MAX_SKEW_RAD = math.radians(40.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
         self.view, self.lane_m, self.marking_m = view, lane_width_m, marking_width_m

@@ -17,7 +17,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """Where the lines begin: lateral places [m] at the reference point, None for one not found, and their slope dy/dx."""
+    """Where the lines begin: lateral places [m] at the reference point, None for one not found; slope dy/dx."""
 
     left_m: float | None
     right_m: float | None

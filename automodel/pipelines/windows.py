@@ -37,6 +37,9 @@ class Windows:
     MIN_WINDOWS = 2  # windows that make a line seen
     START_WINDOWS = 3  # and that start one of a pair
     SINGLE_WINDOWS = 5  # and one alone
+    RIVAL_WINDOWS = 4  # windows a line of a new pair that takes over from a lane that is hardly seen any more
+    RIVAL_FRAMES = 3  # and frames in a row
+    MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
     CONFIRM_FRAMES = 8  # a lane started from one line is not told before it was seen so often in a row
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
@@ -75,7 +78,7 @@ class Windows:
         """Forget the lane."""
         self._tracker.forget()
         self._last_t_ns: int | None = None
-        self._seen_t_ns = self._to_confirm = 0
+        self._seen_t_ns = self._to_confirm = self._rivals = 0
         self._blind_m = 0.0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
@@ -104,6 +107,11 @@ class Windows:
             self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
             self.stages.lap("lane_fit")
+            rival = self._rival(lines, support)
+            if rival is not None:
+                seen, solution = rival
+                self._tracker.begin(seen, solution)
+                support = Support(left=len(seen.left_m), right=len(seen.right_m))
         estimate = self._estimate(frame, crossing, seen, solution, support)
         self.stages.lap("estimate")
         return estimate
@@ -123,6 +131,17 @@ class Windows:
         self._tracker.move(SE2.arc(distance, turn).inverse(), distance, motion.known)
 
     def _begin(self, lines: Image) -> tuple[Observation, LaneSolution, Support] | None:
+        found = self._fresh_lane(lines, self.START_WINDOWS)
+        if found is None:
+            return None
+        seen, solution = found
+        self._tracker.begin(seen, solution)
+        support = Support(left=len(seen.left_m), right=len(seen.right_m))
+        self._to_confirm = 0 if support.left and support.right else self.CONFIRM_FRAMES
+        return seen, solution, support
+
+    def _fresh_lane(self, lines: Image, windows: int) -> tuple[Observation, LaneSolution] | None:
+        """A lane from this frame alone: a pair of lines, or one line in `SINGLE_WINDOWS`."""
         start = self._start.step(lines)
         if start is None:
             return None
@@ -130,16 +149,29 @@ class Windows:
         nowhere = np.full(len(along), np.nan)
         left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
         seen = self._observe(lines, left, right)
-        support = Support(left=len(seen.left_m), right=len(seen.right_m))
-        counts = [n for n, y in zip((support.left, support.right), (start.left_m, start.right_m), strict=True) if y]
-        if min(counts) < (self.START_WINDOWS if len(counts) == 2 else self.SINGLE_WINDOWS):
+        pair = start.left_m is not None and start.right_m is not None
+        counts = (len(seen.left_m), len(seen.right_m))
+        if (min(counts) < windows) if pair else (max(counts) < self.SINGLE_WINDOWS):
             return None
-        solution = self._tracker.begin(seen, self._guess(seen))
-        if solution is None or not self._plausible(solution):
-            self._tracker.forget()
-            return None
-        self._to_confirm = 0 if len(counts) == 2 else self.CONFIRM_FRAMES
-        return seen, solution, support
+        solution = self._tracker.fit_alone(seen, self._guess(seen))
+        return (seen, solution) if solution is not None and self._plausible(solution) else None
+
+    def _rival(self, lines: Image, support: Support) -> tuple[Observation, LaneSolution] | None:
+        """A pair of lines that was seen several frames running beside a lane that hardly anything supports any more."""
+        unit, windows = self._lane.width_m, self.RIVAL_WINDOWS
+        weak = min(support.left, support.right) == 0 and max(support.left, support.right) < windows
+        found = self._fresh_lane(lines, windows) if weak else None
+        if found is not None:
+            seen, solution = found
+            p = self._tracker.parameters
+            away = p is not None and (
+                abs(solution.parameters[0] - p[0]) > 0.08 * unit or abs(solution.parameters[1] - p[1]) > 0.08
+            )
+            if len(seen.left_m) and len(seen.right_m) and away:
+                self._rivals += 1
+                return found if self._rivals >= self.RIVAL_FRAMES else None
+        self._rivals = 0
+        return None
 
     def _guess(self, seen: Observation) -> FloatArray:
         """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
@@ -226,7 +258,7 @@ class Windows:
             right=self._line(seen.right_m, right_seen, p, -1),
             centerline=centerline,
             pose=pose,
-            crossing=crossing,
+            crossing=self._told(crossing, p),
             frame_age_ns=blind_ns,
         )
 
@@ -241,11 +273,20 @@ class Windows:
         return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
 
     def _cross(self, bright: Image, parameters: FloatArray) -> Crossed:
+        """Look for a crossing; one that is found tells the tracker the lane's direction there."""
         fit = self._tracker.fit
         far = self.view.x_far_m - self._reference_x_m
-        return self._crossings.step(
-            bright, fit.centerline(parameters), -float(fit.grid_m[0]), float(parameters[-1]), far
-        )
+        foot = -float(fit.grid_m[0])
+        crossed = self._crossings.step(bright, fit.centerline(parameters), foot, float(parameters[-1]), far)
+        if crossed.crossing is not None:
+            self._tracker.cross(crossed.crossing.distance_m, crossed.crossing.angle_rad - 0.5 * math.pi)
+        return crossed
+
+    def _told(self, crossing: Crossing | None, parameters: FloatArray) -> Crossing | None:
+        if crossing is None:
+            return None
+        skew = crossing.angle_rad - 0.5 * math.pi - self._tracker.fit.direction(parameters, crossing.distance_m)
+        return crossing if abs(skew) <= self.MAX_SKEW_RAD else None
 
     def _plausible(self, solution: LaneSolution) -> bool:
         unit = self._lane.width_m

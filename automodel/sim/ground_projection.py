@@ -17,7 +17,8 @@ class GroundProjection:
     """Carries closed rings of the ground plane to the picture.
 
     What the camera cannot see is drawn in to the border of what it can, so that rings stay closed. `row0` is the first
-    row that shows any ground, `shape` that of the rows from there on, `ground_m` (h, w, 2) [m] the ground of each pixel in the body frame (NaN above the horizon).
+    row that shows any ground, `shape` that of the rows from there on, `ground_m` (h, w, 2) [m] the ground of each pixel
+    in the body frame (NaN above the horizon).
     """
 
     def __init__(self, camera: GroundCamera) -> None:
@@ -50,12 +51,14 @@ class GroundProjection:
         margin = 0.03 * (high - low)
         return low - margin, high + margin, float(np.hypot(rays[:, 0], rays[:, 1]).max())
 
-    def edges_px(self, edges_m: Edges, ahead_m: float = 0.0) -> Edges:
+    def edges_px(self, edges_m: Edges, ahead_m: FloatArray | None = None) -> Edges:
         """Edges (n, 2) [m] of the body frame -> edges as `covered` wants them, rows counted from `row0`.
 
-        `ahead_m` is how far ahead of the body frame's origin the car is. The number of edges may change.
+        `ahead_m` (n,) is how far ahead of the body frame's origin the car is.
         """
-        shift = self._cam_from_ground[:, 2] + ahead_m * -self._cam_from_ground[:, 0]
+        shift = self._cam_from_ground[:, 2]
+        if ahead_m is not None:
+            shift = shift - ahead_m[:, None] * self._cam_from_ground[:, 0]
         begin, end = (edge @ self._cam_from_ground[:, :2].T + shift for edge in edges_m)
         begin, end = self._in_front(begin, end)
         begin, end = begin[:, :2] / begin[:, 2:], end[:, :2] / end[:, 2:]
@@ -73,7 +76,9 @@ class GroundProjection:
         if steepness < 1e-12:
             return begin, end
         push = self._cam_from_ground[:, :2] @ normal / steepness
-        return tuple(p + np.maximum(self._near_m - p[:, 2:], 0.0) * push for p in (begin, end))  # type: ignore[return-value]
+        begin = begin + np.maximum(self._near_m - begin[:, 2:], 0.0) * push
+        end = end + np.maximum(self._near_m - end[:, 2:], 0.0) * push
+        return begin, end
 
     def _pinhole_px(self, points: FloatArray) -> FloatArray:
         m = self.camera.camera.matrix
@@ -84,7 +89,7 @@ class GroundProjection:
     def _lens_px(self, points: FloatArray, radius: float) -> FloatArray:
         inwards = np.minimum(1.0, radius / np.maximum(np.hypot(points[:, 0], points[:, 1]), 1e-12))
         rays = np.column_stack((points * inwards[:, None], np.ones(len(points))))
-        return np.asarray(self.camera.camera.project(rays) + (0.5, 0.5 - self.row0))
+        return self.camera.camera.project(rays) + np.array([0.5, 0.5 - self.row0])
 
 
 def _split(begin: FloatArray, end: FloatArray, side_begin: FloatArray, side_end: FloatArray) -> Edges:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 
@@ -17,7 +18,6 @@ Float32Array = NDArray[np.float32]
 
 SIDE_PX = 1024  # texels of a pattern's period
 LEVELS = 7
-LAYOUT_PX = 2048  # patterns are laid out side by side to a square of this many texels
 NEUTRAL = 128.0  # texture value that leaves the floor's grey as it is
 
 
@@ -96,14 +96,15 @@ def _scratches(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 class MipPattern:
-    """A periodic pattern (SIDE_PX, SIDE_PX) in halving resolutions, each laid out over LAYOUT_PX texels in each direction."""
+    """A periodic pattern (SIDE_PX, SIDE_PX) in halving resolutions, each repeated to fill a square twice a view's."""
 
     def __init__(self, pattern: Image) -> None:
         self.levels: list[Image] = []
         for level in range(LEVELS):
             side = SIDE_PX >> level
             small = cv2.resize(pattern, (side, side), interpolation=cv2.INTER_AREA)
-            self.levels.append(np.tile(small, (LAYOUT_PX // side, LAYOUT_PX // side)))
+            copies = max(2, SIDE_PX // side)
+            self.levels.append(np.tile(small, (copies, copies)))
 
 
 class GroundSampler:
@@ -120,7 +121,7 @@ class GroundSampler:
         filled = np.clip(np.nan_to_num(ground_m, nan=self._far_m), -self._far_m, self._far_m)
         edges = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
         self._bands: list[tuple[int, int, int, Float32Array, FloatArray]] = []
-        for first, end in zip(edges[:-1], edges[1:], strict=True):
+        for first, end in itertools.pairwise(edges):
             band = np.ascontiguousarray(filled[first:end], dtype=np.float32)
             middle = 0.5 * (band.reshape(-1, 2).min(axis=0) + band.reshape(-1, 2).max(axis=0))
             self._bands.append((first, end, int(levels[first]), band, middle.astype(np.float64)))
@@ -136,7 +137,7 @@ class GroundSampler:
             period = SIDE_PX >> level
             middle_px = turn @ middle + scale * np.array([pose.x_m, pose.y_m])
             shift = scale * np.array([pose.x_m, pose.y_m]) - 0.5
-            shift -= period * np.round((middle_px - LAYOUT_PX // 2) / period)
+            shift -= period * np.round((middle_px - (period if level == 0 else SIDE_PX // 2)) / period)
             maps = cv2.transform(ground, np.column_stack((turn, shift)))
             for name, pattern in patterns.items():
                 seen[name][first:end] = cv2.remap(

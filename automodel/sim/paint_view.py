@@ -18,8 +18,8 @@ Float32Array = NDArray[np.float32]
 
 COLOURS = ("white", "yellow")
 FAR_ROWS = 2.5  # markings are drawn as far as this many rows below the horizon
-STEP_PX = 1.5  # motion blur is an average over poses so far apart
-MOST_STEPS = 6
+STEP_PX = 2.0  # motion blur is an average over poses so far apart
+MOST_STEPS = 4
 
 
 class Painted(Protocol):
@@ -85,12 +85,15 @@ class PaintView:
         near = picked[1] <= math.sqrt(shift_px_m2 / 0.7)
         begins, ends, weights = [], [], []
         for chosen, count in ((picked[0] & ~near, 1), (picked[0] & near, steps)):
-            edges_m = polygons.edges(chosen, body_from_world)
-            for k in range(count if len(edges_m[0]) else 0):
-                begin, end = self._projection.edges_px(edges_m, way_m * ((k + 0.5) / count - 0.5))
-                begins.append(begin)
-                ends.append(end)
-                weights.append(np.full(len(begin), 1.0 / count))
+            if not chosen.any():
+                continue
+            begin, end = polygons.edges(chosen, body_from_world)
+            ahead_m = np.repeat(way_m * ((np.arange(count) + 0.5) / count - 0.5), len(begin))
+            many = np.tile(begin, (count, 1)), np.tile(end, (count, 1))
+            begin, end = self._projection.edges_px(many, ahead_m)
+            begins.append(begin)
+            ends.append(end)
+            weights.append(np.full(len(begin), 1.0 / count))
         edges_px = np.concatenate(begins), np.concatenate(ends)
         return covered(edges_px, np.concatenate(weights), self._projection.shape)
 
