@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -14,9 +13,10 @@ from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
 from automodel.curves import Curve, JoinedCurve, TabulatedCurve, arc, line
 from automodel.geometry.se2 import SE2
-from automodel.signals import LaneEstimate, LanePose, LaneStatus, Motion, VehicleState
+from automodel.signals import NEUTRAL, Command, LaneEstimate, LanePose, LaneStatus, Motion, VehicleState
 from automodel.sim.plant import Plant, PlantConfig
 
+CAR = CarConfig()
 FRAME_NS = 16_666_667
 LATENCY_NS = 4_000_000
 SERVO_FRAME_NS = 20_000_000
@@ -24,15 +24,12 @@ SERVO_FRAME_NS = 20_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """A test drive: columns of time, true offset at the reference point, speed, steering command."""
+    """A test drive: time, true offset at the reference point, speed, steering as sent; each (n,)."""
 
     t_s: np.ndarray
     offset_m: np.ndarray
     speed_mps: np.ndarray
-    wanted_rad: np.ndarray
     sent_rad: np.ndarray
-    true_rad: np.ndarray
-    limited: list[tuple[str, ...]]
 
     def after(self, t_s: float) -> np.ndarray:
         return self.offset_m[self.t_s >= t_s]
@@ -49,77 +46,76 @@ def seen_lane(world: Curve, world_from_body: SE2, near_s_m: float, behind_m: flo
     )
 
 
+def perfect_estimate(world: Curve, pose: SE2, near_s_m: float, behind_m: float, t_ns: int) -> LaneEstimate:
+    """What a pipeline without any error says at `pose`; `near_s_m` is the reference point's arc length."""
+    reference = pose @ SE2(CAR.vehicle.reference_x_m, 0.0, 0.0)
+    s, offset = world.project((reference.x_m, reference.y_m), near_s_m, 0.3)
+    lane_pose = LanePose(
+        offset_m=offset,
+        heading_rad=pose.yaw_rad - float(world.heading(s)),
+        width_m=0.4,
+        curvature_per_m=float(world.curvature(s)),
+        covariance=np.eye(3) * 1e-6,
+    )
+    lane = seen_lane(world, pose, s, behind_m, 1.4)
+    return LaneEstimate(t_ns=t_ns, status=LaneStatus.TRACKING, centerline=lane, pose=lane_pose)
+
+
+class Pins:
+    """Commands as pulses at the plant: at once, or with the next servo frame (50 Hz) as a board gives them."""
+
+    def __init__(self, plant: Plant, servo_frames: bool) -> None:
+        self.plant, self.servo_frames = plant, servo_frames
+        self.told, self.next_ns = NEUTRAL, 0
+
+    def send(self, command: Command) -> None:
+        self.told = command
+        if not self.servo_frames:
+            self._set(command.t_ns)
+
+    def advance(self, t_ns: int) -> None:
+        while self.servo_frames and self.next_ns <= t_ns:
+            if self.next_ns >= self.told.t_ns:
+                self._set(self.next_ns)
+            self.next_ns += SERVO_FRAME_NS
+        self.plant.advance(t_ns)
+
+    def _set(self, t_ns: int) -> None:
+        servo, motor = CAR.link.servo, CAR.link.motor
+        self.plant.set_pulses(
+            t_ns,
+            float(np.interp(-self.told.steering_rad, [-angle for angle in servo.steering_rad], servo.pulse_us)),
+            float(np.interp(self.told.speed_mps, motor.speed_mps, motor.pulse_us)),
+        )
+
+
 def drive(
     world: Curve,
-    *,
     control: ControlConfig,
     seconds: float,
+    *,
     start: SE2,
-    car: CarConfig | None = None,
     plant_config: PlantConfig | None = None,
     servo_frames: bool = False,
     behind_m: float = 0.1,
 ) -> Drive:
     """Drive along `world`; the car stands at `start`, near the curve's beginning."""
-    car = replace(car or CarConfig(), control=control)
-    plant = Plant(plant_config or PlantConfig(), start, start_ns=0)
-    controller, limits = LaneController(car), Limits(car.safety, car.vehicle)
-    servo, motor = car.link.servo, car.link.motor
-
-    def set_pulses(t_ns: int, steering: float, speed: float) -> None:
-        plant.set_pulses(
-            t_ns,
-            float(np.interp(-steering, [-v for v in servo.steering_rad], servo.pulse_us)),
-            float(np.interp(speed, motor.speed_mps, motor.pulse_us)),
-        )
-
-    rows, limited, sent, s, pulse_ns = [], [], None, 0.0, 0
-    for index in itertools.count():
-        t = index * FRAME_NS
-        if t > seconds * 1e9:
-            break
-        if servo_frames and sent is not None:
-            while pulse_ns <= t:
-                if pulse_ns >= sent.t_ns:
-                    set_pulses(pulse_ns, sent.steering_rad, sent.speed_mps)
-                pulse_ns += SERVO_FRAME_NS
-        plant.advance(t)
-        state = plant.state
-        pose = SE2(state.x_m, state.y_m, state.yaw_rad)
-        reference = pose @ SE2(car.vehicle.reference_x_m, 0.0, 0.0)
-        s, offset = world.project((reference.x_m, reference.y_m), s, 0.3)
-        heading = pose.yaw_rad - float(world.heading(s))
-        estimate = LaneEstimate(
-            t_ns=t,
-            status=LaneStatus.TRACKING,
-            centerline=seen_lane(world, pose, s, behind_m, 1.4),
-            pose=LanePose(
-                offset_m=offset,
-                heading_rad=heading,
-                width_m=0.4,
-                curvature_per_m=float(world.curvature(s)),
-                covariance=np.eye(3) * 1e-6,
-            ),
-        )
-        motion = Motion(t_ns=t, speed_mps=state.speed_mps, yaw_rate_radps=state.yaw_rate_radps)
-        told = VehicleState(t_ns=t, speed_mps=state.speed_mps, steering_rad=0.0 if sent is None else sent.steering_rad)
+    pins = Pins(Plant(plant_config or PlantConfig(), start, start_ns=0), servo_frames)
+    controller, limits = LaneController(replace(CAR, control=control)), Limits(CAR.safety, CAR.vehicle)
+    rows, way_m = [], 0.0
+    for t in range(0, round(seconds * 1e9), FRAME_NS):
+        pins.advance(t)
+        car = pins.plant.state
+        estimate = perfect_estimate(world, SE2(car.x_m, car.y_m, car.yaw_rad), way_m, behind_m, t)
+        way_m = car.distance_m + CAR.vehicle.reference_x_m
+        motion = Motion(t_ns=t, speed_mps=car.speed_mps, yaw_rate_radps=car.yaw_rate_radps)
+        told = VehicleState(t_ns=t, speed_mps=car.speed_mps, steering_rad=pins.told.steering_rad)
         wanted = controller.step(estimate, motion, told, t + LATENCY_NS)
-        result = limits.step(wanted, motion, t + LATENCY_NS)
-        sent = result.command
-        if not servo_frames:
-            set_pulses(t + LATENCY_NS, sent.steering_rad, sent.speed_mps)
-        limited.append(result.reasons)
-        rows.append((t * 1e-9, offset, state.speed_mps, wanted.steering_rad, sent.steering_rad, state.steering_rad))
-    columns = np.array(rows).T
-    return Drive(
-        t_s=columns[0],
-        offset_m=columns[1],
-        speed_mps=columns[2],
-        wanted_rad=columns[3],
-        sent_rad=columns[4],
-        true_rad=columns[5],
-        limited=limited,
-    )
+        pins.send(limits.step(wanted, motion, t + LATENCY_NS).command)
+        assert estimate.pose is not None
+        rows.append((t * 1e-9, estimate.pose.offset_m, car.speed_mps, pins.told.steering_rad))
+    t_s, offset_m, speed_mps, sent_rad = np.array(rows).T
+    return Drive(t_s=t_s, offset_m=offset_m, speed_mps=speed_mps, sent_rad=sent_rad)
 
 
 LAWS = ("pure_pursuit", "stanley")
@@ -141,7 +137,7 @@ def bends(*pieces: tuple[float, float]) -> JoinedCurve:
 def test_an_offset_dies_out_without_oscillation(law: str, speed: float, kappa: float) -> None:
     world = arc(0.0, 0.0, 0.0, kappa, 12.0)
     control = ControlConfig(controller=law, speed_mps=speed, lateral_accel_mps2=2.0)
-    run = drive(world, control=control, seconds=4.5, start=SE2(0.0, 0.05, 0.0))
+    run = drive(world, control, 4.5, start=SE2(0.0, 0.05, 0.0))
     moving = run.t_s >= 0.7
     assert run.speed_mps[-1] == pytest.approx(speed, abs=0.01)
     assert np.abs(run.offset_m).max() <= abs(run.offset_m[0]) + 0.005  # it starts with straight wheels
@@ -160,7 +156,7 @@ def test_s_bends_with_jumps_of_curvature(law: str, servo_frames: bool, speed: fl
         (1 / 1.2, 1.0), (-1 / 1.2, 1.2), (1 / 0.6, 0.9), (-1 / 0.6, 1.0), (1 / 0.8, 1.0), (0.0, 0.5), (-1 / 0.6, 2.5)
     )
     control = ControlConfig(controller=law, speed_mps=speed)
-    run = drive(world, control=control, seconds=8.0, start=SE2(), servo_frames=servo_frames)
+    run = drive(world, control, 8.0, start=SE2(), servo_frames=servo_frames)
     assert np.abs(run.offset_m).max() <= (0.035 if servo_frames else 0.025)
     # the speed that the bends allow: sqrt(1.5 / kappa), and the motor's lag
     assert run.speed_mps[run.t_s > 3.0].max() <= math.sqrt(1.5 * 1.2) + 0.05
@@ -171,7 +167,7 @@ def test_s_bends_with_jumps_of_curvature(law: str, servo_frames: bool, speed: fl
 def test_without_feed_forward_bends_are_cut_but_kept(law: str) -> None:
     world = bends((1 / 1.2, 1.2), (-1 / 0.8, 1.2), (1 / 0.6, 2.0))
     control = ControlConfig(controller=law, feed_forward=False)
-    run = drive(world, control=control, seconds=5.5, start=SE2())
+    run = drive(world, control, 5.5, start=SE2())
     assert 0.02 <= np.abs(run.offset_m).max() <= 0.06
 
 
@@ -182,7 +178,7 @@ def test_prediction_makes_good_the_delay(law: str) -> None:
 
     def worst(delay_s: float) -> float:
         control = ControlConfig(controller=law, speed_mps=1.5, actuator_delay_s=delay_s)
-        run = drive(world, control=control, seconds=5.5, start=SE2(), plant_config=slow)
+        run = drive(world, control, 5.5, start=SE2(), plant_config=slow)
         return float(np.abs(run.offset_m).max())
 
     assert worst(0.12) < 0.035
@@ -194,8 +190,8 @@ def test_a_crooked_servo_with_play_stays_in_the_lane(law: str) -> None:
     crooked = PlantConfig(servo_bias_rad=0.03, servo_play_rad=0.02)
     run = drive(
         bends((1 / 1.2, 1.5), (-1 / 0.8, 3.0)),
-        control=ControlConfig(controller=law),
-        seconds=5.0,
+        ControlConfig(controller=law),
+        5.0,
         start=SE2(0.0, 0.05, 0.2),
         plant_config=crooked,
         servo_frames=True,
@@ -207,5 +203,5 @@ def test_a_crooked_servo_with_play_stays_in_the_lane(law: str) -> None:
 def test_a_lane_that_begins_ahead_of_the_car_does(law: str) -> None:
     world = arc(0.0, 0.0, 0.0, 1 / 1.2, 6.0)
     control = ControlConfig(controller=law)
-    run = drive(world, control=control, seconds=4.0, start=SE2(0.0, 0.05, 0.0), behind_m=-0.25)
+    run = drive(world, control, 4.0, start=SE2(0.0, 0.05, 0.0), behind_m=-0.25)
     assert np.abs(run.after(3.0)).max() <= REST_M

@@ -3,13 +3,14 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from automodel.config import SafetyConfig, VehicleConfig
 from automodel.control.limits import MAX_STEP_S, Before, LimitResult, Limits, limit
 from automodel.signals import NEUTRAL, Command, Motion, MotionSource
 
+REPEATABLE = settings(derandomize=True, deadline=None)
 SAFETY, CAR = SafetyConfig(), VehicleConfig()
 L = CAR.wheelbase_m
 MS = 1_000_000
@@ -34,6 +35,7 @@ def known(speed: float) -> Motion:
 UNKNOWN = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
 
 
+@REPEATABLE
 @given(st.lists(st.tuples(angles, speeds, st.floats(0.0, 0.3), speeds), min_size=1, max_size=30))
 def test_no_sequence_of_commands_breaks_a_limit(wishes: list[tuple[float, float, float, float]]) -> None:
     limits, before, t_ns = Limits(SAFETY, CAR), NEUTRAL, 0
@@ -52,6 +54,7 @@ def test_no_sequence_of_commands_breaks_a_limit(wishes: list[tuple[float, float,
         before = sent
 
 
+@REPEATABLE
 @given(st.tuples(any_float, any_float, any_float, any_float, any_float, any_float))
 def test_anything_not_finite_gives_neutral_and_says_so(values: tuple[float, ...]) -> None:
     steering, speed, *rest = values
@@ -67,6 +70,7 @@ def test_anything_not_finite_gives_neutral_and_says_so(values: tuple[float, ...]
         assert result.command.valid_until_ns <= result.command.t_ns
 
 
+@REPEATABLE
 @given(angles, angles, speeds, st.floats(0.0, 0.1), speeds)
 def test_speed_zero_is_granted_at_once(
     steering: float, before: float, speed_before: float, dt: float, measured: float
@@ -75,12 +79,14 @@ def test_speed_zero_is_granted_at_once(
     assert limit(command(steering, 0.0), state, SAFETY, CAR).command.speed_mps == 0.0
 
 
+@REPEATABLE
 @given(st.floats(-0.2, 0.2), st.floats(0.0, 1.0))
 def test_what_is_within_the_limits_passes_unchanged(steering: float, speed: float) -> None:
     before = Before(steering_rad=steering + 0.01, speed_mps=speed, dt_s=0.02, measured_mps=speed)
     assert limit(command(steering, speed), before, SAFETY, CAR) == LimitResult(command=command(steering, speed))
 
 
+@REPEATABLE
 @given(angles, speeds, angles, speeds, st.floats(0.0, 0.1))
 def test_limiting_twice_changes_nothing_more(
     steering: float, speed: float, before: float, speed_before: float, dt: float

@@ -117,9 +117,9 @@ def _outdoor(canvas: Canvas, rng: np.random.Generator, look: Appearance) -> None
     canvas.image[:] = np.clip(sky * fade, 0, 255)[:, None, :].astype(np.uint8)
     azimuth = np.arange(canvas.image.shape[1]) / canvas.per_rad
     for height, grey in ((0.05, 0.6), (0.025, 0.4)):
-        ridge = height + sum(
-            rng.uniform(0.0, 0.5) * height / k * np.sin(k * azimuth + rng.uniform(0.0, TURN)) for k in range(2, 14)
-        )
+        ridge = np.full(len(azimuth), height)
+        for k in range(2, 14):
+            ridge += rng.uniform(0.0, 0.5) * height / k * np.sin(k * azimuth + rng.uniform(0.0, TURN))
         below = rows[:, None] < ridge[None, :]
         canvas.image[below] = np.clip(sky * grey * np.array([0.95, 1.0, 0.9]), 0, 255).astype(np.uint8)
     for _ in range(rng.poisson(12 * look.clutter)):

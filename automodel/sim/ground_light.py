@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,7 +55,7 @@ class GroundLight:
             light = self._enlarged(np.clip(coarse, 0.35, 1.8))
         if self._shadows is not None:
             lit = self._lit(self._shadows, pose)
-            light = lit if light is None else cv2.multiply(light, lit)
+            light = lit if light is None else light * lit
         return light
 
     def reflection(self, yaw_rad: float) -> Float32Array | None:
@@ -65,7 +66,7 @@ class GroundLight:
         seen = cv2.remap(self._mirror, columns, self._mirror_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         return self._enlarged(seen)
 
-    def _enlarged(self, coarse: Float32Array) -> Float32Array:
+    def _enlarged(self, coarse: NDArray[Any]) -> Float32Array:
         height, width = coarse.shape
         large = cv2.resize(coarse, (width * COARSE, height * COARSE), interpolation=cv2.INTER_LINEAR)
         return np.asarray(large[: self.shape[0], : self.shape[1]])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ Float32Array = NDArray[np.float32]
 
 SIDE_PX = 1024  # texels of a pattern's period
 LEVELS = 7
+NO_MAP: Any = None  # both coordinates are in the first map
 NEUTRAL = 128.0  # texture value that leaves the floor's grey as it is
 
 
@@ -80,9 +82,8 @@ def _patches(rng: np.random.Generator, across: int, along: int, spread: float) -
 def _wood(rng: np.random.Generator) -> FloatArray:
     """Planks along x, each of its own brightness, with a long grain."""
     grain = periodic_noise(rng, 2.0, 0.5)
-    grain = cv2.blur(np.tile(grain, (1, 3)), (81, 1))[:, SIDE_PX : 2 * SIDE_PX]
-    grain = 0.10 * grain / grain.std()
-    return np.asarray(grain + _patches(rng, 2, 10, 0.14) + _joints(0, 10, 2, -0.35))
+    long = cv2.blur(np.tile(grain, (1, 3)), (81, 1))[:, SIDE_PX : 2 * SIDE_PX]
+    return np.asarray(0.10 * long / long.std() + _patches(rng, 2, 10, 0.14) + _joints(0, 10, 2, -0.35))
 
 
 def _scratches(rng: np.random.Generator, count: int) -> FloatArray:
@@ -141,7 +142,7 @@ class GroundSampler:
             maps = cv2.transform(ground, np.column_stack((turn, shift)))
             for name, pattern in patterns.items():
                 seen[name][first:end] = cv2.remap(
-                    pattern.levels[level], maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+                    pattern.levels[level], maps, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
                 )
         return seen
 

@@ -105,7 +105,7 @@ class Renderer:
         for colour, share in self._paint.shares(pose, way_m).items():
             paint = self._channels(self._white if colour == "white" else self._yellow)
             if wear is not None:
-                share = cv2.multiply(share, wear, scale=1.0 / 255.0, dtype=cv2.CV_32F)
+                share = np.asarray(cv2.multiply(share, wear, scale=1.0 / 255.0, dtype=cv2.CV_32F), np.float32)
             layers.append((share, paint))
         floor = self._floor_grey(pose, sampled.get("floor"))
         factor, mirrored = self._light.factor(pose), self._light.reflection(pose.yaw_rad)
@@ -128,7 +128,7 @@ class Renderer:
         if grain is None:
             floor = np.full(self._projection.shape, look.floor_grey, np.float32)
         else:
-            floor = cv2.multiply(grain, look.floor_grey / NEUTRAL, dtype=cv2.CV_32F)
+            floor = grain * np.float32(look.floor_grey / NEUTRAL)
         if look.surround_grey is not None:
             edges_m = self._floor.edges(np.ones(1, np.bool_), pose.inverse())
             inside = covered_softly(self._projection.edges_px(edges_m), self._projection.shape)
@@ -141,8 +141,8 @@ class Renderer:
         """Fill the pixels that show no ground."""
         seen = self._background.look_up(yaw_rad, self.colour)
         if seen is not None:
-            seen = cv2.multiply(seen, (*light.tolist(), 0.0) if self.colour else float(light[0]))
-            cv2.copyTo(seen, self._background.mask, picture[: len(seen)])
+            lit = cv2.multiply(seen, np.array((*light, *[0.0] * (4 - len(light)))))
+            cv2.copyTo(lit, self._background.mask, picture[: len(seen)])
 
 
 def _patterns(look: Appearance) -> dict[str, MipPattern]:

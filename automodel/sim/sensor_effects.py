@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import cv2
 import numpy as np
@@ -59,7 +60,7 @@ class SensorEffects:
     """Applies lens and sensor of an appearance to pictures (h, w[, 3]) of one size."""
 
     def __init__(self, look: Appearance, shape: tuple[int, int], focal_px: float, channels: int) -> None:
-        self._look, self._focal_px, self._channels = look, focal_px, channels
+        self._look, self._shape, self._focal_px, self._channels = look, shape, focal_px, channels
         self._vignette = self._vignette_factors(shape) if look.vignetting else None
         self._pool: Float32Array | None = None
         if look.read_noise or look.shot_noise:
@@ -71,26 +72,24 @@ class SensorEffects:
 
     def apply(self, picture: Image, yaw_rate_radps: float, index: int) -> Image:
         """The picture as it leaves the sensor."""
+        seen: NDArray[Any] = picture
         if self._vignette is not None:
-            picture = cv2.multiply(picture, self._vignette, scale=1.0 / 255.0)
+            seen = cv2.multiply(seen, self._vignette, scale=1.0 / 255.0)
         smear_px = abs(yaw_rate_radps) * self._look.exposure_s * self._focal_px
         if self._look.defocus_px > 0.0 or smear_px > 0.05:
             across, down = blur_kernel(self._look.defocus_px, smear_px), blur_kernel(self._look.defocus_px, 0.0)
-            picture = cv2.sepFilter2D(picture, cv2.CV_8U, across, down, borderType=cv2.BORDER_REPLICATE)
-        return picture if self._pool is None else self._noisy(picture, self._pool, index)
+            seen = cv2.sepFilter2D(seen, cv2.CV_8U, across, down, borderType=cv2.BORDER_REPLICATE)
+        if self._pool is not None:
+            noise: NDArray[Any] = self._noise(self._pool, index)
+            seen = cv2.add(seen, cv2.multiply(noise, cv2.LUT(seen, self._sigma)), dtype=cv2.CV_8U)
+        return np.asarray(seen, dtype=np.uint8)
 
-    def _noisy(self, picture: Image, pool: Float32Array, index: int) -> Image:
+    def _noise(self, pool: Float32Array, index: int) -> Float32Array:
+        """Normal noise (h, w[, 3]) of unit variance for picture `index`: a part of the pool."""
         draw = mixed(self._look.noise_seed, index)
         row, column = draw % POOL_MARGIN[0], (draw >> 16) % POOL_MARGIN[1]
-        height, width = picture.shape[:2]
-        noise = pool[row : row + height, column : column + width]
-        noise = noise[..., 0] if self._channels == 1 else noise
-        if self._look.shot_noise:
-            noise = cv2.multiply(noise, cv2.LUT(picture, self._sigma))
-            return np.asarray(cv2.add(picture, noise, dtype=cv2.CV_8U), dtype=np.uint8)
-        return np.asarray(
-            cv2.scaleAdd(noise, self._look.read_noise, picture.astype(np.float32)).round().clip(0, 255), np.uint8
-        )
+        part = pool[row : row + self._shape[0], column : column + self._shape[1]]
+        return part[..., 0] if self._channels == 1 else part
 
     def _vignette_factors(self, shape: tuple[int, int]) -> Image:
         height, width = shape
