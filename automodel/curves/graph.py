@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -24,25 +26,35 @@ class GraphCurve(Curve):
         powers = np.arange(1, len(self.coefficients))
         self._slope = self.coefficients[1:] * powers if len(powers) else np.zeros(1)
         self._bend = self._slope[1:] * powers[:-1] if len(powers) > 1 else np.zeros(1)
-        self._x = np.linspace(self.x0_m, self.x1_m, 33)
-        half = 0.5 * (self._x[1] - self._x[0])
-        x = half * _NODES + (self._x[:-1, None] + half)
-        self._s = np.concatenate(([0.0], np.cumsum(half * (np.hypot(1.0, _polynomial(self._slope, x)) @ _WEIGHTS))))
-        self.length_m = float(self._s[-1])
+
+    @cached_property
+    def _table(self) -> tuple[FloatArray, FloatArray]:
+        """x and arc length at knots; made when first asked for, as most curves of a run are only recorded."""
+        x = np.linspace(self.x0_m, self.x1_m, 33)
+        half = 0.5 * (x[1] - x[0])
+        inside = half * _NODES + (x[:-1, None] + half)
+        steps = half * (np.hypot(1.0, _polynomial(self._slope, inside)) @ _WEIGHTS)
+        return x, np.concatenate(([0.0], np.cumsum(steps)))
+
+    @property
+    def length_m(self) -> float:  # type: ignore[override]
+        """Arc length [m] from x0 to x1."""
+        return float(self._table[1][-1])
 
     def x_of(self, s_m: ArrayLike) -> FloatArray:
         """x [m] at arc length s, by interpolation and two Newton steps."""
         s = np.asarray(s_m, dtype=np.float64)
-        x = np.interp(s, self._s, self._x)
+        knots_x, knots_s = self._table
+        x = np.interp(s, knots_s, knots_x)
         ends = _polynomial(self._slope, np.array([self.x0_m, self.x1_m]))
         x = np.where(s < 0, self.x0_m + s / np.hypot(1.0, ends[0]), x)
         x = np.where(s > self.length_m, self.x1_m + (s - self.length_m) / np.hypot(1.0, ends[1]), x)
         for _ in range(2):
-            interval = np.clip(np.searchsorted(self._x, x, side="right") - 1, 0, len(self._x) - 2)
-            start = self._x[interval]
+            interval = np.clip(np.searchsorted(knots_x, x, side="right") - 1, 0, len(knots_x) - 2)
+            start = knots_x[interval]
             half = 0.5 * (x - start)
             speed = np.hypot(1.0, _polynomial(self._slope, half[..., None] * (1.0 + _NODES) + start[..., None]))
-            x = x - (self._s[interval] + half * (speed @ _WEIGHTS) - s) / np.hypot(1.0, _polynomial(self._slope, x))
+            x = x - (knots_s[interval] + half * (speed @ _WEIGHTS) - s) / np.hypot(1.0, _polynomial(self._slope, x))
         return np.asarray(x)
 
     def position(self, s_m: ArrayLike) -> FloatArray:

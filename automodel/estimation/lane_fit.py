@@ -11,6 +11,7 @@ Body frame: d is the car's offset (left positive) at the reference point, -theta
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,42 @@ class LaneSolution:
         return float(self.parameters[-1])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneShape:
+    """A lane's centerline on the fit's grid, body frame.
+
+    `s_m` (n,) counts from the reference point's foot; `points_m` (n, 2), `theta_rad` (n,), `kappa_per_m` (n,).
+    """
+
+    s_m: FloatArray
+    points_m: FloatArray
+    theta_rad: FloatArray
+    kappa_per_m: FloatArray
+    width_m: float
+
+    def beside(self, lateral_m: float) -> FloatArray:
+        """Points (n, 2) at a distance to the left of the centerline."""
+        out = np.empty_like(self.points_m)
+        out[:, 0] = self.points_m[:, 0] - lateral_m * np.sin(self.theta_rad)
+        out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)
+        return out
+
+    def curve(self, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
+        """The centerline, or the curve `lateral_m` to its left, over the whole grid."""
+        s, kappa, points = self.s_m - self.s_m[0], self.kappa_per_m, self.points_m
+        if lateral_m:
+            points = self.beside(lateral_m)
+            stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
+            steps = 0.5 * (stretch[1:] + stretch[:-1]) * (s[1] - s[0])
+            s = np.concatenate(([0.0], np.cumsum(steps)))
+            kappa = kappa / stretch
+        return TabulatedCurve(s[::stride], points[::stride], self.theta_rad[::stride], kappa[::stride])
+
+    def nearest_s(self, points_m: FloatArray) -> FloatArray:
+        """Arc length (n,) of the grid point next to each of `points_m` (n, 2)."""
+        return self.s_m[_nearest(self.points_m, points_m)]
+
+
 class LaneFit:
     """The fit's fixed grids, and one solve a frame."""
 
@@ -119,13 +156,26 @@ class LaneFit:
         """Parameters of an arc."""
         return np.concatenate(([offset_m, theta_rad], np.full(len(self.nodes_m), curvature_per_m), [width_m]))
 
-    def moved(self, parameters: FloatArray, after_from_before: SE2) -> FloatArray:
-        """The same lane after the car has moved: the origin slides along s, the body frame turns."""
-        points, theta = self._curve(parameters)[:2]
+    def shape(self, parameters: FloatArray) -> LaneShape:
+        """The centerline that the parameters mean."""
+        points, theta, _ = self._curve(parameters)
+        return LaneShape(
+            s_m=self.grid_m,
+            points_m=points,
+            theta_rad=theta,
+            kappa_per_m=self._hats @ parameters[2:-1],
+            width_m=float(parameters[-1]),
+        )
+
+    def moved(self, parameters: FloatArray, shape: LaneShape, after_from_before: SE2) -> FloatArray:
+        """The same lane (`shape` is that of `parameters`) after the car has moved.
+
+        The origin slides along s, the body frame turns.
+        """
         reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))
-        s, d = self._foot(points, theta, parameters, reference)
+        s, d = _foot(shape, reference)
         kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-1])
-        heading = float(np.interp(s, self.grid_m, theta)) + after_from_before.yaw_rad
+        heading = float(np.interp(s, self.grid_m, shape.theta_rad)) + after_from_before.yaw_rad
         return np.concatenate(([d, heading], kappa, parameters[-1:]))
 
     def solve(
@@ -134,7 +184,8 @@ class LaneFit:
         """Fit `samples` (and a known bearing of the lane), starting at and held by `prior`; a few rounds suffice."""
         unit = self.config.lane_width_m
         weight_prior = 1.0 / prior.sigma**2
-        fixed, pull = self._smooth + np.diag(weight_prior), weight_prior * prior.mean
+        fixed, pull = self._smooth.copy(), weight_prior * prior.mean
+        fixed[np.diag_indices(self.size)] += weight_prior
         if bearing is not None:
             row = np.zeros(self.size)
             row[1], row[2:-1] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
@@ -142,9 +193,14 @@ class LaneFit:
             pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
         parameters = prior.mean.copy()
         cut = self.config.outlier_lanes * unit
-        for left in range(rounds - 1, -1, -1):  # graduated: the cut narrows from round to round
+        for turn in range(rounds):
             residual, jacobian = self.residuals(parameters, samples)
-            keep = np.clip(1.0 - (residual / np.maximum(cut * 2.0**left, 3.0 * samples.sigma_m)) ** 2, 0.0, None) ** 2
+            if turn == 0:  # what the prior leaves open there, a point may be off
+                spread = np.linalg.solve(fixed, jacobian.T)
+                open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
+                wide = np.maximum(cut, 3.0 * open_m)
+            limit = np.maximum(wide * 0.5**turn, np.maximum(cut, 3.0 * samples.sigma_m))
+            keep = np.maximum(1.0 - (residual / limit) ** 2, 0.0) ** 2
             weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
             information = weighted.T @ jacobian + fixed
             gradient = weighted.T @ residual + fixed @ parameters - pull
@@ -164,27 +220,11 @@ class LaneFit:
         residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * 0.5 * parameters[-1]
         rows = jacobian[nearest]  # (n, 2, m - 1): d position / d (d, theta0, kappa)
         out = np.empty((len(q), self.size))
-        out[:, :-1] = sin[:, None] * rows[:, 0] - cos[:, None] * rows[:, 1]
+        np.einsum("nk,nkm->nm", np.column_stack((sin, -cos)), rows, out=out[:, :-1])
         out[:, 1] -= ahead
         out[:, 2:-1] -= ahead[:, None] * self._turn[nearest]
         out[:, -1] = -0.5 * samples.side
         return residual, out
-
-    def nearest_s(self, parameters: FloatArray, points_m: FloatArray) -> FloatArray:
-        """Arc length (n,), from the reference point's foot, of the grid point next to each of `points_m` (n, 2)."""
-        return self.grid_m[_nearest(self._curve(parameters)[0], points_m)]
-
-    def centerline(self, parameters: FloatArray, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
-        """The centerline, or the curve `lateral_m` to its left, as a `TabulatedCurve` over the whole grid."""
-        points, theta = self._curve(parameters)[:2]
-        kappa = self._hats @ parameters[2:-1]
-        s = self.grid_m - self.grid_m[0]
-        if lateral_m:
-            points = points + lateral_m * np.column_stack((-np.sin(theta), np.cos(theta)))
-            stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
-            s = np.concatenate(([0.0], np.cumsum(0.5 * (stretch[1:] + stretch[:-1]) * self._fine)))
-            kappa = kappa / stretch
-        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
 
     def covariance(self, solution: LaneSolution) -> FloatArray:
         """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
@@ -213,22 +253,11 @@ class LaneFit:
         if want_jacobian:
             jacobian = np.empty((len(theta), 2, self.size - 1))
             jacobian[:, :, 0] = s0, -c0
-            jacobian[:, 0, 1] = p[0] * c0 - self._sum @ sin
-            jacobian[:, 1, 1] = p[0] * s0 + self._sum @ cos
+            jacobian[:, 0, 1] = -points[:, 1]
+            jacobian[:, 1, 1] = points[:, 0] - self.config.reference_x_m
             jacobian[:, 0, 2:] = -self._sum @ (sin[:, None] * self._turn_middle)
             jacobian[:, 1, 2:] = self._sum @ (cos[:, None] * self._turn_middle)
         return points, theta, jacobian
-
-    def _foot(
-        self, points: FloatArray, theta: FloatArray, parameters: FloatArray, q: FloatArray
-    ) -> tuple[float, float]:
-        i = int(np.argmin((points[:, 0] - q[0]) ** 2 + (points[:, 1] - q[1]) ** 2))
-        cos, sin = np.cos(theta[i]), np.sin(theta[i])
-        ex, ey = q - points[i]
-        left = ey * cos - ex * sin
-        kappa = float(self._hats[i] @ parameters[2:-1])
-        ahead = (ex * cos + ey * sin) / max(1.0 - kappa * left, 0.2)
-        return float(self.grid_m[i] + ahead), float(left - 0.5 * kappa * ahead**2)
 
     def _smoothness(self, spacing: float) -> FloatArray:
         """Information of: the curvature is a random walk along s, and the lane's width is roughly the configured."""
@@ -239,6 +268,17 @@ class LaneFit:
         information = np.zeros((count + 3, count + 3))
         information[2:-1, 2:-1] = difference.T @ difference
         return information
+
+
+def _foot(shape: LaneShape, q: FloatArray) -> tuple[float, float]:
+    """Arc length and distance to the left of q (2,), on the osculating circle of the nearest grid point."""
+    i = int(_nearest(shape.points_m, q[None])[0])
+    cos, sin = math.cos(shape.theta_rad[i]), math.sin(shape.theta_rad[i])
+    ex, ey = q - shape.points_m[i]
+    left = ey * cos - ex * sin
+    kappa = float(shape.kappa_per_m[i])
+    ahead = (ex * cos + ey * sin) / max(1.0 - kappa * left, 0.2)
+    return float(shape.s_m[i] + ahead), float(left - 0.5 * kappa * ahead**2)
 
 
 def _nearest(points: FloatArray, q: FloatArray) -> NDArray[np.intp]:

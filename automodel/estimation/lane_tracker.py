@@ -7,7 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.estimation.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LaneSolution, LineSamples
+from automodel.estimation.lane_fit import (
+    Bearing,
+    LaneFit,
+    LaneFitConfig,
+    LanePrior,
+    LaneShape,
+    LaneSolution,
+    LineSamples,
+)
 from automodel.geometry import SE2
 
 FloatArray = NDArray[np.float64]
@@ -37,11 +45,17 @@ class LaneTracker:
     A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
     the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
     Where a crossing was seen the lane is expected to go straight on, square to it: a road bends before or after it.
+    `parameters` are None while there is no lane; `shape` is theirs.
     """
 
     KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
     KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
-    CAPACITY = 96
+    CAPACITY = 60
+    ROUNDS = 3  # of the fit in a frame
+    # process noise of a frame while the car's motion is known; curvature near the car was seen before, far ahead it was not
+    OFFSET = 0.005
+    HEADING_RAD = 0.006
+    KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
     CROSSING_LANES = 3.0  # depth of a crossing
     CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
     DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
@@ -52,23 +66,33 @@ class LaneTracker:
         self.near_x_m = near_x_m
         nodes = len(self.fit.nodes_m)
         u = self.unit
-        self._sigma = np.concatenate(([0.03 * u, 0.03], np.full(nodes, 0.25 / u), [0.004 * u]))
+        far = self.fit.config.ahead_lanes * u
+        reach = np.clip((self.fit.nodes_m - self.SURE_LANES * u) / (far - self.SURE_LANES * u), 0.0, 1.0)
+        kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
+        self._sigma = np.concatenate(([self.OFFSET * u, self.HEADING_RAD], kappa, [0.004 * u]))
+        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u]))
         self._start_sigma = np.concatenate(([0.3 * u, 0.5], np.full(nodes, 1.0 / u), [0.1 * u]))
+        self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
+        self.parameters: FloatArray | None = None
+        self.shape: LaneShape = self.fit.shape(self._nothing)
         self.forget()
 
     def forget(self) -> None:
         """Drop the lane and all remembered points."""
-        self.parameters: FloatArray | None = None
+        self._take(None)
         self._memory = np.empty((0, 4))  # x, y, side, sigma
         self._since_kept = np.inf
+        self._motion_known = False
         self._crossing: Bearing | None = None
         self._crossing_s_m = -np.inf
 
     def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
         """Carry lane and points over to the body frame after a motion; unknown motion forgets the points."""
         if self.parameters is not None:
-            self.parameters = self.fit.moved(self.parameters, after_from_before)
+            self.parameters = self.fit.moved(self.parameters, self.shape, after_from_before)
+            self.shape = self.fit.shape(self.parameters)
         self._crossing_s_m -= distance_m
+        self._motion_known = known
         if not known:
             self._crossing_s_m = -np.inf
             self._memory = self._memory[:0]
@@ -93,7 +117,7 @@ class LaneTracker:
     def begin(self, seen: Observation, solution: LaneSolution) -> None:
         """Go on from a lane that `fit_alone` found."""
         self.forget()
-        self.parameters = solution.parameters
+        self._take(solution.parameters)
         self._keep(_samples(seen), solution.inliers)
 
     def cross(self, distance_m: float, theta_rad: float) -> None:
@@ -112,25 +136,23 @@ class LaneTracker:
             sigma_m=np.concatenate((fresh.sigma_m, self._memory[:, 3])),
         )
         bearing, self._crossing = self._crossing, None
-        solution = self.fit.solve(samples, self._prior(self.parameters), bearing=bearing)
-        self.parameters = solution.parameters
+        solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
+        self._take(solution.parameters)
         good = solution.inliers[: len(fresh.side)]
         self._keep(fresh, good)
         return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
-        mean, sigma = parameters.copy(), self._sigma.copy()
+        mean, sigma = parameters.copy(), (self._sigma if self._motion_known else self._loose_sigma).copy()
         nodes, begin = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
         mean[2:-1][straight] = 0.0
         sigma[2:-1][straight] = 0.1 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
 
-    def arc_lengths(self, points_m: FloatArray) -> FloatArray:
-        """Arc length (n,) from the start of `fit.centerline` of body points (n, 2), to the grid's step."""
-        if self.parameters is None:
-            raise ValueError("arc_lengths: nothing is tracked; begin first")
-        return self.fit.nearest_s(self.parameters, points_m) - float(self.fit.grid_m[0])
+    def _take(self, parameters: FloatArray | None) -> None:
+        self.parameters = parameters
+        self.shape = self.fit.shape(self._nothing if parameters is None else parameters)
 
     def _keep(self, samples: LineSamples, good: NDArray[np.bool_]) -> None:
         if self._since_kept < self.KEEP_EVERY_LANES * self.unit:

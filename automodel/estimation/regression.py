@@ -21,7 +21,7 @@ def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike |
     w = np.ones(len(xs)) if weights is None else np.asarray(weights, dtype=np.float64)
     low, high = float(xs.min()), float(xs.max())
     centre, scale = 0.5 * (low + high), max(0.5 * (high - low), 1e-12)
-    degree = min(degree, len(np.unique(xs)) - 1)
+    degree = min(degree, len(set(xs.tolist())) - 1)
     powers = ((xs - centre) / scale)[:, None] ** np.arange(degree + 1)
     weighted = powers * w[:, None]
     normal = weighted.T @ powers + 1e-12 * np.eye(degree + 1)

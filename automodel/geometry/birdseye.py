@@ -44,9 +44,15 @@ class View:
     def to_px(self, points_m: ArrayLike) -> FloatArray:
         """Body points (..., 2) [m] -> view pixels (..., 2) as (column, row)."""
         p = np.asarray(points_m, dtype=np.float64)
-        column = (self.half_width_m - p[..., 1]) / self.m_per_px - 0.5
-        row = (self.x_far_m - p[..., 0]) / self.m_per_row - 0.5
-        return np.stack((column, row), axis=-1)
+        return np.stack((self.columns(p[..., 1]), self.rows(p[..., 0])), axis=-1)
+
+    def columns(self, y_m: FloatArray) -> FloatArray:
+        """Columns (...,) of body y [m]."""
+        return (self.half_width_m - y_m) / self.m_per_px - 0.5
+
+    def rows(self, x_m: FloatArray) -> FloatArray:
+        """Rows (...,) of body x [m]."""
+        return (self.x_far_m - x_m) / self.m_per_row - 0.5
 
     def to_body(self, pixels: ArrayLike) -> FloatArray:
         """View pixels (..., 2) as (column, row) -> body points (..., 2) [m]."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.curves import Curve
+from automodel.estimation.lane_fit import LaneShape
 from automodel.estimation.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
@@ -40,13 +41,13 @@ class CrossingSearch:
 
     The bright view is sampled on a grid along and across the predicted lane (the paper turns the picture by 90 degrees;
     following the lane keeps it right in bends). The histogram along the lane gives the candidate, one window per
-    column the near edge, a straight fit of degree 1 the angle (eq. (7)-(9)). The paper accepts 90 +- 15 degrees; here the
-    predicted lane may still be wrong by more before a bend's end is seen, so `MAX_SKEW_RAD` is wider, and what is told
-    to the outside is for the pipeline to decide.
+    column the near edge, a straight fit of degree 1 the angle (eq. (7)-(9)). The paper accepts 90 +- 15 degrees; here
+    the predicted lane may still be wrong by more before a bend's end is seen, so `MAX_SKEW_RAD` is wider, and what is
+    told to the outside is for the pipeline to decide.
     """
 
-    COLUMNS = 24
-    STEP_MARKINGS = 1.0 / 3.0
+    COLUMNS = 20
+    STEP_MARKINGS = 1.0 / 2.5
     COVER = 0.42  # share of the corridor that is bright: a stop line 1, a zebra 1/2
     BUSY = 0.2  # share from which lines there are not trusted
     SEEN = 0.6  # share of the corridor that must be in view for a crossing
@@ -57,30 +58,29 @@ class CrossingSearch:
         self._step = marking_width_m * self.STEP_MARKINGS
         self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # grid rows in a row that are covered
 
-    def step(self, bright: Image, centerline: Curve, start_s_m: float, width_m: float, far_m: float) -> Crossed:
-        """What lies across the lane.
-
-        `bright` is the binary view (h, w), `centerline` the lane in the body frame, `start_s_m` the arc length of the
-        reference point's foot, `width_m` the lane's width, `far_m` how far to look.
-        """
-        s = start_s_m + np.arange(0.0, far_m, self._step)
-        inner = 0.5 * width_m - 1.5 * self.marking_m
+    def step(self, bright: Image, lane: LaneShape, far_m: float) -> Crossed:
+        """What lies across the lane up to `far_m` ahead, in the binary view `bright` (h, w)."""
+        s = np.arange(0.0, far_m, self._step)
+        inner = 0.5 * lane.width_m - 1.5 * self.marking_m
         if inner <= 2 * self.marking_m:
             return Crossed(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
         d = np.linspace(-inner, inner, self.COLUMNS)
-        theta = centerline.heading(s)
-        normal = np.stack((-np.sin(theta), np.cos(theta)), axis=-1)
-        ground = centerline.position(s)[:, None] + d[None, :, None] * normal[:, None]
-        px = np.rint(self.view.to_px(ground)).astype(np.intp)
-        inside = (px[..., 0] >= 0) & (px[..., 0] < self.view.width_px) & (px[..., 1] >= 0)
-        inside &= px[..., 1] < self.view.height_px
-        white = inside & (bright[np.where(inside, px[..., 1], 0), np.where(inside, px[..., 0], 0)] > 0)
-        share = white.sum(axis=1) / np.maximum(inside.sum(axis=1), 1)
-        seen = inside.sum(axis=1) >= self.SEEN * self.COLUMNS
-        first = _first_run(seen & (share >= self.COVER), self._need)
+        theta = np.interp(s, lane.s_m, lane.theta_rad)
+        x = np.interp(s, lane.s_m, lane.points_m[:, 0])[:, None] - np.sin(theta)[:, None] * d
+        y = np.interp(s, lane.s_m, lane.points_m[:, 1])[:, None] + np.cos(theta)[:, None] * d
+        column, row = self.view.columns(y), self.view.rows(x)
+        inside = (column > -0.5) & (column < self.view.width_px - 0.5) & (row > -0.5)
+        inside &= row < self.view.height_px - 0.5
+        maps = column.astype(np.float32), row.astype(np.float32)
+        sampled = cv2.remap(bright, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+        white = np.asarray(sampled) > 0
+        count = inside.sum(axis=1)
+        share = white.sum(axis=1) / np.maximum(count, 1)
+        first = _first_run((count >= self.SEEN * self.COLUMNS) & (share >= self.COVER), self._need)
         crossing = None
         if first is not None:
-            crossing = self._edge(white, ground, first, float(s[first] - start_s_m), float(theta[first]))
+            ground = np.stack((x, y), axis=-1)
+            crossing = self._edge(white, ground, first, float(s[first]), float(theta[first]))
         return Crossed(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
 
     def _edge(

@@ -122,7 +122,9 @@ class SlidingWindows:
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
         """
         expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
-        slope = np.gradient(expected, self.centre_rows)
+        slope = np.empty(self.COUNT)
+        slope[1:-1] = (expected[2:] - expected[:-2]) / (self.centre_rows[2:] - self.centre_rows[:-2])
+        slope[0], slope[-1] = slope[1], slope[-2]
         points: list[tuple[float, float]] = []
         shifts: list[tuple[float, float]] = []  # (row, shift) of the last two windows that found the line
         for k, (far, near) in enumerate(self._rows):

@@ -100,7 +100,7 @@ class Windows:
                 return self._lost(frame)
             seen, solution, support = started
         else:
-            crossed = self._cross(bright, self._tracker.parameters)
+            crossed = self._cross(bright)
             crossing = crossed.crossing
             self.stages.lap("crossing")
             seen = self._observe(lines, self._predicted(+1), self._predicted(-1), crossed)
@@ -192,12 +192,11 @@ class Windows:
 
     def _predicted(self, side: int) -> FloatArray:
         """y [m] of the tracked lane's line at each window's `centre_x_m`, NaN where it does not go."""
-        fit, parameters = self._tracker.fit, self._tracker.parameters
-        assert parameters is not None
-        points = fit.centerline(parameters, side * 0.5 * parameters[-1], stride=1).points_m
+        shape = self._tracker.shape
+        points = shape.beside(side * 0.5 * shape.width_m)
         x = points[:, 0]
         first = int(np.argmin(np.abs(x - self._reference_x_m)))
-        folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (fit.grid_m[1] - fit.grid_m[0]))
+        folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (shape.s_m[1] - shape.s_m[0]))
         last = first + int(folds[0]) if len(folds) else len(x) - 1
         wanted = self._windows.centre_x_m
         if last <= first:
@@ -211,7 +210,7 @@ class Windows:
     ) -> Observation:
         found = [self._windows.follow(lines, y_m) for y_m in (left_y_m, right_y_m)]
         if crossed is not None and crossed.covered.any():
-            found = [points[crossed.free(self._tracker.arc_lengths(points))] for points in found]
+            found = [points[crossed.free(self._tracker.shape.nearest_s(points))] for points in found]
         return Observation(
             left_m=found[0], right_m=found[1], left_sigma_m=self._sigma(found[0]), right_sigma_m=self._sigma(found[1])
         )
@@ -243,7 +242,7 @@ class Windows:
             return self._lost(frame)
         status = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left_seen) + int(right_seen)]
         fit, p = self._tracker.fit, solution.parameters
-        centerline = fit.centerline(p)
+        shape = self._tracker.shape
         pose = LanePose(
             offset_m=solution.offset_m,
             heading_rad=solution.heading_rad,
@@ -254,30 +253,28 @@ class Windows:
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=status,
-            left=self._line(seen.left_m, left_seen, p, +1),
-            right=self._line(seen.right_m, right_seen, p, -1),
-            centerline=centerline,
+            left=self._line(seen.left_m, left_seen, +1),
+            right=self._line(seen.right_m, right_seen, -1),
+            centerline=shape.curve(),
             pose=pose,
             crossing=self._told(crossing, p),
             frame_age_ns=blind_ns,
         )
 
-    def _line(self, points_m: FloatArray, seen: bool, parameters: FloatArray, side: int) -> LaneLine:
+    def _line(self, points_m: FloatArray, seen: bool, side: int) -> LaneLine:
         """The paper's regression x(row) of degree 2 through a line that is seen, else the lane's edge."""
         curve: Curve
-        if seen and np.ptp(points_m[:, 0]) > 2 * self.view.m_per_row:
+        if seen and float(points_m[-1, 0] - points_m[0, 0]) > 2 * self.view.m_per_row:
             x = points_m[:, 0]
             curve = GraphCurve(fit_polynomial(x, points_m[:, 1], 2), float(x.min()), float(x.max()))
         else:
-            curve = self._tracker.fit.centerline(parameters, side * 0.5 * float(parameters[-1]))
+            shape = self._tracker.shape
+            curve = shape.curve(side * 0.5 * shape.width_m)
         return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
 
-    def _cross(self, bright: Image, parameters: FloatArray) -> Crossed:
+    def _cross(self, bright: Image) -> Crossed:
         """Look for a crossing; one that is found tells the tracker the lane's direction there."""
-        fit = self._tracker.fit
-        far = self.view.x_far_m - self._reference_x_m
-        foot = -float(fit.grid_m[0])
-        crossed = self._crossings.step(bright, fit.centerline(parameters), foot, float(parameters[-1]), far)
+        crossed = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
         if crossed.crossing is not None:
             self._tracker.cross(crossed.crossing.distance_m, crossed.crossing.angle_rad - 0.5 * math.pi)
         return crossed
