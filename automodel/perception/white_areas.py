@@ -32,8 +32,8 @@ class WhiteAreas:
         self._wide = np.ones((1, 2 * int(0.5 * self.WIDE * marking_px) + 1), np.uint8)
         edge = np.ones((3, 2 * int(0.5 * marking_px) + 3), np.uint8)
         padded = cv2.copyMakeBorder(birdseye.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
-        self._mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
-        self._thinned = np.ascontiguousarray(self._mask[::3])
+        self.mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
+        self._thinned = np.ascontiguousarray(self.mask[::3])
         self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
 
     def step(self, view: Image) -> tuple[Image, Image]:
@@ -48,5 +48,5 @@ class WhiteAreas:
         no_specks = cv2.morphologyEx(bright, cv2.MORPH_OPEN, self._narrow)
         too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
         # Masked only now: what the picture's edge cuts repeats beyond it and counts as wide, not as narrow.
-        lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self._mask)
-        return np.asarray(cv2.bitwise_and(bright, self._mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)
+        lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self.mask)
+        return np.asarray(cv2.bitwise_and(bright, self.mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)

@@ -21,6 +21,7 @@ from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.regression import fit_polynomial
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.crossings import Crossed, CrossingSearch
+from automodel.perception.ground_check import GroundCheck
 from automodel.perception.sliding_windows import HistogramStart, SlidingWindows
 from automodel.perception.white_areas import WhiteAreas
 from automodel.pipelines.stages import StageClock
@@ -63,6 +64,7 @@ class Windows:
         self._start = HistogramStart(self.view, lane.width_m, lane.marking_width_m, self._reference_x_m)
         self._windows = SlidingWindows(self.view, lane.marking_width_m)
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
+        self._ground = GroundCheck(self.view, self._white.mask, lane.width_m, lane.marking_width_m)
         self._tracker = LaneTracker(
             LaneFitConfig(
                 lane_width_m=lane.width_m,
@@ -77,6 +79,7 @@ class Windows:
     def reset(self) -> None:
         """Forget the lane."""
         self._tracker.forget()
+        self._ground.forget()
         self._last_t_ns: int | None = None
         self._seen_t_ns = self._to_confirm = self._rivals = 0
         self._blind_m = 0.0
@@ -92,6 +95,7 @@ class Windows:
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         self.stages.lap("birdseye")
         bright, lines = self._white.step(view)
+        self._ground.remember(lines)
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
@@ -124,11 +128,17 @@ class Windows:
         dt_ns = t_ns - last
         if not 0 < dt_ns <= self.MAX_GAP_NS:
             self._tracker.forget()
+            self._ground.forget()
             return
         distance = motion.speed_mps * dt_ns * 1e-9 if motion.known else 0.0
         turn = motion.yaw_rate_radps * dt_ns * 1e-9 if motion.known else 0.0
         self._blind_m += abs(distance)
-        self._tracker.move(SE2.arc(distance, turn).inverse(), distance, motion.known)
+        before_from_after = SE2.arc(distance, turn)
+        self._tracker.move(before_from_after.inverse(), distance, motion.known)
+        if motion.known:
+            self._ground.move(before_from_after, distance)
+        else:
+            self._ground.forget()
 
     def _begin(self, lines: Image) -> tuple[Observation, LaneSolution, Support] | None:
         found = self._fresh_lane(lines, self.START_WINDOWS)
@@ -209,6 +219,7 @@ class Windows:
         self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, crossed: Crossed | None = None
     ) -> Observation:
         found = [self._windows.follow(lines, y_m) for y_m in (left_y_m, right_y_m)]
+        found = [points[self._ground.on_ground(points)] for points in found]
         if crossed is not None and crossed.covered.any():
             found = [points[crossed.free(self._tracker.shape.nearest_s(points))] for points in found]
         return Observation(

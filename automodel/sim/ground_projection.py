@@ -35,7 +35,7 @@ class GroundProjection:
         turn = camera.cam_from_body
         self._cam_from_ground = np.column_stack((turn[:, 0], turn[:, 1], -turn @ camera.centre_m))
         self._near_m = 0.3 * self._nearest_depth_m()
-        self._box = self._seen_box(pixels) if model.distortion.any() else None
+        self._box = self._seen_box() if model.distortion.any() else None
 
     def _nearest_depth_m(self) -> float:
         ground = self.ground_m[self.seen]
@@ -43,9 +43,11 @@ class GroundProjection:
             return 1.0
         return float((ground @ self._cam_from_ground[2, :2] + self._cam_from_ground[2, 2]).min())
 
-    def _seen_box(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    def _seen_box(self) -> tuple[FloatArray, FloatArray, float]:
         """Corners of the box around the picture's rays, a little larger, and the greatest radius of a ray."""
-        rays = self.camera.camera.rays(pixels)[..., :2]
+        height, width = self.seen.shape
+        corners = np.stack(np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5), axis=-1)
+        rays = self.camera.camera.rays(corners)[..., :2]
         rays = rays[np.isfinite(rays[..., 0])]
         low, high = rays.min(axis=0), rays.max(axis=0)
         margin = 0.03 * (high - low)

@@ -122,7 +122,7 @@ class GroundSampler:
         filled = np.clip(np.nan_to_num(ground_m, nan=self._far_m), -self._far_m, self._far_m)
         edges = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
         self._bands: list[tuple[int, int, int, Float32Array, FloatArray]] = []
-        for first, end in itertools.pairwise(edges):
+        for first, end in itertools.pairwise(edges if len(levels) else []):
             band = np.ascontiguousarray(filled[first:end], dtype=np.float32)
             middle = 0.5 * (band.reshape(-1, 2).min(axis=0) + band.reshape(-1, 2).max(axis=0))
             self._bands.append((first, end, int(levels[first]), band, middle.astype(np.float64)))
@@ -149,6 +149,8 @@ class GroundSampler:
 
 def _row_levels(ground_m: FloatArray, texel_m: float) -> NDArray[np.intp]:
     """Mip level of every row, from the geometric mean of a pixel's length and breadth on the ground."""
+    if min(ground_m.shape[:2]) < 2:
+        return np.zeros(len(ground_m), np.intp)
     down = np.linalg.norm(np.gradient(ground_m, axis=0), axis=-1)
     across = np.linalg.norm(np.gradient(ground_m, axis=1), axis=-1)
     size = np.sqrt(down * across)

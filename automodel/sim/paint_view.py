@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 COLOURS = ("white", "yellow")
-FAR_ROWS = 2.5  # markings are drawn as far as this many rows below the horizon
+FAR_ROWS = 1.0  # markings are drawn as far as this many rows below the horizon
 STEP_PX = 2.0  # motion blur is an average over poses so far apart
 MOST_STEPS = 4
 

@@ -1,0 +1,75 @@
+"""Tells paint from reflections: paint stays where it is on the ground, a reflection goes with the car."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.geometry import SE2, View
+
+FloatArray = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+
+@dataclass(slots=True)
+class _Past:
+    """A filtered view as it was, thickened, and where it lies now."""
+
+    lines: Image
+    then_from_now: SE2
+    way_m: float
+
+
+class GroundCheck:
+    """Compares line points with what was seen a lane's width of way ago.
+
+    Lamps and windows mirrored in a shiny floor look like pieces of lines from above. The odometry says where a point was
+    in the earlier view; if that place was in sight and bare then, the point is not painted on the ground. Points that
+    were not in sight then pass, and so does everything while the car has not gone far enough.
+    """
+
+    WAY_LANES = 1.0  # way between the two looks
+    EVERY_LANES = 0.1  # way from one remembered view to the next
+    TOLERANCE_MARKINGS = 1.0  # how far beside a line a point may lie
+
+    def __init__(self, view: View, visible: Image, lane_width_m: float, marking_width_m: float) -> None:
+        self.view, self._visible = view, visible > 0
+        self._way_m, self._every_m = self.WAY_LANES * lane_width_m, self.EVERY_LANES * lane_width_m
+        across = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_px) + 1
+        along = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_row) + 1
+        self._kernel = np.ones((along, across), np.uint8)
+        self._past: deque[_Past] = deque()
+
+    def forget(self) -> None:
+        """Forget all views."""
+        self._past.clear()
+
+    def move(self, before_from_after: SE2, distance_m: float) -> None:
+        """The car has moved."""
+        for past in self._past:
+            past.then_from_now = past.then_from_now @ before_from_after
+            past.way_m += abs(distance_m)
+        while len(self._past) > 1 and self._past[1].way_m >= self._way_m:
+            self._past.popleft()
+
+    def remember(self, lines: Image) -> None:
+        """Keep this frame's filtered view (h, w), if the car has gone on since the last that was kept."""
+        if not self._past or self._past[-1].way_m >= self._every_m:
+            thick = np.asarray(cv2.dilate(lines, self._kernel), dtype=np.uint8)
+            self._past.append(_Past(thick, SE2(), 0.0))
+
+    def on_ground(self, points_m: FloatArray) -> NDArray[np.bool_]:
+        """Which of the points (n, 2) of the body frame may be paint."""
+        if not self._past or self._past[0].way_m < self._way_m or len(points_m) == 0:
+            return np.ones(len(points_m), dtype=bool)
+        past = self._past[0]
+        px = np.rint(self.view.to_px(past.then_from_now.apply(points_m))).astype(np.intp)
+        height, width = self._visible.shape
+        inside = (px[:, 0] >= 0) & (px[:, 0] < width) & (px[:, 1] >= 0) & (px[:, 1] < height)
+        column, row = np.where(inside, px[:, 0], 0), np.where(inside, px[:, 1], 0)
+        bare = inside & self._visible[row, column] & (past.lines[row, column] == 0)
+        return np.asarray(~bare)
