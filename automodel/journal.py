@@ -20,6 +20,7 @@ class Journal:
         self._recorder = recorder
         self._works = recorder is not None
         self._pending: list[Event] = []
+        self._news: list[Event] = []
         self._kept: deque[Event] = deque(maxlen=EVENTS_KEPT)
         self._told_ns: dict[str, int] = {}
 
@@ -28,9 +29,15 @@ class Journal:
         """The run's events so far, oldest first."""
         return tuple(self._kept)
 
+    def news(self) -> list[Event]:
+        """The events since the last call, oldest first."""
+        news, self._news = self._news, []
+        return news
+
     def note(self, event: Event) -> None:
         """Take an event in; the recorder gets it with the next turn."""
         self._kept.append(event)
+        self._news.append(event)
         if self._works:
             self._pending.append(event)
 

@@ -53,7 +53,7 @@ from automodel.supervised_source import SupervisedSource
 __all__ = ["MotionStage", "RunConfig", "RunEnd", "RunObserver", "RunParts", "RunResult", "Runner", "TickRecord"]
 
 SLICE_NS = 20_000_000  # the longest wait for a frame in one turn: a signal goes unanswered no longer
-SLICE_MIN_NS = 1_000_000  # and the shortest: a wait of nothing would let no virtual time pass
+SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual time pass
 
 
 class Runner:
@@ -61,7 +61,8 @@ class Runner:
 
     `arm_requested` is asked every turn whether a person has asked to arm since. `reopen` gives a new source in place of
     one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without it a
-    source that failed ends the run as soon as the car stands.
+    source that failed ends the run as soon as the car stands. `on_event` is told of every event, after its turn's
+    command has gone out; it has to be quick.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class Runner:
         observer: RunObserver | None = None,
         arm_requested: Callable[[], bool] | None = None,
         reopen: Callable[[], Source] | None = None,
+        on_event: Callable[[Event], None] | None = None,
     ) -> None:
         self._motion = parts.motion
         self._loop = parts.loop
@@ -81,6 +83,7 @@ class Runner:
         self._validity_ns = round(config.command_validity_s * NS_PER_S)
         self._observer = observer
         self._arm_requested = arm_requested
+        self._on_event = on_event
         self._journal = Journal(parts.recorder)
         self._source = SupervisedSource(parts.source, parts.clock, self._journal, reopen)
         self._link = SupervisedLink(parts.link, self._journal.note)
@@ -106,6 +109,7 @@ class Runner:
                 leaving.enter_context(no_garbage_collection())
             # The last one in is the first to be called, and each is called whatever the ones before it raise.
             leaving.callback(self._source.close)
+            leaving.callback(self._tell_events)
             leaving.callback(lambda: self._journal.close(self._clock.now_ns()))
             leaving.callback(self._link.close)
             leaving.callback(self._park)
@@ -174,6 +178,7 @@ class Runner:
         self._journal.write(record, heard)
         if self._observer is not None:
             self._observer.on_tick(record)
+        self._tell_events()
         self._tidy(record, was_at_rest)
 
     def _await_frame(self) -> Frame | StereoFrame | None:
@@ -261,6 +266,10 @@ class Runner:
         self._overruns += record.t_ns - taken_ns > self._config.period_s * NS_PER_S
         if record.latency_ns is not None:
             self._latencies_ns.append(record.latency_ns)
+
+    def _tell_events(self) -> None:
+        for event in self._journal.news() if self._on_event is not None else ():
+            self._on_event(event)
 
     def _tidy(self, record: TickRecord, was_at_rest: bool) -> None:
         if not self._config.collector_off:

@@ -6,13 +6,17 @@ import select
 import sys
 import types
 
+from automodel.cli.telling import say
+
 
 class ArmKey:
     """`pressed` tells, once, that Enter was pressed; as a context it says so first. Without a terminal: never."""
 
+    def __init__(self) -> None:
+        self._terminal = sys.stdin if sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty() else None
+
     def __enter__(self) -> ArmKey:
-        if sys.stdin.isatty():
-            print("press Enter to arm, Ctrl-C to stop", file=sys.stderr)
+        say("press Enter to arm, Ctrl-C to stop" if self._terminal else "no terminal to arm from; Ctrl-C stops")
         return self
 
     def __exit__(
@@ -22,6 +26,10 @@ class ArmKey:
 
     def pressed(self) -> bool:
         """Whether Enter was pressed since the last call; never waits."""
-        if not sys.stdin.isatty() or not select.select([sys.stdin], [], [], 0)[0]:
+        if self._terminal is None:
             return False
-        return sys.stdin.readline() != ""
+        try:
+            return bool(select.select([self._terminal], [], [], 0)[0]) and self._terminal.readline() != ""
+        except OSError:  # the terminal is gone
+            self._terminal = None
+            return False

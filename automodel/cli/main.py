@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import signal
 import sys
 
 import click
@@ -46,33 +48,58 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; the process ends with 0 (done), 1 (the run failed) or 2 (arguments or files are wrong)."""
-    sys.exit(run(sys.argv[1:]))
+    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: files are closed, other processes ended
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores SIGHUP: leave that
+            signal.signal(number, signal.default_int_handler)
+    code = run(sys.argv[1:])
+    sys.exit(_flushed(code))
 
 
 def run(arguments: list[str]) -> int:
     """The exit code of one command line; errors that a user can mend are one line on stderr."""
     try:
         code = cli.main(args=arguments, prog_name="automodel", standalone_mode=False)
-    except click.exceptions.Exit as error:
-        return error.exit_code
-    except click.Abort:
-        print("automodel: interrupted", file=sys.stderr)
-        return 1
+    except (click.Abort, KeyboardInterrupt):
+        return _told("automodel: interrupted", 1)
+    except click.exceptions.NoArgsIsHelpError as error:
+        return _told(error.format_message(), 2)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "automodel"
-        print(f"{path}: {error.format_message()} (see {path} --help)", file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # the reader of a pipe went away: nothing is wrong here
-        sys.stderr.close()
-        return 1
-    except (ValueError, OSError, click.ClickException) as error:
-        print(f"automodel: {_one_line(error)}", file=sys.stderr)
-        return 2
+        return _told(f"{path}: {error.format_message()} (see {path} --help)", 2)
+    except click.ClickException as error:
+        return _told(f"automodel: {error.format_message()}", error.exit_code)
+    except SystemExit as error:  # how click ends when the reader of a pipe goes away
+        return error.code if isinstance(error.code, int) else 1
+    except (ValueError, OSError) as error:
+        return _told(f"automodel: {_one_line(error)}", 2)
     return code if isinstance(code, int) else 0
+
+
+def _told(line: str, code: int) -> int:
+    try:
+        print(line, file=sys.stderr)
+    except (OSError, ValueError):  # nobody listens any more
+        pass
+    return code
+
+
+def _flushed(code: int) -> int:
+    """Write out what waits for stdout while an error can still be told; Python itself would be loud about it."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is None:  # closed by whoever started us
+            continue
+        try:
+            stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is nothing wrong
+                _told(f"automodel: the figures cannot be written: {error.strerror}", 1)
+            code = code or 1
+    return code
 
 
 def _one_line(error: Exception) -> str:
     if isinstance(error, OSError) and error.filename is not None and error.strerror:
         return f"{error.filename}: {error.strerror}"
-    text = error.format_message() if isinstance(error, click.ClickException) else str(error)
-    return " ".join(text.split()) or type(error).__name__
+    return " ".join(str(error).split()) or type(error).__name__

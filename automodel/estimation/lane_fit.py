@@ -33,6 +33,7 @@ class LaneFitConfig:
     behind_lanes: float = 1.4  # reach of the centerline behind the reference point
     ahead_lanes: float = 4.0  # and ahead of it
     node_lanes: float = 0.6  # spacing of the curvature's nodes
+    sure_lanes: float = 1.0  # how far ahead the prior is to be trusted
     outlier_lanes: float = 0.06  # Tukey's biweight goes to 0 at this distance
     width_sigma: float = 0.10  # how well the configured width is known, relative
 
@@ -195,10 +196,8 @@ class LaneFit:
         cut = self.config.outlier_lanes * unit
         for turn in range(rounds):
             residual, jacobian = self.residuals(parameters, samples)
-            if turn == 0:  # what the prior leaves open there, a point may be off
-                spread = np.linalg.solve(fixed, jacobian.T)
-                open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
-                wide = np.maximum(cut, 3.0 * open_m)
+            if turn == 0:
+                wide = self._first_limits(jacobian, samples, fixed, cut)
             limit = np.maximum(wide * 0.5**turn, np.maximum(cut, 3.0 * samples.sigma_m))
             keep = np.maximum(1.0 - (residual / limit) ** 2, 0.0) ** 2
             weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
@@ -206,6 +205,17 @@ class LaneFit:
             gradient = weighted.T @ residual + fixed @ parameters - pull
             parameters = parameters - np.linalg.solve(information, gradient)
         return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
+
+    def _first_limits(self, jacobian: FloatArray, samples: LineSamples, fixed: FloatArray, cut: float) -> FloatArray:
+        """How far (n,) a point may be off at first: near the car what the prior leaves open, far ahead more.
+
+        A bend shows itself far ahead, against the prior.
+        """
+        spread = np.linalg.solve(fixed, jacobian.T)
+        open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
+        unit = self.config.lane_width_m
+        far = np.clip((samples.points_m[:, 0] - self.config.reference_x_m) / unit - self.config.sure_lanes, 0.0, 1.0)
+        return np.maximum(np.maximum(cut, 3.0 * open_m), 4.0 * cut * far)
 
     def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
         """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""

@@ -52,11 +52,11 @@ class LaneTracker:
     KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
     CAPACITY = 60
     ROUNDS = 3  # of the fit in a frame
-    # process noise of a frame while the car's motion is known; curvature near the car was seen before, far ahead it was not
+    # Process noise of a frame while the car's motion is known: near the car the curvature was seen before, far not.
     OFFSET = 0.005
     HEADING_RAD = 0.006
     KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
-    CROSSING_LANES = 3.0  # depth of a crossing
+    CROSSING_LANES = 3.3  # depth of a crossing
     CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
     DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
 
@@ -123,7 +123,9 @@ class LaneTracker:
     def cross(self, distance_m: float, theta_rad: float) -> None:
         """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
         self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
-        self._crossing_s_m = distance_m
+        since_m = distance_m - self._crossing_s_m
+        if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:  # else its far side: the same crossing
+            self._crossing_s_m = distance_m
 
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """One frame's points into the lane; `parameters` must be there."""
@@ -147,7 +149,7 @@ class LaneTracker:
         nodes, begin = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
         mean[2:-1][straight] = 0.0
-        sigma[2:-1][straight] = 0.1 / self.unit
+        sigma[2:-1][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
 
     def _take(self, parameters: FloatArray | None) -> None:

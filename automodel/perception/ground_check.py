@@ -11,25 +11,24 @@ from numpy.typing import NDArray
 
 from automodel.geometry import SE2, View
 
-FloatArray = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 
 @dataclass(slots=True)
 class _Past:
-    """A filtered view as it was, thickened, and where it lies now."""
+    """Where a filtered view was in sight and bare, 255, and where it lies now."""
 
-    lines: Image
+    bare: Image
     then_from_now: SE2
     way_m: float
 
 
 class GroundCheck:
-    """Compares line points with what was seen a lane's width of way ago.
+    """Compares a filtered view with the one of a lane's width of way ago.
 
-    Lamps and windows mirrored in a shiny floor look like pieces of lines from above. The odometry says where a point was
-    in the earlier view; if that place was in sight and bare then, the point is not painted on the ground. Points that
-    were not in sight then pass, and so does everything while the car has not gone far enough.
+    Lamps and windows mirrored in a shiny floor look like pieces of lines from above. The odometry says where a place
+    was in the earlier view; if that was in sight and bare then, what is there now is not painted on the ground. Places
+    that were not in sight then pass, and so does everything while the car has not gone far enough.
     """
 
     WAY_LANES = 1.0  # way between the two looks
@@ -37,7 +36,7 @@ class GroundCheck:
     TOLERANCE_MARKINGS = 1.0  # how far beside a line a point may lie
 
     def __init__(self, view: View, visible: Image, lane_width_m: float, marking_width_m: float) -> None:
-        self.view, self._visible = view, visible > 0
+        self.view, self._visible = view, visible
         self._way_m, self._every_m = self.WAY_LANES * lane_width_m, self.EVERY_LANES * lane_width_m
         across = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_px) + 1
         along = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_row) + 1
@@ -59,17 +58,17 @@ class GroundCheck:
     def remember(self, lines: Image) -> None:
         """Keep this frame's filtered view (h, w), if the car has gone on since the last that was kept."""
         if not self._past or self._past[-1].way_m >= self._every_m:
-            thick = np.asarray(cv2.dilate(lines, self._kernel), dtype=np.uint8)
-            self._past.append(_Past(thick, SE2(), 0.0))
+            bare = cv2.subtract(self._visible, cv2.dilate(lines, self._kernel))
+            self._past.append(_Past(np.asarray(bare, dtype=np.uint8), SE2(), 0.0))
 
-    def on_ground(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        """Which of the points (n, 2) of the body frame may be paint."""
-        if not self._past or self._past[0].way_m < self._way_m or len(points_m) == 0:
-            return np.ones(len(points_m), dtype=bool)
+    def step(self, lines: Image) -> Image:
+        """The part of a filtered view (h, w) that may be paint."""
+        if not self._past or self._past[0].way_m < self._way_m:
+            return lines
         past = self._past[0]
-        px = np.rint(self.view.to_px(past.then_from_now.apply(points_m))).astype(np.intp)
-        height, width = self._visible.shape
-        inside = (px[:, 0] >= 0) & (px[:, 0] < width) & (px[:, 1] >= 0) & (px[:, 1] < height)
-        column, row = np.where(inside, px[:, 0], 0), np.where(inside, px[:, 1], 0)
-        bare = inside & self._visible[row, column] & (past.lines[row, column] == 0)
-        return np.asarray(~bare)
+        now = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+        then = self.view.to_px(past.then_from_now.apply(self.view.to_body(now)))
+        affine = cv2.getAffineTransform(now.astype(np.float32), then.astype(np.float32))
+        size = (self.view.width_px, self.view.height_px)
+        bare = cv2.warpAffine(past.bare, affine, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=[0])
+        return np.asarray(cv2.subtract(lines, bare), dtype=np.uint8)

@@ -106,6 +106,7 @@ class SlidingWindows:
     COUNT = 12
     BREADTH = 4.8
     FILL = 0.22  # share of a full line's pixels that a window needs
+    SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:
         self.view = view
@@ -125,6 +126,7 @@ class SlidingWindows:
         slope = np.empty(self.COUNT)
         slope[1:-1] = (expected[2:] - expected[:-2]) / (self.centre_rows[2:] - self.centre_rows[:-2])
         slope[0], slope[-1] = slope[1], slope[-2]
+        slope[~np.isfinite(slope)] = 0.0
         points: list[tuple[float, float]] = []
         shifts: list[tuple[float, float]] = []  # (row, shift) of the last two windows that found the line
         for k, (far, near) in enumerate(self._rows):
@@ -137,12 +139,13 @@ class SlidingWindows:
             m = cv2.moments(lines[far:near, low:high], True)
             if m["m00"] < self.FILL * self._marking_px * (near - far):
                 continue
-            column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
-            lean = float(slope[k]) if np.isfinite(slope[k]) else 0.0
-            if m["mu20"] / m["m00"] > 0.25 * self._marking_px**2 + 0.2 * (lean * (near - far)) ** 2:
+            lean = m["mu11"] / m["mu02"] if m["mu02"] > 0 else 0.0
+            if (m["mu20"] - lean * m["mu11"]) / m["m00"] > self.SPREAD * self._marking_px**2:
                 continue  # two things in one window
+            column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
             points.append((column, row))
-            shifts = [*shifts[-1:], (row, column - float(expected[k]) - lean * (row - float(self.centre_rows[k])))]
+            centre_row = float(self.centre_rows[k])
+            shifts = [*shifts[-1:], (row, column - float(expected[k]) - float(slope[k]) * (row - centre_row))]
         return self.view.to_body(np.array(points).reshape(-1, 2))
 
 

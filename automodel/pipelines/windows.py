@@ -95,11 +95,12 @@ class Windows:
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         self.stages.lap("birdseye")
         bright, lines = self._white.step(view)
+        painted = self._ground.step(lines)
         self._ground.remember(lines)
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
-            started = self._begin(lines)
+            started = self._begin(painted)
             if started is None:
                 return self._lost(frame)
             seen, solution, support = started
@@ -107,11 +108,11 @@ class Windows:
             crossed = self._cross(bright)
             crossing = crossed.crossing
             self.stages.lap("crossing")
-            seen = self._observe(lines, self._predicted(+1), self._predicted(-1), crossed)
+            seen = self._observe(painted, self._predicted(+1), self._predicted(-1), crossed)
             self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
             self.stages.lap("lane_fit")
-            rival = self._rival(lines, support)
+            rival = self._rival(painted, support)
             if rival is not None:
                 seen, solution = rival
                 self._tracker.begin(seen, solution)
@@ -219,7 +220,6 @@ class Windows:
         self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, crossed: Crossed | None = None
     ) -> Observation:
         found = [self._windows.follow(lines, y_m) for y_m in (left_y_m, right_y_m)]
-        found = [points[self._ground.on_ground(points)] for points in found]
         if crossed is not None and crossed.covered.any():
             found = [points[crossed.free(self._tracker.shape.nearest_s(points))] for points in found]
         return Observation(
