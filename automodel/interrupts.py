@@ -39,6 +39,24 @@ def stop_on_signals() -> Iterator[Callable[[], str | None]]:
 
 
 @contextlib.contextmanager
+def signals_held_back() -> Iterator[None]:
+    """While inside, SIGINT, SIGTERM and SIGHUP wait; a process started meanwhile never gets them.
+
+    Ctrl-C goes to every process of the terminal: a child that must end in order is told by its parent instead, and
+    until it could say so itself it would die with a traceback.
+    """
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # multiprocessing would start it itself, and let the signals through after that
+    numbers = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
 def no_garbage_collection() -> Iterator[None]:
     """Keep the collector out of the loop: a full collection takes tens of milliseconds, whenever it likes.
 

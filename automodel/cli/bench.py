@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from automodel.cli.figures import show
+from automodel.cli.options import FILE, POSITIVE, check_outputs
 from automodel.cli.parts import car_of
 from automodel.config import PIPELINES
 from automodel.sim.trajectory import STYLES
@@ -21,7 +22,7 @@ def command() -> None:
 
 
 @command.command("accuracy")
-@click.option("--car", "car_file", type=click.Path(path_type=Path), help="car.toml (default: the simulated car).")
+@click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
 @click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
 @click.option("--track", "tracks", multiple=True, help=f"Name or file.  [default: {', '.join(TRACKS)}]")
 @click.option("--style", "styles", multiple=True, type=click.Choice(STYLES), help="Driving style.  [default: all]")
@@ -31,8 +32,8 @@ def command() -> None:
 @click.option("--seed", "first_seed", type=click.IntRange(0), default=0, show_default=True, help="The first seed.")
 @click.option("--look", type=click.Choice(LOOKS), default="competition", show_default=True, help="Floor and light.")
 @click.option("--direction", type=click.Choice(["forward", "reverse"]), default="forward", show_default=True)
-@click.option("--speed", "speed_mps", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True)
-@click.option("--plot", type=click.Path(path_type=Path), help="Estimate against truth over time, as PNG.")
+@click.option("--speed", "speed_mps", type=POSITIVE, default=1.0, show_default=True)
+@click.option("--plot", type=FILE, help="Estimate against truth over time, as PNG.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def accuracy(
@@ -50,6 +51,7 @@ def accuracy(
     """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
     from automodel.cli.accuracy import Case, measure
 
+    check_outputs({"--plot": plot}, {"--car": car_file})
     car = car_of(car_file)
     cases = [
         Case(pipeline=pipeline, track=track, style=style, seed=seed, **drive)  # type: ignore[arg-type]
@@ -64,7 +66,7 @@ def accuracy(
 
 
 @command.command("speed")
-@click.option("--car", "car_file", type=click.Path(path_type=Path), help="car.toml (default: the simulated car).")
+@click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
 @click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
 @click.option("--frames", type=click.IntRange(10), default=300, show_default=True)
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads that OpenCV may use.")

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import csv
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
+from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError
-from automodel.interfaces import Source, VehicleLink
-from automodel.run_values import RunResult, TickRecord
+from automodel.interfaces import Clock, Source, VehicleLink
+from automodel.run_values import RunConfig, RunEnd, RunResult, TickRecord
+from automodel.runner import Runner
 from automodel.safety import SafetyMode
 from automodel.signals import Command, Frame, StereoFrame, VehicleState
 from automodel.sim.world import Scene
@@ -26,13 +27,13 @@ GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
 class Watcher:
     """Implements `RunObserver`, and is told the scenes of the simulator."""
 
-    def __init__(self, car: CarConfig, laps: int | None, advance: Callable[..., None]) -> None:
-        self._car, self._laps, self._advance = car, laps, advance
+    def __init__(self, laps: int | None, advance: Callable[..., None]) -> None:
+        self._laps, self._advance = laps, advance
         self.scenes: list[Scene] = []
         self._driving_from: int | None = None  # index of the first scene in which it was driving
         self._stood_since_ns: int | None = None
+        self._now_ns = 0
         self._lap_times_ns: list[int] = []
-        self.moved = False
 
     def on_scene(self, scene: Scene) -> None:
         """The truth of a frame."""
@@ -49,12 +50,7 @@ class Watcher:
         if driving and self._driving_from is None:
             self._driving_from = max(len(self.scenes) - 1, 0)
             self._lap_times_ns = [record.t_ns]
-        for event in record.decision.events:
-            if event.kind in ("hold", "stop", "arm-refused"):
-                print(f"{event.t_ns * 1e-9:.2f} s: {event.kind}: {event.text}", file=sys.stderr)
-        standing = not self.scenes or abs(self.scenes[-1].car.speed_mps) < 0.01
-        self.moved |= not standing
-        if not standing:
+        if self.scenes and abs(self.scenes[-1].car.speed_mps) >= 0.01:
             self._stood_since_ns = None
         elif self._stood_since_ns is None:
             self._stood_since_ns = record.t_ns
@@ -101,6 +97,31 @@ class Watcher:
             raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
+def run_config(car: CarConfig, collector_off: bool) -> RunConfig:
+    """The times of a run with `car`."""
+    return RunConfig(
+        command_validity_s=car.safety.command_validity_s,
+        period_s=1.0 / car.camera.rate_hz,
+        collector_off=collector_off,
+    )
+
+
+def drive(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None) -> RunResult:
+    """Run until the watcher has seen enough, `duration_s` is over or a signal comes."""
+    start_ns = clock.now_ns()
+
+    def finished() -> bool:
+        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
+        return over or watcher.finished()
+
+    result = runner.run(stop=finished)
+    if result.traceback is not None:
+        say(result.traceback.rstrip())
+    if result.end is RunEnd.SIGNAL:
+        say(f"stopped by {result.events[-1].text}")
+    return result
+
+
 class Stopwatch:
     """The loop's own time from a frame's delivery to its command on the wire, where the run lives on virtual time."""
 
@@ -108,9 +129,12 @@ class Stopwatch:
         self._taken_ns: int | None = None
         self.latencies_ns: list[int] = []
 
-    def percentile_ms(self, percentile: float) -> float | None:
-        """A percentile (0 .. 100) [ms]."""
-        return float(np.percentile(self.latencies_ns, percentile)) * 1e-6 if self.latencies_ns else None
+    def percentiles_ms(self) -> tuple[float | None, float | None]:
+        """The median and the 99th percentile [ms]."""
+        if not self.latencies_ns:
+            return None, None
+        median_ns, p99_ns = np.percentile(self.latencies_ns, (50, 99))
+        return float(median_ns) * 1e-6, float(p99_ns) * 1e-6
 
     def taken(self) -> None:
         """A frame was delivered."""

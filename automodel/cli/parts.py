@@ -6,12 +6,14 @@ import dataclasses
 import time
 from pathlib import Path
 
-from automodel.config import CarConfig, ConfigError, load_car, read_text
+from automodel.config import CarConfig, ConfigError, load_car, parse_car
 from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
 from automodel.interfaces import Source
 from automodel.loop import Loop
 from automodel.pipelines import make_pipeline
+from automodel.reading import read_text
+from automodel.recording.writer import McapRecorder
 
 
 def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
@@ -25,9 +27,35 @@ def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
         raise ConfigError(f"--pipeline {error}") from None
 
 
-def car_text(path: Path | None) -> str:
-    """The text of car.toml for a recording; empty where the defaults are driven."""
-    return "" if path is None else read_text(path)
+def read_car(path: Path | None, pipeline: str | None, speed_mps: float | None) -> tuple[CarConfig, str]:
+    """What is driven, and the text of car.toml that says so: a replay of the recording must find what was in force.
+
+    `pipeline` and `speed_mps` override the file's.
+    """
+    text = "" if path is None else read_text(path)
+    name = "car.toml" if path is None else str(path)
+    car = parse_car(text, name)
+    if speed_mps is not None and speed_mps > car.safety.speed_max_mps:
+        raise ConfigError(f"--speed {speed_mps}: {name} allows {car.safety.speed_max_mps} ([safety] speed_max_mps)")
+    for section, key, value in (("pipeline", "name", pipeline), ("control", "speed_mps", speed_mps)):
+        if value is not None:
+            text = _with_key(text, section, key, value)
+    return parse_car(text, name), text
+
+
+def _with_key(text: str, section: str, key: str, value: str | float) -> str:
+    import tomlkit
+
+    document = tomlkit.parse(text)
+    if section not in document:
+        document[section] = tomlkit.table()
+    document[section][key] = value  # type: ignore[index]
+    return tomlkit.dumps(document)
+
+
+def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:
+    """A recorder into a new file at `path`; `text` is the car.toml that the run has."""
+    return McapRecorder(path, text, car.recording)
 
 
 def make_loop(car: CarConfig) -> Loop:

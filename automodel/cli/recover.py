@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
+from automodel.cli.options import FILE
 from automodel.recording.recover import recover
 
 
 @click.command("recover")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="The new file (default: NAME.recovered.mcap).")
+@click.argument("recording", type=FILE)
+@click.option("-o", "--output", type=FILE, help="The new file (default: NAME.recovered.mcap).")
 @click.option("--force", is_flag=True, help="Write over a file that is there already.")
 def command(recording: Path, output: Path | None, force: bool) -> int:
     """Save what is whole in a RECORDING that was cut (power loss, full disk) into a new file."""

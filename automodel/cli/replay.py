@@ -13,6 +13,7 @@ import click
 import numpy as np
 
 from automodel.cli.figures import show
+from automodel.cli.options import FILE, PositiveNumber, check_outputs
 from automodel.cli.parts import car_of, make_loop
 from automodel.cli.progress import progress
 from automodel.cli.recordings import open_source
@@ -23,7 +24,7 @@ from automodel.loop import Tick
 from automodel.recording.poses_csv import PosesCsv
 from automodel.recording.reader import RecordingSource
 from automodel.signals import Frame, Image, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
-from automodel.sources.errors import EndOfSource
+from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.motion_csv import MotionTable, read_motion_csv
 from automodel.sources.pictures import check_size
 from automodel.viewer.overlay import draw
@@ -33,17 +34,15 @@ AnyFrame = Frame | StereoFrame
 
 
 @click.command("replay")
-@click.argument("source", type=click.Path(path_type=Path))
-@click.option("--car", "car_file", type=click.Path(path_type=Path), help="car.toml (default: the recording's own).")
-@click.option(
-    "--motion", "motion_file", type=click.Path(path_type=Path), help="motion.csv: t_s,speed_mps,yaw_rate_radps."
-)
+@click.argument("source", type=FILE)
+@click.option("--car", "car_file", type=FILE, help="car.toml (default: the recording's own).")
+@click.option("--motion", "motion_file", type=FILE, help="motion.csv: t_s,speed_mps,yaw_rate_radps.")
 @click.option(
     "--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="May be given several times."
 )
-@click.option("--csv", "csv_file", type=click.Path(path_type=Path), help="Write poses.csv here (per pipeline).")
-@click.option("--video", "video_file", type=click.Path(path_type=Path), help="Write an MP4 with the overlay here.")
-@click.option("--rate", "rate_hz", type=float, help="Frames a second, for sources that do not say.")
+@click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
+@click.option("--video", "video_file", type=FILE, help="Write an MP4 with the overlay here.")
+@click.option("--rate", "rate_hz", type=PositiveNumber(1000), help="Frames a second, for sources that do not say.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(
     source: Path,
@@ -56,8 +55,8 @@ def command(
     as_json: bool,
 ) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of pictures or a donkeycar tub (v2)."""
-    if rate_hz is not None and not 0 < rate_hz <= 1000:
-        raise click.UsageError(f"--rate: {rate_hz} where 0 .. 1000 is wanted", click.get_current_context())
+    inputs = {"SOURCE": source, "--car": car_file, "--motion": motion_file}
+    check_outputs({"--csv": csv_file, "--video": video_file}, inputs)
     base = _car(source, car_file)
     motion = read_motion_csv(motion_file) if motion_file is not None else None
     rows = []
@@ -121,7 +120,7 @@ def _replay(
         bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
         for frame, moved, state in frames_of(source, motion):
             if isinstance(frame, Frame):
-                check_size(frame, car.camera)
+                _check_size(path, frame, car)
             begin = time.perf_counter()
             tick = loop.tick(frame, moved, state, frame.t_ns)
             times_ms.append(1e3 * (time.perf_counter() - begin))
@@ -131,6 +130,13 @@ def _replay(
             paint(frame, tick)
             bar()
     return _row(path, car, statuses, times_ms)
+
+
+def _check_size(path: Path, frame: Frame, car: CarConfig) -> None:
+    try:
+        check_size(frame, car.camera)
+    except SourceError as error:
+        raise SourceError(f"{path}: {error}, and give it with --car") from None
 
 
 def _painter(

@@ -127,6 +127,8 @@ class LaneShape:
 class LaneFit:
     """The fit's fixed grids, and one solve a frame."""
 
+    FAR_CUTS = 8.0
+
     def __init__(self, config: LaneFitConfig) -> None:
         self.config = config
         unit = config.lane_width_m
@@ -215,7 +217,7 @@ class LaneFit:
         open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
         unit = self.config.lane_width_m
         far = np.clip((samples.points_m[:, 0] - self.config.reference_x_m) / unit - self.config.sure_lanes, 0.0, 1.0)
-        return np.maximum(np.maximum(cut, 3.0 * open_m), 4.0 * cut * far)
+        return np.maximum(np.maximum(cut, 3.0 * open_m), self.FAR_CUTS * cut * far)
 
     def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
         """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""

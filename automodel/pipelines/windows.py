@@ -165,7 +165,9 @@ class Windows:
         if (min(counts) < windows) if pair else (max(counts) < self.SINGLE_WINDOWS):
             return None
         solution = self._tracker.fit_alone(seen, self._guess(seen))
-        return (seen, solution) if solution is not None and self._plausible(solution) else None
+        if solution is None or not self._plausible(solution) or abs(solution.offset_m) > 0.5 * solution.width_m:
+            return None
+        return seen, solution
 
     def _rival(self, lines: Image, support: Support) -> tuple[Observation, LaneSolution] | None:
         """A pair of lines that was seen several frames running beside a lane that hardly anything supports any more."""
@@ -175,9 +177,9 @@ class Windows:
         if found is not None:
             seen, solution = found
             p = self._tracker.parameters
-            away = p is not None and (
-                abs(solution.parameters[0] - p[0]) > 0.08 * unit or abs(solution.parameters[1] - p[1]) > 0.08
-            )
+            assert p is not None
+            aside, turned = abs(solution.parameters[0] - p[0]) / unit, abs(solution.parameters[1] - p[1])
+            away = aside < 0.5 and (aside > 0.08 or turned > 0.08)  # a whole lane aside it is the neighbour's
             if len(seen.left_m) and len(seen.right_m) and away:
                 self._rivals += 1
                 return found if self._rivals >= self.RIVAL_FRAMES else None

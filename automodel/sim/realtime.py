@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from automodel.interrupts import signals_held_back
 from automodel.signals import Frame
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError
@@ -46,6 +47,7 @@ class RealTimeWorld:
     """Implements `Source`. `port` is the serial port to open; `factory(*arguments)` builds the world in the child."""
 
     START_TIMEOUT_S = 20.0
+    STOP_TIMEOUT_S = 5.0
 
     def __init__(
         self,
@@ -64,9 +66,14 @@ class RealTimeWorld:
         self._process = context.Process(
             target=_serve, args=(factory, arguments, memory, shape, rate_hz, theirs), daemon=True
         )
-        self._process.start()
+        with signals_held_back():
+            self._process.start()
         theirs.close()
-        self.port = self._await_port()
+        try:
+            self.port = self._await_port()
+        except BaseException:  # an interrupt, too: the process must not outlive this one
+            self.close()
+            raise
 
     def read(self, timeout_s: float) -> Frame | None:
         """The next frame, None when none came in time; raises SourceError when the world's process died."""
@@ -83,19 +90,18 @@ class RealTimeWorld:
         """End the world's process."""
         with contextlib.suppress(OSError):
             self._pipe.send("stop")
-        self._process.join(2.0)
+        self._process.join(self.STOP_TIMEOUT_S)
         if self._process.is_alive():
-            self._process.terminate()
-            self._process.join(2.0)
+            self._process.kill()  # nothing less gets through
+            self._process.join()
         self._pipe.close()
 
     def _await_port(self) -> str:
         try:
             if self._pipe.poll(self.START_TIMEOUT_S):
                 return str(self._pipe.recv())
-        except EOFError:
+        except (EOFError, OSError):
             pass
-        self._process.terminate()
         raise SourceError("the simulated world's process did not start")
 
 
@@ -107,15 +113,12 @@ def _serve(
     rate_hz: float,
     pipe: Connection,
 ) -> None:
-    import signal
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to the whole group: the parent ends this process
     slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
     world, port = factory(*arguments)
-    port.start()
-    pipe.send(port.path)
     index, start = 0, time.monotonic_ns()
     try:
+        port.start()
+        pipe.send(port.path)
         while not pipe.poll(0):
             index += 1
             t_ns = start + round(index * 1e9 / rate_hz)
