@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
 from automodel.clocks import NS_PER_S
 from automodel.interfaces import Recorder
@@ -16,8 +17,9 @@ EVENTS_KEPT = 10_000  # in memory, the newest; the recording has them all
 class Journal:
     """Passes a run on to its recorder; a recorder that fails is told of once and left alone, the car drives on."""
 
-    def __init__(self, recorder: Recorder | None) -> None:
+    def __init__(self, recorder: Recorder | None, on_event: Callable[[Event], None] | None = None) -> None:
         self._recorder = recorder
+        self._on_event = on_event
         self._works = recorder is not None
         self._pending: list[Event] = []
         self._news: list[Event] = []
@@ -29,10 +31,12 @@ class Journal:
         """The run's events so far, oldest first."""
         return tuple(self._kept)
 
-    def news(self) -> list[Event]:
-        """The events since the last call, oldest first."""
+    def tell_news(self) -> None:
+        """Pass the events since the last call to `on_event`; apart from `note`, so that the wire can go first."""
         news, self._news = self._news, []
-        return news
+        if self._on_event is not None:
+            for event in news:
+                self._on_event(event)
 
     def note(self, event: Event) -> None:
         """Take an event in; the recorder gets it with the next turn."""

@@ -83,8 +83,7 @@ class Runner:
         self._validity_ns = round(config.command_validity_s * NS_PER_S)
         self._observer = observer
         self._arm_requested = arm_requested
-        self._on_event = on_event
-        self._journal = Journal(parts.recorder)
+        self._journal = Journal(parts.recorder, on_event)
         self._source = SupervisedSource(parts.source, parts.clock, self._journal, reopen)
         self._link = SupervisedLink(parts.link, self._journal.note)
         self._on_wire = NEUTRAL
@@ -109,7 +108,7 @@ class Runner:
                 leaving.enter_context(no_garbage_collection())
             # The last one in is the first to be called, and each is called whatever the ones before it raise.
             leaving.callback(self._source.close)
-            leaving.callback(self._tell_events)
+            leaving.callback(self._journal.tell_news)
             leaving.callback(lambda: self._journal.close(self._clock.now_ns()))
             leaving.callback(self._link.close)
             leaving.callback(self._park)
@@ -178,7 +177,7 @@ class Runner:
         self._journal.write(record, heard)
         if self._observer is not None:
             self._observer.on_tick(record)
-        self._tell_events()
+        self._journal.tell_news()
         self._tidy(record, was_at_rest)
 
     def _await_frame(self) -> Frame | StereoFrame | None:
@@ -266,10 +265,6 @@ class Runner:
         self._overruns += record.t_ns - taken_ns > self._config.period_s * NS_PER_S
         if record.latency_ns is not None:
             self._latencies_ns.append(record.latency_ns)
-
-    def _tell_events(self) -> None:
-        for event in self._journal.news() if self._on_event is not None else ():
-            self._on_event(event)
 
     def _tidy(self, record: TickRecord, was_at_rest: bool) -> None:
         if not self._config.collector_off:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import concurrent.futures
-import multiprocessing
+import functools
 import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from automodel.cli.progress import progress
 from automodel.cli.simulated import appearance, renderer
+from automodel.cli.workers import spread
 from automodel.config import CarConfig
 from automodel.evaluation.accuracy import AccuracyMeter, TruePose
 from automodel.pipelines import make_pipeline
+from automodel.signals import Frame
 from automodel.sim.track import load_track
 from automodel.sim.trajectory import Drive, Odometer
 from automodel.sim.truth import TruthFollower
-from automodel.signals import Frame
 
 COLUMNS = (
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
@@ -67,16 +67,9 @@ def measure(car: CarConfig, cases: list[Case], jobs: int | None, plot: Path | No
     jobs = min(jobs or os.cpu_count() or 1, len(cases))
     meters: list[AccuracyMeter] = []
     with progress("bench accuracy", len(cases)) as bar:
-        if jobs == 1:
-            for case in cases:
-                meters.append(drive(car, case))
-                bar()
-        else:
-            context = multiprocessing.get_context("spawn")
-            with concurrent.futures.ProcessPoolExecutor(jobs, mp_context=context, initializer=_one_thread) as pool:
-                for meter in pool.map(drive, [car] * len(cases), cases):
-                    meters.append(meter)
-                    bar()
+        for meter in spread(functools.partial(drive, car), cases, jobs):
+            meters.append(meter)
+            bar()
     if plot is not None:
         from automodel.viewer.plots import plot_accuracy
 
@@ -87,9 +80,3 @@ def measure(car: CarConfig, cases: list[Case], jobs: int | None, plot: Path | No
         row: dict[str, object] = {**asdict(case), **meter.row()}
         rows.append({name: row[name] for name in COLUMNS})
     return rows
-
-
-def _one_thread() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)

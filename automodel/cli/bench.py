@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from automodel.cli.figures import show
-from automodel.cli.options import FILE, POSITIVE, check_outputs
+from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.cli.parts import car_of
 from automodel.config import PIPELINES
 from automodel.sim.trajectory import STYLES
@@ -32,7 +32,7 @@ def command() -> None:
 @click.option("--seed", "first_seed", type=click.IntRange(0), default=0, show_default=True, help="The first seed.")
 @click.option("--look", type=click.Choice(LOOKS), default="competition", show_default=True, help="Floor and light.")
 @click.option("--direction", type=click.Choice(["forward", "reverse"]), default="forward", show_default=True)
-@click.option("--speed", "speed_mps", type=POSITIVE, default=1.0, show_default=True)
+@click.option("--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, default=1.0, show_default=True)
 @click.option("--plot", type=FILE, help="Estimate against truth over time, as PNG.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")

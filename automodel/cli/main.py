@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import os
 import signal
@@ -77,10 +78,8 @@ def run(arguments: list[str]) -> int:
 
 
 def _told(line: str, code: int) -> int:
-    try:
+    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
         print(line, file=sys.stderr)
-    except (OSError, ValueError):  # nobody listens any more
-        pass
     return code
 
 

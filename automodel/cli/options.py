@@ -6,35 +6,20 @@ import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import click
 
 from automodel.config import ConfigError
 
-
-class PositiveNumber(click.ParamType):
-    """A finite number above 0, `largest` at most; NaN and infinity are numbers to Python's float."""
-
-    name = "number"
-
-    def __init__(self, largest: float = math.inf) -> None:
-        self._largest = largest
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """The number in `value`."""
-        try:
-            number = float(value)
-        except (TypeError, ValueError):
-            number = math.nan
-        if not (0 < number < math.inf and number <= self._largest):
-            limit = f" up to {self._largest:g}" if self._largest < math.inf else ""
-            self.fail(f"{str(value)!r} where a number above 0{limit} is wanted", param, ctx)
-        return number
-
-
 FILE = click.Path(path_type=Path)
-POSITIVE = PositiveNumber()
+ABOVE_ZERO = click.FloatRange(0, min_open=True)  # together with `finite`: NaN and infinity pass every range
+
+
+def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
+    """A callback that refuses NaN and infinity, which float() takes for numbers."""
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter(f"{value} where a finite number is wanted", ctx, param)
+    return value
 
 
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None]) -> None:

@@ -49,7 +49,7 @@ def _with_key(text: str, section: str, key: str, value: str | float) -> str:
     document = tomlkit.parse(text)
     if section not in document:
         document[section] = tomlkit.table()
-    document[section][key] = value  # type: ignore[index]
+    document[section][key] = value
     return tomlkit.dumps(document)
 
 

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from automodel.cli.figures import show
-from automodel.cli.options import FILE, PositiveNumber, check_outputs
+from automodel.cli.options import FILE, check_outputs, finite
 from automodel.cli.parts import car_of, make_loop
 from automodel.cli.progress import progress
 from automodel.cli.recordings import open_source
@@ -42,7 +42,13 @@ AnyFrame = Frame | StereoFrame
 )
 @click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
 @click.option("--video", "video_file", type=FILE, help="Write an MP4 with the overlay here.")
-@click.option("--rate", "rate_hz", type=PositiveNumber(1000), help="Frames a second, for sources that do not say.")
+@click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(0, 1000, min_open=True),
+    callback=finite,
+    help="Frames a second, for sources that do not say.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(
     source: Path,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from automodel.cli.options import FILE, POSITIVE, check_outputs
+from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.config import PIPELINES, ConfigError
 
 SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "realtime", "truth")
@@ -33,9 +33,11 @@ class Options:
 @click.command("run")
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
 @click.option("--pipeline", type=click.Choice(PIPELINES), help="Which paper sees the lane.")
-@click.option("--speed", "speed_mps", type=POSITIVE, help="Wanted speed [m/s] (default: that of car.toml).")
+@click.option(
+    "--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, help="Wanted speed [m/s] (default: that of car.toml)."
+)
 @click.option("--laps", type=click.IntRange(1), help="End after so many laps (simulated car; default 1).")
-@click.option("--duration", "duration_s", type=POSITIVE, help="End after so many seconds.")
+@click.option("--duration", "duration_s", type=ABOVE_ZERO, callback=finite, help="End after so many seconds.")
 @click.option("--track", default="tmr", show_default=True, help="Simulated: tmr, oval, chicane, a .toml or .csv file.")
 @click.option(
     "--direction",
@@ -61,7 +63,7 @@ class Options:
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
 def command(
-    ctx: click.Context, car_file: Path | None, pipeline: str | None, speed_mps: float | None, **rest: object
+    ctx: click.Context, /, car_file: Path | None, pipeline: str | None, speed_mps: float | None, **rest: object
 ) -> int:
     """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime)."""
     from automodel.cli.parts import read_car

@@ -11,9 +11,9 @@ import numpy as np
 from automodel.cli.simulated import appearance, renderer
 from automodel.config import CarConfig
 from automodel.pipelines import make_pipeline
+from automodel.signals import Frame
 from automodel.sim.track import load_track
 from automodel.sim.trajectory import Drive, Odometer
-from automodel.signals import Frame
 
 WARM_UP = 30  # frames that are not counted
 

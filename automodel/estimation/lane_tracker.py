@@ -57,6 +57,7 @@ class LaneTracker:
     HEADING_RAD = 0.006
     KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
     CROSSING_LANES = 3.3  # depth of a crossing
+    CROSSING_TURN_RAD = 0.2  # how much the lane may turn within a crossing
     CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
     DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
 
@@ -122,10 +123,15 @@ class LaneTracker:
 
     def cross(self, distance_m: float, theta_rad: float) -> None:
         """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
-        self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
         since_m = distance_m - self._crossing_s_m
-        if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:  # else its far side: the same crossing
+        inside = 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit
+        if inside:  # the far side of the crossing that is known, or the side of a road that crosses
+            expected = float(np.interp(distance_m, self.shape.s_m, self.shape.theta_rad))
+            if abs(theta_rad - expected) > self.CROSSING_TURN_RAD:
+                return
+        else:
             self._crossing_s_m = distance_m
+        self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
 
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """One frame's points into the lane; `parameters` must be there."""

@@ -36,8 +36,9 @@ class HistogramStart:
     SLOPES = tuple(np.tan(np.radians((0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0, -40.0, 40.0))))
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
+    SINGLES = 4
     FILL = 0.2  # share of the near part's rows that a peak's line fills, at least
-    SINGLE_FILL = 0.3  # and a single line's
+    SINGLE_FILL = 0.15  # and a single line's: it may be dashed and bent
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
         self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
@@ -48,11 +49,11 @@ class HistogramStart:
         self._places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
         self._full = (view.height_px - self._first_row) * marking_width_m / view.m_per_px  # pixels of a whole line
 
-    def step(self, lines: Image) -> Start | None:
-        """The best start in a filtered binary view (h, w), or None."""
+    def step(self, lines: Image) -> list[Start]:
+        """Starts in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines."""
         found = cv2.findNonZero(lines[self._first_row :])
         if found is None:
-            return None
+            return []
         px = found.reshape(-1, 2).astype(np.float64)  # OpenCV 4 gives (n, 1, 2), OpenCV 5 (n, 2)
         px[:, 1] += self._first_row
         points = self.view.to_body(px)
@@ -64,8 +65,8 @@ class HistogramStart:
             peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same") / self._full
             pairs += self._pairs(peaks, float(slope))
             singles += self._singles(peaks, float(slope))
-        best = max(pairs or singles, key=lambda scored: scored[0], default=None)
-        return None if best is None else best[1]
+        ranked = [start for _, start in sorted(pairs or singles, key=lambda scored: -scored[0])]
+        return ranked[: 1 if pairs else self.SINGLES]
 
     def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, Start]]:
         top = self._tops(peaks, self.FILL)

@@ -153,17 +153,20 @@ class Windows:
 
     def _fresh_lane(self, lines: Image, windows: int) -> tuple[Observation, LaneSolution] | None:
         """A lane from this frame alone: a pair of lines, or one line in `SINGLE_WINDOWS`."""
-        start = self._start.step(lines)
-        if start is None:
+        best: Observation | None = None
+        for start in self._start.step(lines):
+            along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
+            nowhere = np.full(len(along), np.nan)
+            left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
+            seen = self._observe(lines, left, right)
+            pair = start.left_m is not None and start.right_m is not None
+            counts = (len(seen.left_m), len(seen.right_m))
+            enough = min(counts) >= windows if pair else max(counts) >= self.SINGLE_WINDOWS
+            if enough and (best is None or sum(counts) > len(best.left_m) + len(best.right_m)):
+                best = seen
+        if best is None:
             return None
-        along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
-        nowhere = np.full(len(along), np.nan)
-        left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
-        seen = self._observe(lines, left, right)
-        pair = start.left_m is not None and start.right_m is not None
-        counts = (len(seen.left_m), len(seen.right_m))
-        if (min(counts) < windows) if pair else (max(counts) < self.SINGLE_WINDOWS):
-            return None
+        seen = best
         solution = self._tracker.fit_alone(seen, self._guess(seen))
         if solution is None or not self._plausible(solution) or abs(solution.offset_m) > 0.5 * solution.width_m:
             return None

@@ -60,7 +60,7 @@ class RealTimeWorld:
         context = multiprocessing.get_context("spawn")
         size = int(np.prod(shape))
         memory = context.RawArray("B", size * SLOTS)
-        self._slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))  # type: ignore[call-overload]
+        self._slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
         self._pipe, theirs = context.Pipe()
         self._on_scene = on_scene
         self._process = context.Process(
