@@ -106,7 +106,7 @@ class SlidingWindows:
 
     COUNT = 12
     BREADTH = 4.8
-    FILL = 0.22  # share of a full line's pixels that a window needs
+    FILL = 0.4  # share of a full line's pixels that a window needs
     SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:
