@@ -16,7 +16,7 @@ Image = NDArray[np.uint8]
 
 @dataclass(slots=True)
 class _Past:
-    """Where a filtered view was in sight and bare, 255, and where it lies now."""
+    """Where a view was in sight and bare, 255, and where it lies now."""
 
     bare: Image
     then_from_now: SE2
@@ -24,7 +24,7 @@ class _Past:
 
 
 class GroundCheck:
-    """Compares a filtered view with the one of a lane's width of way ago.
+    """Compares a filtered view with what was bright a lane's width of way ago.
 
     Lamps and windows mirrored in a shiny floor look like pieces of lines from above. The odometry says where a place
     was in the earlier view; if that was in sight and bare then, what is there now is not painted on the ground. Places
@@ -55,10 +55,10 @@ class GroundCheck:
         while len(self._past) > 1 and self._past[1].way_m >= self._way_m:
             self._past.popleft()
 
-    def remember(self, lines: Image) -> None:
-        """Keep this frame's filtered view (h, w), if the car has gone on since the last that was kept."""
+    def remember(self, bright: Image) -> None:
+        """Keep what is bright in this frame's view (h, w), if the car has gone on since the last that was kept."""
         if not self._past or self._past[-1].way_m >= self._every_m:
-            bare = cv2.subtract(self._visible, cv2.dilate(lines, self._kernel))
+            bare = cv2.subtract(self._visible, cv2.dilate(bright, self._kernel))
             self._past.append(_Past(np.asarray(bare, dtype=np.uint8), SE2(), 0.0))
 
     def step(self, lines: Image) -> Image:

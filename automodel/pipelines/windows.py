@@ -96,7 +96,7 @@ class Windows:
         self.stages.lap("birdseye")
         bright, lines = self._white.step(view)
         painted = self._ground.step(lines)
-        self._ground.remember(lines)
+        self._ground.remember(bright)
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
