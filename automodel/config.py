@@ -140,7 +140,7 @@ class WindowsConfig:
 
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
     view_half_lanes: float = 1.6  # half the bird's-eye view's breadth
-    marking_px: float = 6.0  # pixels that the marking is wide in the bird's-eye view
+    marking_px: float = 5.0  # pixels that the marking is wide in the bird's-eye view
     contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
     coast_m: float = 1.6  # way [m] that the lane is carried on without any line, at most
     coast_s: float = 2.0  # and for how long at most

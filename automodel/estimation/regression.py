@@ -30,15 +30,12 @@ def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike |
 
 def shift_polynomial(local: FloatArray, centre: float, scale: float) -> FloatArray:
     """Coefficients in x of sum local_k ((x - centre) / scale)^k, by Horner's scheme on polynomials."""
-    out = np.zeros(len(local))
-    out[0] = local[-1]
-    for count, coefficient in enumerate(local[-2::-1], 1):
-        shifted = np.zeros(len(local))
-        shifted[1 : count + 1] = out[:count] / scale
-        shifted[:count] -= out[:count] * centre / scale
-        out = shifted
+    out = [float(local[-1])]
+    for coefficient in local[-2::-1].tolist():  # out(x) <- out(x) (x - centre) / scale + coefficient
+        rise = [value / scale for value in out]
+        out = [a - b * centre for a, b in zip([0.0, *rise], [*rise, 0.0], strict=True)]
         out[0] += coefficient
-    return out
+    return np.array(out)
 
 
 def evaluate_polynomial(coefficients: FloatArray, x: ArrayLike) -> FloatArray:
