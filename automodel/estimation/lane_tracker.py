@@ -133,6 +133,11 @@ class LaneTracker:
             self._crossing_s_m = distance_m
         self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
 
+    @property
+    def near_crossing(self) -> bool:
+        """Whether the car is about to pass a crossing, in it, or a little behind it."""
+        return -(self.CROSSING_LANES + 2.0) * self.unit < self._crossing_s_m < 2.0 * self.unit
+
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """One frame's points into the lane; `parameters` must be there."""
         if self.parameters is None:

@@ -173,9 +173,13 @@ class Windows:
         return seen, solution
 
     def _rival(self, lines: Image, support: Support) -> tuple[Observation, LaneSolution] | None:
-        """A pair of lines that was seen several frames running beside a lane that hardly anything supports any more."""
+        """A pair of lines that was seen several frames running beside a lane that little supports.
+
+        Little is: next to nothing, or one line at a crossing, where it may be another road's or the next lane's.
+        """
         unit, windows = self._lane.width_m, self.RIVAL_WINDOWS
-        weak = min(support.left, support.right) == 0 and max(support.left, support.right) < windows
+        one = min(support.left, support.right) < self.MIN_WINDOWS
+        weak = one and (max(support.left, support.right) < windows or self._tracker.near_crossing)
         found = self._fresh_lane(lines, windows) if weak else None
         if found is not None:
             seen, solution = found
