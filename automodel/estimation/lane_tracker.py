@@ -131,6 +131,10 @@ class LaneTracker:
                 return
         else:
             self._crossing_s_m = distance_m
+            if self.parameters is not None and since_m >= self.CROSSING_LANES * self.unit:
+                after = self.parameters.copy()  # a bend that leads up to a crossing says nothing of what comes after it
+                after[2:-1][self.fit.nodes_m > distance_m] = 0.0
+                self._take(after)
         self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
 
     @property
@@ -142,7 +146,7 @@ class LaneTracker:
         """One frame's points into the lane; `parameters` must be there."""
         if self.parameters is None:
             raise ValueError("update: nothing is tracked; begin first")
-        fresh = _samples(seen)
+        fresh = self._doubted(_samples(seen))
         samples = LineSamples(
             points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
             side=np.concatenate((fresh.side, self._memory[:, 2])),
@@ -154,6 +158,15 @@ class LaneTracker:
         good = solution.inliers[: len(fresh.side)]
         self._keep(fresh, good)
         return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+
+    def _doubted(self, samples: LineSamples) -> LineSamples:
+        """Inside a crossing there are no lines of this road: what looks like some counts little."""
+        s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
+        inside = (s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit)
+        if not inside.any():
+            return samples
+        sigma = np.where(inside, 4.0 * samples.sigma_m + 0.03 * self.unit, samples.sigma_m)
+        return LineSamples(points_m=samples.points_m, side=samples.side, sigma_m=sigma)
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
         mean, sigma = parameters.copy(), (self._sigma if self._motion_known else self._loose_sigma).copy()

@@ -112,7 +112,7 @@ class Windows:
             self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
             self.stages.lap("lane_fit")
-            rival = self._rival(painted, support)
+            rival = self._rival(painted, crossed, support)
             if rival is not None:
                 seen, solution = rival
                 self._tracker.begin(seen, solution)
@@ -151,10 +151,12 @@ class Windows:
         self._to_confirm = 0 if support.left and support.right else self.CONFIRM_FRAMES
         return seen, solution, support
 
-    def _fresh_lane(self, lines: Image, windows: int) -> tuple[Observation, LaneSolution] | None:
+    def _fresh_lane(
+        self, lines: Image, windows: int, everywhere: bool = False
+    ) -> tuple[Observation, LaneSolution] | None:
         """A lane from this frame alone: a pair of lines, or one line in `SINGLE_WINDOWS`."""
         best: Observation | None = None
-        for start in self._start.step(lines):
+        for start in self._start.step(lines, everywhere):
             along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
             nowhere = np.full(len(along), np.nan)
             left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
@@ -172,7 +174,7 @@ class Windows:
             return None
         return seen, solution
 
-    def _rival(self, lines: Image, support: Support) -> tuple[Observation, LaneSolution] | None:
+    def _rival(self, lines: Image, crossed: Crossed, support: Support) -> tuple[Observation, LaneSolution] | None:
         """A pair of lines that was seen several frames running beside a lane that little supports.
 
         Little is: next to nothing, or one line at a crossing, where it may be another road's or the next lane's.
@@ -180,7 +182,7 @@ class Windows:
         unit, windows = self._lane.width_m, self.RIVAL_WINDOWS
         one = min(support.left, support.right) < self.MIN_WINDOWS
         weak = one and (max(support.left, support.right) < windows or self._tracker.near_crossing)
-        found = self._fresh_lane(lines, windows) if weak else None
+        found = self._fresh_lane(self._uncovered(lines, crossed), windows, everywhere=True) if weak else None
         if found is not None:
             seen, solution = found
             p = self._tracker.parameters
@@ -192,6 +194,19 @@ class Windows:
                 return found if self._rivals >= self.RIVAL_FRAMES else None
         self._rivals = 0
         return None
+
+    def _uncovered(self, lines: Image, crossed: Crossed) -> Image:
+        """The view without the rows where paint covers the lane: a zebra's bars look like pairs of lines."""
+        if not crossed.covered.any():
+            return lines
+        shape = self._tracker.shape
+        ahead = slice(int(np.argmin(np.abs(shape.s_m))), None)
+        rows = np.arange(self.view.height_px)
+        x = self.view.to_body(np.stack((rows, rows), axis=-1))[:, 0]
+        s = np.interp(x, shape.points_m[ahead, 0], shape.s_m[ahead])
+        clean = lines.copy()
+        clean[~crossed.free(s)] = 0
+        return clean
 
     def _guess(self, seen: Observation) -> FloatArray:
         """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
