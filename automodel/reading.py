@@ -42,8 +42,8 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         line = re.search(r"\(at line (\d+)", str(error))
-        where = f"{file}:{line.group(1)}" if line else file
-        raise ConfigError(f"{where}: not TOML: {re.sub(r' [(]at .*', '', str(error))}") from None
+        number = line.group(1) if line else len(text.splitlines())  # without a line it says "at end of document"
+        raise ConfigError(f"{file}:{number}: not TOML: {re.sub(r' [(]at .*', '', str(error))}") from None
 
 
 def read_section(cls: type[T], table: dict[str, Any], text: str, file: str, path: tuple[str, ...] = ()) -> T:

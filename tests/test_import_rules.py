@@ -19,6 +19,7 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.geometry": {"automodel.config"},
     "automodel.interfaces": {"automodel.signals"},
     "automodel.clocks": set(),
+    "automodel.interrupts": set(),
     "automodel.estimation": GROUND,
     "automodel.perception": GROUND | {"automodel.estimation"},
     "automodel.pipelines": GROUND | {"automodel.estimation", "automodel.perception", "automodel.interfaces"},
@@ -26,15 +27,20 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.sources": GROUND | {"automodel.interfaces"},
     "automodel.recording": GROUND | {"automodel.interfaces", "automodel.sources", "automodel.viewer", "automodel"},
     "automodel.viewer": GROUND,
-    "automodel.sim": GROUND | {"automodel.clocks", "automodel.sources"},
+    "automodel.sim": GROUND | {"automodel.clocks", "automodel.interrupts", "automodel.sources"},
     "automodel.evaluation": GROUND | {"automodel.estimation", "automodel.interfaces"},
     "automodel.safety": {"automodel.signals", "automodel.config", "automodel.clocks"},
     "automodel.loop": {"automodel.signals", "automodel.config", "automodel.clocks", "automodel.interfaces"},
-    "automodel.interrupts": set(),
     "firmware_link": {"automodel.signals", "automodel.config", "automodel.geometry"},
     "calibration": {"automodel.signals", "automodel.config", "automodel.geometry"},
 }
-RUNNER_LAYER = {"automodel.runner", "automodel.supervised_link"}
+RUNNER_LAYER = {  # one thing in several files: its modules know each other, and what they drive by interface only
+    "automodel.runner",
+    "automodel.run_values",
+    "automodel.journal",
+    "automodel.supervised_link",
+    "automodel.supervised_source",
+}
 RUNNER_KNOWS = GROUND | {
     "automodel.interfaces",
     "automodel.clocks",
@@ -44,6 +50,8 @@ RUNNER_KNOWS = GROUND | {
     "automodel.estimation",
     "automodel.sources.errors",
 }
+
+SHARED_BY_PIPELINES = {"automodel.pipelines.stages"}
 
 
 def module_of(path: Path) -> str:
@@ -70,28 +78,75 @@ def sources() -> list[Path]:
     return sorted(p for top in ("automodel", "firmware_link", "calibration") for p in (ROOT / top).rglob("*.py"))
 
 
-@pytest.mark.parametrize("path", sources(), ids=module_of)
-def test_imports_point_down(path: Path) -> None:
-    module = module_of(path)
-    if module.startswith("automodel.cli") or module in ("automodel", "automodel.__main__"):
-        return  # the commands know everything
+def wrong_imports(module: str, imported: set[str]) -> set[str]:
+    """Those of `imported` that lie above or beside the layer of `module`."""
+    if module.startswith("automodel.cli.") or module in ("automodel", "automodel.__main__", "automodel.cli"):
+        return set()  # the commands know everything
     layer = layer_of(module)
     assert layer is not None, f"{module} belongs to no layer: add it to the table"
-    allowed = RUNNER_KNOWS if layer in RUNNER_LAYER else ALLOWED[layer]
-    peers = RUNNER_LAYER if layer in RUNNER_LAYER else set()
-    for name in imports_of(path):
-        ok = any(name == a or (a != "automodel" and name.startswith(a + ".")) for a in {layer, *allowed, *peers})
-        assert ok, f"{module} imports {name}, which lies above or beside it"
+    if layer in RUNNER_LAYER:
+        known = RUNNER_LAYER | RUNNER_KNOWS
+    else:
+        known = {layer} | ALLOWED[layer]
+    return {n for n in imported if not any(n == k or (k != "automodel" and n.startswith(k + ".")) for k in known)}
 
 
-def test_no_pipeline_imports_another() -> None:
-    for path in (ROOT / "automodel" / "pipelines").glob("*.py"):
-        if path.stem != "__init__":
-            others = {n for n in imports_of(path) if n.startswith("automodel.pipelines.") and n != module_of(path)}
-            assert not others, f"{path.name} imports {others}"
+def other_pipelines(module: str, imported: set[str]) -> set[str]:
+    """The pipelines that a pipeline imports; the package itself names them all."""
+    if not module.startswith("automodel.pipelines.") or module in SHARED_BY_PIPELINES:
+        return set()
+    pipelines = {name for name in imported if name.startswith("automodel.pipelines")}
+    return pipelines - SHARED_BY_PIPELINES - {module}
 
 
-def test_the_rule_can_fail(tmp_path: Path) -> None:
-    bad = tmp_path / "bad.py"
-    bad.write_text("from automodel.cli import main\nimport numpy\n", encoding="utf-8")
-    assert imports_of(bad) == {"automodel.cli"}
+@pytest.mark.parametrize("path", sources(), ids=module_of)
+def test_imports_point_down(path: Path) -> None:
+    module, imported = module_of(path), imports_of(path)
+    assert not wrong_imports(module, imported), f"{module} imports what lies above or beside it"
+    assert not other_pipelines(module, imported), f"{module} imports another pipeline"
+
+
+def test_shared_parts_of_pipelines_are_no_pipelines() -> None:
+    for module in SHARED_BY_PIPELINES:
+        path = ROOT.joinpath(*module.split(".")).with_suffix(".py")
+        assert not {name for name in imports_of(path) if name.startswith("automodel.pipelines")}
+
+
+def test_the_layers_exist() -> None:
+    modules = {module_of(path) for path in sources()}
+    for layer in (*ALLOWED, *RUNNER_LAYER, *SHARED_BY_PIPELINES):
+        assert layer in modules, f"{layer} is in the table and nowhere else"
+
+
+@pytest.mark.parametrize(
+    ("module", "imported"),
+    [
+        ("automodel.signals", "automodel.config"),
+        ("automodel.curves.theta", "automodel.signals"),
+        ("automodel.perception.windows", "automodel.pipelines.windows"),
+        ("automodel.control.limits", "automodel.perception"),
+        ("automodel.recording.writer", "automodel.runner"),
+        ("automodel.runner", "automodel.pipelines"),
+        ("automodel.journal", "automodel.recording.writer"),
+        ("automodel.run_values", "automodel.sources.video"),
+        ("automodel.sim.world", "firmware_link.arduino"),
+        ("automodel.safety", "automodel.runner"),
+        ("automodel.loop", "automodel.run_values"),
+        ("firmware_link.arduino", "automodel.runner"),
+        ("automodel.sources.usb", "automodel.cli.main"),
+    ],
+)
+def test_the_rule_can_fail(module: str, imported: str) -> None:
+    assert wrong_imports(module, {imported}) == {imported}
+
+
+def test_the_pipeline_rule_can_fail() -> None:
+    assert other_pipelines("automodel.pipelines.contour", {"automodel.pipelines.windows", "automodel.config"})
+    assert other_pipelines("automodel.pipelines.contour", {"automodel.pipelines"})  # through the table of all
+    assert not other_pipelines("automodel.pipelines", {"automodel.pipelines.windows"})
+
+
+def test_imports_are_found(tmp_path: Path) -> None:
+    file = tmp_path / "some.py"
+    file.write_text("from automodel.cli import main\ndef f():\n    import firmware_link.pulses as p\nimport numpy\n")
+    assert imports_of(file) == {"automodel.cli", "firmware_link.pulses"}

@@ -33,6 +33,7 @@ class Watcher:
         self._driving_from: int | None = None  # index of the first scene in which it was driving
         self._stood_since_ns: int | None = None
         self._now_ns = 0
+        self._reason: str | None = None
         self._lap_times_ns: list[int] = []
 
     def on_scene(self, scene: Scene) -> None:
@@ -54,7 +55,7 @@ class Watcher:
             self._stood_since_ns = None
         elif self._stood_since_ns is None:
             self._stood_since_ns = record.t_ns
-        self._now_ns = record.t_ns
+        self._now_ns, self._reason = record.t_ns, record.decision.reason
 
     def finished(self) -> bool:
         """Whether the laps are driven, or the simulated car has given up."""
@@ -62,8 +63,14 @@ class Watcher:
             return False
         if self._laps is not None and self.scenes[-1].truth.lap >= self._laps:
             return True
+        return self.gave_up() is not None
+
+    def gave_up(self) -> str | None:
+        """Why the simulated car stands and will not go on; None where it does."""
         stood = self._stood_since_ns
-        return stood is not None and self._now_ns - stood > GIVE_UP_S * 1e9
+        if stood is None or self._now_ns - stood <= GIVE_UP_S * 1e9:
+            return None
+        return f"the car has stood for {GIVE_UP_S:g} s: {self._reason or 'it was given no speed'}"
 
     def row(self, result: RunResult, latencies_ms: tuple[float | None, float | None]) -> dict[str, object]:
         """The figures of a simulated run."""

@@ -7,6 +7,10 @@ import importlib
 import os
 import signal
 import sys
+import types
+
+# One thread for BLAS: its matrices are tiny here, waking a second core costs more than it saves, and jitters.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import click
 
@@ -47,12 +51,24 @@ def cli() -> None:
     """Lane following for scale cars: the lane in metres, and a safe command."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """A signal that ends the command.
+
+    A class of its own, because Python may end a process by the signal even where KeyboardInterrupt itself was caught
+    (it was in flight through an `exec` of text, as imports do); then the exit code would be none of ours.
+    """
+
+
+def _interrupt(_number: int, _frame: types.FrameType | None) -> None:
+    raise Interrupted
+
+
 def main() -> None:
     """Run the command line; the process ends with 0 (done), 1 (the run failed) or 2 (arguments or files are wrong)."""
-    for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: files are closed, other processes ended
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all as Ctrl-C: files are closed, other processes ended
         number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores SIGHUP: leave that
-            signal.signal(number, signal.default_int_handler)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP: leave that
+            signal.signal(number, _interrupt)
     code = run(sys.argv[1:])
     sys.exit(_flushed(code))
 
@@ -93,12 +109,12 @@ def _flushed(code: int) -> int:
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
             if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is nothing wrong
-                _told(f"automodel: the figures cannot be written: {error.strerror}", 1)
+                _told(f"automodel: the output cannot be written: {error.strerror}", 1)
             code = code or 1
     return code
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, OSError) and error.strerror:  # the system's own; ours are a text only
+        return f"{error.filename or 'the output cannot be written'}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__

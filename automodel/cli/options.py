@@ -27,11 +27,11 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path 
 
     Both map what the user calls it ("--csv") to the path.
     """
-    taken = {os.path.realpath(path): name for name, path in inputs.items() if path is not None}
+    taken = {_identity(path): name for name, path in inputs.items() if path is not None}
     for name, path in outputs.items():
         if path is None:
             continue
-        other = taken.setdefault(os.path.realpath(path), name)
+        other = taken.setdefault(_identity(path), name)
         if other != name:
             raise ConfigError(f"{name} {path}: is the same file as {other}; choose another name")
         if path.is_dir():
@@ -41,3 +41,12 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path 
             raise ConfigError(f"{name} {path}: there is no folder {folder}")
         if not os.access(path if path.exists() else folder, os.W_OK):
             raise ConfigError(f"{name} {path}: cannot be written; look at the permissions")
+
+
+def _identity(path: Path) -> object:
+    """The same for all names of one file, linked ones too."""
+    try:
+        status = path.stat()
+    except OSError:  # it is not there yet
+        return os.path.realpath(path)
+    return status.st_dev, status.st_ino

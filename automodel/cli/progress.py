@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 @contextlib.contextmanager
 def progress(what: str, total: float | None) -> Iterator[Callable[..., None]]:
     """A function to call after each step (`advance`, default 1), with a bar where a person watches."""
-    if not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():  # None: closed by whoever started us
         yield lambda advance=1.0: None
         return
     from rich.console import Console

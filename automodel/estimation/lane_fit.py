@@ -205,10 +205,7 @@ class LaneFit:
             weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
             information = weighted.T @ jacobian + fixed
             gradient = weighted.T @ residual + fixed @ parameters - pull
-            step = np.linalg.solve(information, gradient)
-            parameters = parameters - step
-            if turn > 0 and abs(step[0]) < 2e-4 * unit and float(np.abs(step[1:-1]).max()) < 2e-3:
-                break
+            parameters = parameters - np.linalg.solve(information, gradient)
         return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
 
     def _first_limits(self, jacobian: FloatArray, samples: LineSamples, fixed: FloatArray, cut: float) -> FloatArray:

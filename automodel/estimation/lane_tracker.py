@@ -45,7 +45,7 @@ class LaneTracker:
     A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
     the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
     Where a crossing was seen the lane is expected to go straight on, square to it: a road bends before or after it.
-    `parameters` are None while there is no lane; `shape` is theirs.
+    `parameters` are None while there is no lane; `shape` is theirs. `blind_m` is the way since a line was seen.
     """
 
     KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
@@ -55,6 +55,7 @@ class LaneTracker:
     # Process noise of a frame while the car's motion is known: near the car the curvature was seen before, far not.
     OFFSET = 0.005
     HEADING_RAD = 0.006
+    BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth with the way without a line: per metre, radians per lane width
     KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
     CROSSING_LANES = 3.3  # depth of a crossing
     CROSSING_TURN_RAD = 0.2  # how much the lane may turn within a crossing
@@ -84,6 +85,7 @@ class LaneTracker:
         self._memory = np.empty((0, 4))  # x, y, side, sigma
         self._since_kept = np.inf
         self._motion_known = False
+        self.blind_m = 0.0
         self._crossing: Bearing | None = None
         self._crossing_s_m = -np.inf
 
@@ -94,6 +96,7 @@ class LaneTracker:
             self.shape = self.fit.shape(self.parameters)
         self._crossing_s_m -= distance_m
         self._motion_known = known
+        self.blind_m += abs(distance_m)
         if not known:
             self._crossing_s_m = -np.inf
             self._memory = self._memory[:0]
@@ -146,30 +149,33 @@ class LaneTracker:
         """One frame's points into the lane; `parameters` must be there."""
         if self.parameters is None:
             raise ValueError("update: nothing is tracked; begin first")
-        fresh = self._doubted(_samples(seen))
+        fresh = _samples(seen)
+        doubtful = self._doubtful(fresh)
+        sigma_m = np.where(doubtful, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)
         samples = LineSamples(
             points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
             side=np.concatenate((fresh.side, self._memory[:, 2])),
-            sigma_m=np.concatenate((fresh.sigma_m, self._memory[:, 3])),
+            sigma_m=np.concatenate((sigma_m, self._memory[:, 3])),
         )
         bearing, self._crossing = self._crossing, None
         solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
         self._take(solution.parameters)
         good = solution.inliers[: len(fresh.side)]
-        self._keep(fresh, good)
-        return solution, Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+        self._keep(fresh, good & ~doubtful)
+        support = Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+        if max(support.left, support.right) >= 2:
+            self.blind_m = 0.0
+        return solution, support
 
-    def _doubted(self, samples: LineSamples) -> LineSamples:
-        """Inside a crossing there are no lines of this road: what looks like some counts little."""
+    def _doubtful(self, samples: LineSamples) -> NDArray[np.bool_]:
+        """Which samples lie inside a crossing: there are no lines of this road, what looks like some counts little."""
         s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
-        inside = (s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit)
-        if not inside.any():
-            return samples
-        sigma = np.where(inside, 4.0 * samples.sigma_m + 0.03 * self.unit, samples.sigma_m)
-        return LineSamples(points_m=samples.points_m, side=samples.side, sigma_m=sigma)
+        return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
         mean, sigma = parameters.copy(), (self._sigma if self._motion_known else self._loose_sigma).copy()
+        sigma[0] += self.BLIND_OFFSET * self.blind_m
+        sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
         nodes, begin = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
         mean[2:-1][straight] = 0.0

@@ -51,6 +51,7 @@ class CrossingSearch:
     COVER = 0.42  # share of the corridor that is bright: a stop line 1, a zebra 1/2
     BUSY = 0.2  # share from which lines there are not trusted
     SEEN = 0.6  # share of the corridor that must be in view for a crossing
+    AGREE = 0.6  # share of the columns whose near edge lies on one line
     MAX_SKEW_RAD = math.radians(40.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
@@ -93,14 +94,23 @@ class CrossingSearch:
         if hit.sum() < self.COLUMNS // 3:
             return None
         points = ground[low + band.argmax(axis=0)[hit], np.flatnonzero(hit)]
-        line = fit_polynomial(points[:, 1], points[:, 0], 1)
-        off = np.abs(points[:, 0] - line[0] - line[1] * points[:, 1])
-        keep = off <= max(2.0 * float(np.median(off)), 0.5 * self.marking_m)
+        slope = _median_slope(points[:, 1], points[:, 0])
+        off = points[:, 0] - slope * points[:, 1]
+        keep = np.abs(off - np.median(off)) <= 0.75 * self.marking_m
+        if keep.sum() < self.AGREE * len(points) or np.ptp(points[keep, 1]) < 0.4 * self.lane_m:
+            return None
         line = fit_polynomial(points[keep, 1], points[keep, 0], 1)
-        angle = 0.5 * math.pi - (math.atan(line[1]) if len(line) > 1 else 0.0)
+        angle = 0.5 * math.pi - math.atan(line[1])
         if abs(angle - lane_rad - 0.5 * math.pi) > self.MAX_SKEW_RAD:
             return None
         return Crossing(distance_m=distance_m, angle_rad=angle)
+
+
+def _median_slope(x: FloatArray, y: FloatArray) -> float:
+    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968): a third may be wrong."""
+    i, j = np.triu_indices(len(x), 1)
+    apart = np.abs(x[i] - x[j]) > 1e-9
+    return float(np.median((y[i] - y[j])[apart] / (x[i] - x[j])[apart])) if apart.any() else 0.0
 
 
 def _widened(flags: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:

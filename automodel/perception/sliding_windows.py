@@ -76,7 +76,7 @@ class HistogramStart:
         top = self._tops(peaks, self.FILL)
         left = top[self._places[top] > 0.02 * self.lane_m]
         right = top[self._places[top] < -0.02 * self.lane_m]
-        width = self._places[left][:, None] - self._places[right][None, :]
+        width = (self._places[left][:, None] - self._places[right][None, :]) / np.hypot(1.0, slope)
         error = np.abs(width / self.lane_m - 1.0)
         near, far = peaks[left][:, None], peaks[right][None, :]
         score = (np.minimum(near, 2 * far) + np.minimum(far, 2 * near)) * (1.0 - error)
@@ -122,8 +122,10 @@ class SlidingWindows:
         self._marking_px = marking_width_m / view.m_per_px
         self._half = int(0.5 * self.BREADTH * self._marking_px)
 
-    def follow(self, lines: Image, expected_y_m: FloatArray) -> FloatArray:
+    def follow(self, lines: Image, expected_y_m: FloatArray, breadth: float = 1.0) -> FloatArray:
         """Line points (n, 2) [m] in a filtered binary view, near to far.
+
+        `breadth` widens the windows, for a line whose place is not well known.
 
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
         """
@@ -132,14 +134,15 @@ class SlidingWindows:
         slope[1:-1] = (expected[2:] - expected[:-2]) / (self.centre_rows[2:] - self.centre_rows[:-2])
         slope[0], slope[-1] = slope[1], slope[-2]
         slope[~np.isfinite(slope)] = 0.0
+        half = round(self._half * breadth)
         points: list[tuple[float, float]] = []
         shifts: list[tuple[float, float]] = []  # (row, shift) of the last two windows that found the line
         for k, (far, near) in enumerate(self._rows):
             if not np.isfinite(expected[k]):
                 continue
             centre = round(float(expected[k]) + _carried(shifts, float(self.centre_rows[k])))
-            low, high = max(centre - self._half, 0), min(centre + self._half + 1, self.view.width_px)
-            if high - low < self._half:
+            low, high = max(centre - half, 0), min(centre + half + 1, self.view.width_px)
+            if high - low < half:
                 continue
             m = cv2.moments(lines[far:near, low:high], True)
             if m["m00"] < self.FILL * self._marking_px * (near - far):

@@ -21,12 +21,14 @@ class WhiteAreas:
     """
 
     NARROW, WIDE = 0.45, 2.4
+    SIDES = 0.6  # share of the level that a marking stands above what lies beside it
     SHARE = 0.35  # of the contrast of the brightest hundredth, that a marking has at least
 
     def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float, dark: bool = False) -> None:
         self.contrast, self.dark = contrast, dark
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
+        self._reach = round(1.6 * marking_px)
         # Odd kernels: opening with an even one shifts what it keeps by a pixel.
         self._narrow = np.ones((1, 2 * int(0.5 * self.NARROW * marking_px) + 1), np.uint8)
         self._wide = np.ones((1, 2 * int(0.5 * self.WIDE * marking_px) + 1), np.uint8)
@@ -45,8 +47,21 @@ class WhiteAreas:
         brightest = 255 - int(np.searchsorted(above, 0.01 * self._visible_px))
         level = min(max(self.SHARE * brightest, self.contrast), 6.0 * self.contrast)
         bright = cv2.threshold(stands_out, level, 255, cv2.THRESH_BINARY)[1]
-        no_specks = cv2.morphologyEx(bright, cv2.MORPH_OPEN, self._narrow)
+        ridge = cv2.threshold(self._above_sides(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
+        no_specks = cv2.morphologyEx(cv2.bitwise_and(bright, ridge), cv2.MORPH_OPEN, self._narrow)
         too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
         # Masked only now: what the picture's edge cuts repeats beyond it and counts as wide, not as narrow.
         lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self.mask)
         return np.asarray(cv2.bitwise_and(bright, self.mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)
+
+    def _above_sides(self, view: Image) -> Image:
+        """How far each pixel stands above the brighter of its neighbours to the left and right, 0 where it does not.
+
+        The rim of a bright patch stands above one side only.
+        """
+        reach = self._reach
+        padded = cv2.copyMakeBorder(view, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
+        left, right = padded[:, : view.shape[1]], padded[:, 2 * reach :]
+        if self.dark:
+            return np.asarray(cv2.subtract(cv2.min(left, right), view), dtype=np.uint8)
+        return np.asarray(cv2.subtract(view, cv2.max(left, right)), dtype=np.uint8)

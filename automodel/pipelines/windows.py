@@ -37,11 +37,11 @@ class Windows:
     name = "windows"
     MIN_WINDOWS = 2  # windows that make a line seen
     START_WINDOWS = 3  # and that start one of a pair
-    SINGLE_WINDOWS = 5  # and one alone
+    SINGLE_WINDOWS = 4  # and one alone
     RIVAL_WINDOWS = 4  # windows a line of a new pair that takes over from a lane that is hardly seen any more
     RIVAL_FRAMES = 3  # and frames in a row
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
-    CONFIRM_FRAMES = 8  # a lane started from one line is not told before it was seen so often in a row
+    CONFIRM_PAIR, CONFIRM_SINGLE = 2, 15  # a new lane is not told before it was seen so often in a row
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
 
@@ -148,7 +148,7 @@ class Windows:
         seen, solution = found
         self._tracker.begin(seen, solution)
         support = Support(left=len(seen.left_m), right=len(seen.right_m))
-        self._to_confirm = 0 if support.left and support.right else self.CONFIRM_FRAMES
+        self._to_confirm = self.CONFIRM_PAIR if support.left and support.right else self.CONFIRM_SINGLE
         return seen, solution, support
 
     def _fresh_lane(
@@ -243,7 +243,8 @@ class Windows:
     def _observe(
         self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, crossed: Crossed | None = None
     ) -> Observation:
-        found = [self._windows.follow(lines, y_m) for y_m in (left_y_m, right_y_m)]
+        breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0) if crossed is not None else 1.0
+        found = [self._windows.follow(lines, y_m, breadth) for y_m in (left_y_m, right_y_m)]
         if crossed is not None and crossed.covered.any():
             found = [points[crossed.free(self._tracker.shape.nearest_s(points))] for points in found]
         return Observation(

@@ -1,0 +1,198 @@
+# ruff: noqa: E501 - lines as they are printed
+"""What is wrong with arguments or files: exit code 2, nothing on stdout, one line on stderr: what, where, what to do."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+CARS = Path(__file__).resolve().parents[1] / "cars"
+TEXTS = {
+    "typo.toml": "[camera]\nwidht_px = 640\n",
+    "type.toml": '[camera]\nwidth_px = "640"\n',
+    "nan.toml": "[camera.intrinsics]\nfx_px = nan\n",
+    "cut.toml": "[camera]\nwidth_px = 640\n[camera.intr",
+    "empty.toml": "",
+    "pipeline.toml": '[pipeline]\nname = "window"\n',
+    "half.toml": '[camera]\nsource = "usb"\n',
+    "tub.toml": '[camera]\nsource = "a/tub"\n[link]\nport = "/dev/ttyUSB0"\n',
+    "usb.toml": '[camera]\nsource = "usb"\ndevice = 97\n[link]\nport = "/dev/ttyUSB0"\n',
+    "track.toml": 'name = "x"\nclosed = true\n[floor]\nx0_m = 0.0\ny0_m = 0.0\nx1_m = 1.0\ny1_m = 1.0\n'
+    '[[pieces]]\nkind = "line"\nlength_m = 2.0\n',
+    "open.toml": 'name = "x"\nclosed = false\n[floor]\nx0_m = 0.0\ny0_m = 0.0\nx1_m = 1.0\ny1_m = 1.0\n'
+    '[[pieces]]\nkind = "line"\nlength_m = 2.0\n',
+    "columns.csv": "x_m,y_m\n1,2\n",
+    "motion.csv": "t_s,speed_mps,yaw_rate_radps\n0.0,1.0,nan\n",
+    "text.mcap": "hello",
+    "empty.mcap": "",
+    "text.mp4": "hello",
+    "empty.mp4": "",
+}
+
+CASES = {  # arguments -> the line on stderr
+    "run --car missing.toml": "automodel: missing.toml: no such file",
+    "run --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
+    "run --car type.toml": "automodel: type.toml:2: [camera] width_px: '640' where a whole number is wanted",
+    "run --car nan.toml": "automodel: nan.toml:2: [camera.intrinsics] fx_px: nan where a finite number is wanted",
+    "run --car cut.toml": "automodel: cut.toml:3: not TOML: Expected ']' at the end of a table declaration",
+    "run --car binary.toml": "automodel: binary.toml: cannot be read: not a text file in UTF-8",
+    "run --car folder": "automodel: folder: cannot be read: Is a directory",
+    "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: 'window' is none of "
+    "windows; did you mean 'windows'?",
+    "run --car half.toml": 'automodel: half.toml: [camera] source and [link] port: either both are "sim" or neither is',
+    "run --car tub.toml": "automodel: tub.toml: [camera] source 'a/tub': a car is driven by csi or usb; see replay",
+    "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",
+    "run --car usb.toml --laps 3": "automodel: --laps: is for the simulated car, and usb.toml names a real one",
+    "run --car usb.toml --seed 0": "automodel: --seed: is for the simulated car, and usb.toml names a real one",
+    "run --track tmrr": "automodel: tmrr: no such track; shipped are chicane, oval, tmr; of "
+    "your own give the path of a .toml or .csv file",
+    "run --track missing.toml": "automodel: missing.toml: no such file",
+    "run --track track.toml": "automodel: track.toml:2: closed: true, but the road's end misses its "
+    "beginning by 2000.00 mm and 0.000 deg; at most 1 mm and 0.1 deg are allowed",
+    "run --track cut.toml": "automodel: cut.toml:3: not TOML: Expected ']' at the end of a table declaration",
+    "run --track columns.csv": "automodel: columns.csv:1: 2 columns where x_m,y_m,w_tr_right_m,w_tr_left_m are wanted",
+    "run --track open.toml": "automodel: open.toml: the road is not closed, there are no laps; give --duration",
+    "run --speed 99": "automodel: --speed 99.0: car.toml allows 2.0 ([safety] speed_max_mps)",
+    "run --truth missing/truth.csv": "automodel: --truth missing/truth.csv: there is no folder missing",
+    "run --truth folder": "automodel: --truth folder: is a folder; give the name of a file",
+    "run --truth x.csv --record x.csv": "automodel: --truth x.csv: is the same file as --record; choose another name",
+    "run --track oval --record text.mcap": "automodel: text.mcap: is there already; choose another name or delete it",
+    "replay missing": "automodel: missing: no such file or folder",
+    "replay missing.mcap": "automodel: missing.mcap: no such file",
+    "replay empty.mcap": "automodel: empty.mcap: not an MCAP file",
+    "replay text.mcap": "automodel: text.mcap: not an MCAP file",
+    "replay cut.mcap": "automodel: cut.mcap: the file is cut; run: automodel recover cut.mcap",
+    "replay empty.mp4": "automodel: empty.mp4: cannot be opened as a video: it is cut, damaged or something else",
+    "replay text.mp4": "automodel: text.mp4: cannot be opened as a video: it is cut, damaged or something else",
+    "replay folder": "automodel: folder: no pictures in this folder (.jpg, .jpeg, .png, "
+    ".bmp, .webp, .tif, .tiff, .pgm, .ppm)",
+    "replay mixed": "automodel: mixed/2.png: 160x120 pixels where the pictures before have "
+    "640x360; keep one size a folder",
+    "replay small": "automodel: small: frame 0: 160x120 pixels where car.toml says "
+    "640x360; set [camera] width_px, height_px and the intrinsics for this source, and give it with --car",
+    "replay cutpng": "automodel: cutpng/0.png: the picture is cut; replace it or take it out",
+    "replay mixed --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
+    "replay mixed --motion missing.csv": "automodel: missing.csv: no such file",
+    "replay mixed --motion motion.csv": "automodel: motion.csv:2: yaw_rate_radps is 'nan' where a finite number is wanted",
+    "replay mixed --csv missing/poses.csv": "automodel: --csv missing/poses.csv: there is no folder missing",
+    "replay mixed --video x.avi": "automodel: x.avi: videos are written as MP4; choose a name that ends in .mp4",
+    "replay run.mcap --csv run.mcap": "automodel: --csv run.mcap: is the same file as SOURCE; choose another name",
+    "replay run.mcap --csv ./folder/../run.mcap": "automodel: --csv folder/../run.mcap: is the same file as SOURCE; choose another name",
+    "export missing.mcap --csv x.csv": "automodel: missing.mcap: no such file",
+    "export cut.mcap --csv x.csv": "automodel: cut.mcap: the file is cut; run: automodel recover cut.mcap",
+    "export run.mcap --video run.mcap": "automodel: --video run.mcap: is the same file as RECORDING; choose another name",
+    "recover missing.mcap": "automodel: missing.mcap: no such file",
+    "recover text.mcap": "automodel: text.mcap: not an MCAP file",
+    "recover run.mcap -o run.mcap": "automodel: run.mcap: is the file to recover; choose another name for the output",
+    "recover head.mcap": "automodel: head.mcap: nothing to recover: no complete message before the cut",
+    "bench accuracy --track tmrr --jobs 1": "automodel: tmrr: no such track; shipped are chicane, oval, tmr; of "
+    "your own give the path of a .toml or .csv file",
+    "bench accuracy --plot missing/x.png": "automodel: --plot missing/x.png: there is no folder missing",
+}
+
+USAGE = {  # arguments -> how the line begins, and what it names
+    "run --pipeline window": ("automodel run: ", "--pipeline"),
+    "run --laps 0": ("automodel run: ", "--laps"),
+    "run --duration nan": ("automodel run: ", "--duration"),
+    "run --speed -1": ("automodel run: ", "--speed"),
+    "run --nonsense": ("automodel run: ", "--nonsense"),
+    "drive": ("automodel: ", "drive"),
+    "replay": ("automodel replay: ", "SOURCE"),
+    "replay mixed --rate inf": ("automodel replay: ", "--rate"),
+    "export run.mcap": ("automodel export: ", "--csv"),
+    "bench accuracy --speed nan": ("automodel bench accuracy: ", "--speed"),
+    "bench speed --frames 1": ("automodel bench speed: ", "--frames"),
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory, driven: Path) -> Path:
+    """A folder full of files that are wrong."""
+    folder = tmp_path_factory.mktemp("wrong")
+    for name, text in TEXTS.items():
+        (folder / name).write_text(text)
+    (folder / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    shutil.copy(driven / "run.mcap", folder / "run.mcap")
+    whole = (driven / "run.mcap").read_bytes()
+    (folder / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (folder / "head.mcap").write_bytes(whole[:3000])
+    for name, sizes in {"folder": [], "mixed": [(360, 640), (360, 640), (120, 160)], "small": [(120, 160)]}.items():
+        (folder / name).mkdir()
+        for number, size in enumerate(sizes):
+            cv2.imwrite(str(folder / name / f"{number}.png"), np.zeros(size, np.uint8))
+    (folder / "cutpng").mkdir()
+    picture = (folder / "mixed" / "0.png").read_bytes()
+    (folder / "cutpng" / "0.png").write_bytes(picture[: len(picture) // 2])
+    return folder
+
+
+@pytest.mark.parametrize("arguments", CASES)
+def test_one_line_and_exit_code_2(arguments: str, files: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(files)
+    before = sorted(files.rglob("*"))
+    said = cli(*arguments.split())
+    assert (said.code, said.out, said.line()) == (2, "", CASES[arguments])
+    assert sorted(files.rglob("*")) == before  # nothing half done lies about
+
+
+@pytest.mark.parametrize("arguments", USAGE)
+def test_wrong_arguments_name_themselves_and_the_help(arguments: str, files: Path, cli, monkeypatch) -> None:
+    monkeypatch.chdir(files)
+    said = cli(*arguments.split())
+    command, named = USAGE[arguments]
+    assert (said.code, said.out) == (2, "")
+    assert said.line().startswith(command)
+    assert named in said.line()
+    assert said.line().endswith(f"(see {command[:-2]} --help)")
+
+
+def test_an_input_is_never_overwritten(files: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(files)
+    before = (files / "run.mcap").read_bytes()
+    os.link("run.mcap", "same.mcap")
+    try:
+        for name in ("run.mcap", "same.mcap"):
+            assert cli("replay", "run.mcap", "--csv", name).code == 2
+    finally:
+        os.unlink("same.mcap")
+    assert (files / "run.mcap").read_bytes() == before
+
+
+def test_a_file_without_permission_is_refused(files: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    if os.geteuid() == 0:
+        pytest.skip("root may read and write everything")
+    monkeypatch.chdir(files)
+    secret = files / "secret.toml"
+    secret.write_text("")
+    secret.chmod(0)
+    assert cli("run", "--car", secret).line() == f"automodel: {secret}: cannot be read: Permission denied"
+    assert cli("run", "--truth", secret).line() == f"automodel: --truth {secret}: cannot be written; " + (
+        "look at the permissions"
+    )
+    secret.unlink()
+
+
+def test_a_cut_video(tmp_path: Path, data_root: Path, cli) -> None:
+    whole = (data_root / "udacity" / "solidWhiteRight.mp4").read_bytes()
+    cut = tmp_path / "cut.mp4"
+    cut.write_bytes(whole[:300_000])
+    said = cli("replay", cut, "--car", CARS / "solid_white_right.toml")
+    assert said.code == 2
+    assert said.line().startswith(f"automodel: {cut}: ends after ")
+    assert said.line().endswith(" of 221 frames: the file is cut")
+
+
+def test_a_group_without_a_command_shows_its_help(cli) -> None:
+    said = cli("bench")
+    assert (said.code, said.out) == (2, "")
+    assert said.err.startswith("Usage: automodel bench")
+
+
+def test_the_examples_of_cars_do_not_drive(cli) -> None:
+    for path in CARS.glob("*.toml"):
+        assert cli("run", "--car", path).line().endswith("a car is driven by csi or usb; see replay")

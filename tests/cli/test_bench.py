@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+
+from automodel.cli.workers import spread
+
+ACCURACY_KEYS = [
+    "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
+    "offset_mae_pct", "offset_p99_m", "availability_pct", "false_lane_pct",
+]  # fmt: skip
+SPEED_KEYS = ["pipeline", "stage", "width_px", "height_px", "p50_ms", "p99_ms", "threads"]
+QUICK = ["bench", "accuracy", "--track", "oval", "--style", "centred", "--speed", "5"]
+
+
+def test_accuracy_has_its_keys_and_a_picture(tmp_path: Path, cli) -> None:
+    plot = tmp_path / "plot.png"
+    said = cli(*QUICK, "--jobs", "1", "--plot", plot, "--json")
+    assert (said.code, said.err) == (0, "")
+    (row,) = said.rows
+    assert list(row) == ACCURACY_KEYS
+    assert (row["track"], row["style"], row["seed"]) == ("oval", "centred", 0)
+    assert row["frames"] > 50
+    assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_accuracy_is_the_same_in_other_processes(cli) -> None:
+    one = cli(*QUICK, "--seeds", "2", "--jobs", "1", "--json")
+    two = cli(*QUICK, "--seeds", "2", "--jobs", "2", "--json")
+    assert (one.code, two.code) == (0, 0)
+    assert one.rows == two.rows
+    assert one.rows[0] != {**one.rows[1], "seed": 0}  # another light is another figure
+
+
+def test_speed_has_its_keys(cli) -> None:
+    said = cli("bench", "speed", "--frames", "10", "--json")
+    assert said.code == 0
+    assert all(list(row) == SPEED_KEYS for row in said.rows)
+    assert said.rows[0]["stage"] == "total"
+    assert all(0 <= row["p50_ms"] <= row["p99_ms"] for row in said.rows)
+
+
+def test_work_comes_back_in_order_and_errors_come_through() -> None:
+    assert list(spread(abs, [-3, 1, -2], 2)) == [3, 1, 2]
+    with pytest.raises(ValueError, match=r"math domain error|expected a nonnegative input"):
+        list(spread(__import__("math").sqrt, [1.0, -1.0], 2))
+
+
+def test_a_worker_that_dies_is_one_line() -> None:
+    with pytest.raises(click.ClickException, match="a worker process died") as caught:
+        list(spread(os._exit, [3, 3], 2))
+    assert caught.value.exit_code == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after_s", [0.4, 1.0, 2.5])
+def test_ctrl_c_ends_the_workers_too(after_s: float) -> None:
+    child = subprocess.Popen(
+        [sys.executable, "-m", "automodel", "bench", "accuracy", "--seeds", "20", "--jobs", "2"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    time.sleep(after_s)
+    os.killpg(child.pid, signal.SIGINT)
+    out, err = child.communicate(timeout=60)  # the pipes close when the last process has ended
+    assert (child.returncode, out) == (1, "")
+    assert [line for line in err.splitlines() if line] == ["automodel: interrupted"]

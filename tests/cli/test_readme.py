@@ -1,0 +1,98 @@
+"""What the README shows works as it is written."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import click
+import pytest
+
+from automodel.cli.main import cli as commands
+from automodel.config import parse_car
+from automodel.recording.poses_csv import COLUMNS
+from automodel.sources.motion_csv import read_motion_csv
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+LINES = [line for block in blocks("sh") for line in block.splitlines()]
+AUTOMODEL = [line for line in LINES if line.startswith("automodel")]
+CHAIN = [line for line in blocks("sh")[2].splitlines() if not line.startswith("automodel bench accuracy")]
+
+
+def test_there_is_something_to_test() -> None:
+    assert len(AUTOMODEL) > 10
+    assert {line.split()[0] for line in LINES} == {"python3", "pip", "automodel", "bash"}
+
+
+@pytest.mark.parametrize("line", AUTOMODEL)
+def test_every_command_and_option_exists(line: str) -> None:
+    words = shlex.split(line)[1:]
+    command, context = commands, click.Context(commands, info_name="automodel")
+    while isinstance(command, click.Group):
+        name, found, words = command.resolve_command(context, words)
+        assert found is not None
+        command, context = found, click.Context(found, parent=context, info_name=name)
+    command.make_context(line, words, parent=context)  # raises for an option or a value that does not exist
+
+
+def test_the_first_examples_run_as_written(tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for line in CHAIN:
+        line = line.replace("--duration 5", "--duration 1")
+        assert cli(*shlex.split(line)[1:]).code == 0, line
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "my.mcap", "truth.csv", "poses.csv", "overlay.mp4", "driven.csv"
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_the_accuracy_example_runs_as_written(cli) -> None:
+    (line,) = (line for line in AUTOMODEL if line.startswith("automodel bench accuracy --track oval"))
+    said = cli(*shlex.split(line)[1:], "--json")
+    assert said.code == 0
+    assert said.rows[0]["frames"] > 500
+
+
+@pytest.mark.slow
+def test_the_quick_start_drives_a_lap_of_tmr(cli) -> None:
+    said = cli("run", "--json")
+    assert said.code == 0, said.err
+    (row,) = said.rows
+    assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
+
+
+def test_the_car_file_is_one() -> None:
+    (text,) = blocks("toml")
+    car = parse_car(text, "README.md")
+    assert (car.camera.source, car.link.port) == ("usb", "/dev/ttyUSB0")
+
+
+def test_the_motion_file_is_one(tmp_path: Path) -> None:
+    (text,) = blocks("csv")
+    (tmp_path / "motion.csv").write_text(text)
+    assert read_motion_csv(tmp_path / "motion.csv").at(0).speed_mps == 1.0
+
+
+def test_columns_and_paths_are_those_of_the_code() -> None:
+    assert ",".join(COLUMNS) in README
+    for path in re.findall(r"`((?:automodel|firmware_link|tracks|tests)/[\w./]*)`", README):
+        assert (ROOT / path).exists(), path
+    assert shutil.which("bash")
+    assert (ROOT / ".ci" / "check").exists()
+
+
+def test_times_are_those_of_the_defaults() -> None:
+    car = parse_car("", "car.toml")
+    safety = car.safety
+    assert (safety.command_validity_s, safety.frame_timeout_s, safety.hold_s, safety.rearm_s) == (0.1, 0.06, 0.3, 0.5)
+    for shown in ("100 ms from its frame's capture", "no frame for 60 ms", "within 0.3 s", "well for 0.5 s"):
+        assert shown in README

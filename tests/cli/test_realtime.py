@@ -1,0 +1,126 @@
+"""The simulated car against the real clock: other processes, shared memory, a pseudo terminal."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from automodel.recording.reader import Recording
+from automodel.signals import Command, Event, Frame
+
+pytestmark = pytest.mark.realtime
+TRIES = 3  # a machine that does something else for a third of a second stops the car, rightly
+
+
+def environment(tmp_path: Path) -> dict[str, str]:
+    """Temporary files go where they can be counted."""
+    (tmp_path / "tmp").mkdir(exist_ok=True)
+    return {**os.environ, "TMPDIR": str(tmp_path / "tmp")}
+
+
+def start(tmp_path: Path, *arguments: str) -> subprocess.Popen[str]:
+    """A run in a session of its own, as a terminal starts it; SIGINT is not ignored as it is in background jobs."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "automodel", "run", "--realtime", "--track", "oval", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment(tmp_path),
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+def session(leader: int) -> list[str]:
+    """The processes of a session that still run."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+        except (OSError, IndexError):
+            continue
+        if entry.name.isdigit() and int(fields[3]) == leader and fields[0] != "Z":
+            found.append((entry / "cmdline").read_text().replace("\0", " "))
+    return found
+
+
+def left_behind(tmp_path: Path, leader: int) -> tuple[list[str], list[str]]:
+    """Processes and temporary files; a child may need a moment to see that its parent is gone."""
+    for _ in range(100):
+        processes, files = session(leader), [path.name for path in (tmp_path / "tmp").rglob("*")]
+        if not processes and not files:
+            break
+        time.sleep(0.05)
+    return processes, files
+
+
+def test_three_seconds_without_a_stop(cli) -> None:
+    for _ in range(TRIES):
+        said = cli("run", "--realtime", "--track", "oval", "--duration", "3", "--json")
+        (row,) = said.rows
+        if row["stops"] == 0:
+            break
+    assert (said.code, row["stops"], row["left_lane"]) == (0, 0, 0), said.err
+    assert row["max_abs_offset_m"] <= 0.10
+    assert 0 < row["latency_p50_ms"] <= row["latency_p99_ms"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("whole_group", [True, False], ids=["terminal", "kill"])
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) -> None:
+    """Ctrl-C and a closed terminal reach the whole group, `kill` one process."""
+    record = tmp_path / "run.mcap"
+    number = signal.Signals[name]
+    with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:
+        deadline = time.monotonic() + 60
+        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        (os.killpg if whole_group else os.kill)(child.pid, number)
+        out, err = child.communicate(timeout=60)
+    (row,) = json.loads(out)["rows"]
+    assert child.returncode == int(bool(row["stops"] or row["left_lane"])), err
+    lines = [line for line in err.splitlines() if ": hold: " not in line and ": stop: " not in line]
+    assert lines[0] == f"stopped by {name}"
+    assert lines[1].startswith(f"{record}: ")
+    assert len(lines) == 2
+    values = [message.value for message in Recording(record)]  # closed, and readable to its end
+    assert sum(isinstance(value, Frame) for value in values) > 10
+    assert max(value.speed_mps for value in values if isinstance(value, Command)) > 0.0  # it did drive
+    assert [value.text for value in values if isinstance(value, Event)][-1] == name
+    assert left_behind(tmp_path, child.pid) == ([], [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("after_s", [0.25, 0.45, 0.7, 1.0])
+def test_a_signal_while_starting(name: str, after_s: float, tmp_path: Path) -> None:
+    """Wherever it strikes, imports or a child's birth: at most one line for each of two reasons, and nothing stays."""
+    with start(tmp_path, "--duration", "60") as child:
+        time.sleep(after_s)
+        os.killpg(child.pid, signal.Signals[name])
+        _, err = child.communicate(timeout=60)
+    assert child.returncode in (0, 1), err
+    said = [line for line in err.splitlines() if line and ": hold: " not in line]
+    assert said in (["automodel: interrupted"], [f"stopped by {name}"])
+    assert left_behind(tmp_path, child.pid) == ([], [])
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_leaves_no_process(tmp_path: Path) -> None:
+    """SIGKILL cannot be caught: the simulated world's process has to notice by itself."""
+    record = tmp_path / "run.mcap"
+    with start(tmp_path, "--duration", "60", "--record", str(record)) as child:
+        deadline = time.monotonic() + 60
+        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        child.kill()
+        child.communicate(timeout=60)
+    assert left_behind(tmp_path, child.pid) == ([], [])

@@ -1,0 +1,59 @@
+"""Fixtures of the tests that run command lines; import them in a conftest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from automodel.cli.main import run
+
+
+@dataclass(frozen=True)
+class Said:
+    """What a command line gave."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def rows(self) -> list[dict[str, object]]:
+        """The rows of --json, which is one object and nothing else on stdout."""
+        said = json.loads(self.out)
+        assert list(said) == ["version", "command", "rows"]
+        return said["rows"]
+
+    def line(self) -> str:
+        """The one line on stderr."""
+        lines = self.err.splitlines()
+        assert len(lines) == 1, self.err
+        return lines[0]
+
+
+Cli = Callable[..., Said]
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+    """Runs a command line in this process."""
+
+    def call(*arguments: object) -> Said:
+        capsys.readouterr()
+        code = run([str(argument) for argument in arguments])
+        out, err = capsys.readouterr()
+        return Said(code, out, err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with run.mcap and truth.csv: two seconds on the oval in lock-step, once for all tests; leave them."""
+    folder = tmp_path_factory.mktemp("driven")
+    arguments = ["--track", "oval", "--duration", "2", "--seed", "3"]
+    assert run(["run", *arguments, "--record", f"{folder}/run.mcap", "--truth", f"{folder}/truth.csv"]) == 0
+    return folder

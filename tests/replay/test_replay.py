@@ -1,0 +1,186 @@
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from automodel.cli import replay
+from automodel.loop import Tick
+from automodel.recording.codec import encode
+from automodel.recording.reader import Recording
+
+POSES = (
+    "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"
+    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms"
+)
+REPLAY_KEYS = [
+    "pipeline", "source", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms"
+]  # fmt: skip
+
+
+@pytest.fixture
+def ticks(monkeypatch: pytest.MonkeyPatch) -> list[Tick]:
+    """What the loop of a replay gives, with every bit: a CSV has six decimals only."""
+    seen: list[Tick] = []
+    make_loop = replay.make_loop
+
+    def watched(car):
+        loop = make_loop(car)
+        tick = loop.tick
+
+        def note(*arguments):
+            seen.append(tick(*arguments))
+            return seen[-1]
+
+        loop.tick = note
+        return loop
+
+    monkeypatch.setattr(replay, "make_loop", watched)
+    return seen
+
+
+def recorded_estimates(path: Path) -> list[bytes]:
+    return [encode(step.estimate) for step in Recording(path).steps()]
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with open(path, newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def pictures_of(path: Path) -> int:
+    video = cv2.VideoCapture(str(path))
+    try:
+        return sum(1 for _ in itertools.takewhile(lambda there: there, (video.read()[0] for _ in itertools.count())))
+    finally:
+        video.release()
+
+
+def test_a_replay_gives_the_same_estimates_to_the_bit(driven: Path, cli, ticks: list[Tick]) -> None:
+    """Poses, covariances, curves, points, crossings: each number as it was."""
+    said = cli("replay", driven / "run.mcap", "--json")
+    assert said.code == 0
+    recorded = recorded_estimates(driven / "run.mcap")
+    assert len(recorded) == 120
+    assert [encode(tick.estimate) for tick in ticks] == recorded
+    first = json.loads(recorded[60])
+    assert len(first["pose"]["covariance"]) == 9
+    assert {"left", "right", "centerline"} <= set(first)
+    (row,) = said.rows
+    assert list(row) == REPLAY_KEYS
+    assert row["frames"] == row["tracking"] + row["one_line"] + row["coasting"] + row["lost"] == 120
+
+
+def test_another_pipeline_setting_gives_other_estimates(driven: Path, tmp_path: Path, cli, ticks: list[Tick]) -> None:
+    """The comparison above can fail."""
+    car = tmp_path / "car.toml"
+    car.write_text("[camera.extrinsics]\nz_m = 0.19\n")
+    assert cli("replay", driven / "run.mcap", "--car", car).code == 0
+    assert [encode(tick.estimate) for tick in ticks] != recorded_estimates(driven / "run.mcap")
+
+
+def test_a_cut_recording_is_recovered_and_replays(driven: Path, tmp_path: Path, cli, ticks: list[Tick]) -> None:
+    whole = (driven / "run.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole[: int(0.7 * len(whole))])
+    said = cli("recover", cut)
+    assert (said.code, said.out) == (0, "")
+    saved = tmp_path / "cut.recovered.mcap"
+    assert said.line().startswith(f"{saved}: ")
+    assert cli("replay", saved).code == 0
+    recorded = recorded_estimates(driven / "run.mcap")
+    assert 60 < len(ticks) < 120
+    # the last frame's motion may lie behind the cut; every other one is whole
+    assert [encode(tick.estimate) for tick in ticks][:-1] == recorded[: len(ticks) - 1]
+    again = cli("recover", cut)
+    assert (again.code, again.line()) == (
+        2,
+        f"automodel: {saved}: is there already; choose another name, or overwrite it with --force",
+    )
+    assert cli("recover", cut, "--force").code == 0
+
+
+def test_csv_and_video_of_a_replay(driven: Path, tmp_path: Path, cli, ticks: list[Tick]) -> None:
+    poses, video = tmp_path / "poses.csv", tmp_path / "overlay.mp4"
+    assert cli("replay", driven / "run.mcap", "--csv", poses, "--video", video).code == 0
+    assert poses.read_text().splitlines()[0] == POSES
+    rows = rows_of(poses)
+    assert len(rows) == pictures_of(video) == 120
+    for row, tick in zip(rows, ticks, strict=True):
+        assert row["status"] == tick.estimate.status.value
+        pose = tick.estimate.pose
+        assert row["offset_m"] == (f"{pose.offset_m:.6f}" if pose else "")
+        assert row["crossing_distance_m"] == (
+            f"{tick.estimate.crossing.distance_m:.6f}" if tick.estimate.crossing else ""
+        )
+
+
+def test_export_writes_what_was_recorded(driven: Path, tmp_path: Path, cli) -> None:
+    poses, video = tmp_path / "poses.csv", tmp_path / "overlay.mp4"
+    said = cli("export", driven / "run.mcap", "--csv", poses, "--video", video)
+    assert (said.code, said.out) == (0, "")
+    assert said.err.splitlines() == [f"{poses}: 120 rows", f"{video}: 120 frames"]
+    assert pictures_of(video) == 120
+    replayed = tmp_path / "replayed.csv"
+    assert cli("replay", driven / "run.mcap", "--csv", replayed).code == 0
+    own = ("steering_rad", "latency_ms")  # what was sent while disarmed, and when, only the run itself knows
+    for a, b in zip(rows_of(poses), rows_of(replayed), strict=True):
+        assert {k: v for k, v in a.items() if k not in own} == {k: v for k, v in b.items() if k not in own}
+
+
+def test_pictures_with_motion_replay_as_the_recording_did(driven: Path, tmp_path: Path, cli) -> None:
+    """The way of a user's own data: a folder of pictures, motion.csv beside it, --rate."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    steps = list(Recording(driven / "run.mcap").steps())
+    with open(tmp_path / "motion.csv", "w") as file:
+        file.write("t_s,speed_mps,yaw_rate_radps\n")
+        for number, step in enumerate(steps):
+            cv2.imwrite(str(folder / f"{number}.png"), step.frame.image)
+            file.write(f"{number / 60:.9f},{step.motion.speed_mps!r},{step.motion.yaw_rate_radps!r}\n")
+    poses = tmp_path / "poses.csv"
+    said = cli("replay", folder, "--motion", tmp_path / "motion.csv", "--rate", "60", "--csv", poses, "--json")
+    assert (said.code, said.err) == (0, "")
+    recorded = [step.estimate.pose.offset_m for step in steps if step.estimate and step.estimate.pose]
+    replayed = [float(row["offset_m"]) for row in rows_of(poses) if row["offset_m"]]
+    assert len(recorded) == len(replayed)
+    np.testing.assert_allclose(replayed, recorded, atol=2e-4)
+
+
+def test_several_pipelines_write_a_file_each(driven: Path, tmp_path: Path, cli) -> None:
+    arguments = ["--pipeline", "windows", "--pipeline", "windows", "--csv", tmp_path / "poses.csv", "--json"]
+    said = cli("replay", driven / "run.mcap", *arguments)
+    assert [row["pipeline"] for row in said.rows] == ["windows", "windows"]
+    assert (tmp_path / "poses.windows.csv").exists()
+    assert not (tmp_path / "poses.csv").exists()
+
+
+def test_a_replay_knows_no_actuator(driven: Path, tmp_path: Path) -> None:
+    """Neither the link nor the serial library is as much as imported, whatever the car.toml of the recording says."""
+    shutil.copy(driven / "run.mcap", tmp_path / "run.mcap")
+    program = (
+        "import sys\n"
+        "class Refuse:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] in ('firmware_link', 'serial', 'can'):\n"
+        "            raise AssertionError(f'a replay imports {name}')\n"
+        "sys.meta_path.insert(0, Refuse())\n"
+        "from automodel.cli.main import run\n"
+        "for words in (['replay', 'run.mcap', '--csv', 'a.csv', '--video', 'a.mp4'],\n"
+        "              ['export', 'run.mcap', '--csv', 'b.csv']):\n"
+        "    assert run(words) == 0\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a.csv").exists()
+    drive = program.replace("['export', 'run.mcap', '--csv', 'b.csv']", "['run', '--duration', '1']")
+    refused = subprocess.run([sys.executable, "-c", drive], cwd=tmp_path, capture_output=True, text=True)
+    assert "a replay imports firmware_link" in refused.stderr  # the trap works
