@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +53,8 @@ class LaneTracker:
     KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
     CAPACITY = 60
     ROUNDS = 3  # of the fit in a frame
-    # Process noise of a frame while the car's motion is known: near the car the curvature was seen before, far not.
+    STEP_LANES = 0.04
+    # Process noise over STEP_LANES of way while the motion is known; near the car the curvature was seen before.
     OFFSET = 0.005
     HEADING_RAD = 0.006
     BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth with the way without a line: per metre, radians per lane width
@@ -85,6 +87,7 @@ class LaneTracker:
         self._memory = np.empty((0, 4))  # x, y, side, sigma
         self._since_kept = np.inf
         self._motion_known = False
+        self._step_m = 0.0
         self.blind_m = 0.0
         self._crossing: Bearing | None = None
         self._crossing_s_m = -np.inf
@@ -96,6 +99,7 @@ class LaneTracker:
             self.shape = self.fit.shape(self.parameters)
         self._crossing_s_m -= distance_m
         self._motion_known = known
+        self._step_m = abs(distance_m)
         self.blind_m += abs(distance_m)
         if not known:
             self._crossing_s_m = -np.inf
@@ -173,7 +177,9 @@ class LaneTracker:
         return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
-        mean, sigma = parameters.copy(), (self._sigma if self._motion_known else self._loose_sigma).copy()
+        mean, sigma = parameters.copy(), self._loose_sigma.copy()
+        if self._motion_known:  # a random walk over the way
+            sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
         sigma[0] += self.BLIND_OFFSET * self.blind_m
         sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
         nodes, begin = self.fit.nodes_m, self._crossing_s_m

@@ -41,7 +41,7 @@ class Windows:
     RIVAL_WINDOWS = 4  # windows a line of a new pair that takes over from a lane that is hardly seen any more
     RIVAL_FRAMES = 3  # and frames in a row
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
-    CONFIRM_PAIR, CONFIRM_SINGLE = 2, 15  # a new lane is not told before it was seen so often in a row
+    CONFIRM_FRAMES = 15  # a lane started from one line is not told before it was seen so often in a row
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
 
@@ -148,7 +148,7 @@ class Windows:
         seen, solution = found
         self._tracker.begin(seen, solution)
         support = Support(left=len(seen.left_m), right=len(seen.right_m))
-        self._to_confirm = self.CONFIRM_PAIR if support.left and support.right else self.CONFIRM_SINGLE
+        self._to_confirm = 0 if support.left and support.right else self.CONFIRM_FRAMES
         return seen, solution, support
 
     def _fresh_lane(
