@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from automodel.clocks import MonotonicClock, VirtualClock
 from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
@@ -14,7 +16,7 @@ from automodel.sim.lockstep import LockStepSource
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.realtime import RealTimeWorld
 from automodel.sim.renderer import Renderer
-from automodel.sim.track import Track, load_track
+from automodel.sim.track import Lane, Track, load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.ultrasonic import UltrasonicRanges
 from automodel.sim.world import Scene, World
@@ -61,7 +63,9 @@ def build_world(car: CarConfig, simulation: Simulation) -> World:
     """The car at the start of its lane, standing."""
     track = load_track(simulation.track)
     lane = track.lane(simulation.direction)
-    start = track.start if simulation.direction == track.start_direction else lane.pose(0.0)
+    start = track.start
+    if simulation.direction != track.start_direction:
+        start = lane.pose(_straight_place(lane, lane.centerline.project((start.x_m, start.y_m))[0]))
     vehicle = car.vehicle
     true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
     bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
@@ -73,6 +77,15 @@ def build_world(car: CarConfig, simulation: Simulation) -> World:
         follower,
         lambda state: follower.lateral_reach_m(state, vehicle),
     )
+
+
+def _straight_place(lane: Lane, from_s_m: float) -> float:
+    """Arc length of the first place from `from_s_m` on with a straight way of four lane widths ahead, or the best."""
+    line, width = lane.centerline, float(lane.width_m(0.0))
+    starts = from_s_m + np.arange(0.0, line.length_m, 0.25 * width)
+    bend = np.abs(line.curvature(starts[:, None] + np.linspace(-0.5, 4.0, 19) * width)).max(axis=1)
+    straight = np.flatnonzero(bend * width < 0.02)
+    return float(starts[straight[0] if len(straight) else int(np.argmin(bend))])
 
 
 def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:

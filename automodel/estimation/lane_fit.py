@@ -182,9 +182,14 @@ class LaneFit:
         return np.concatenate(([d, heading], kappa, parameters[-1:]))
 
     def solve(
-        self, samples: LineSamples, prior: LanePrior, rounds: int = 3, bearing: Bearing | None = None
+        self,
+        samples: LineSamples,
+        prior: LanePrior,
+        rounds: int = 3,
+        bearing: Bearing | None = None,
+        guess: FloatArray | None = None,
     ) -> LaneSolution:
-        """Fit `samples` (and a known bearing of the lane), starting at and held by `prior`; a few rounds suffice."""
+        """Fit `samples` (and a known bearing of the lane), held by `prior`; starts there, or at `guess`."""
         unit = self.config.lane_width_m
         weight_prior = 1.0 / prior.sigma**2
         fixed, pull = self._smooth.copy(), weight_prior * prior.mean
@@ -194,7 +199,7 @@ class LaneFit:
             row[1], row[2:-1] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
             fixed = fixed + np.outer(row, row) / bearing.sigma_rad**2
             pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
-        parameters = prior.mean.copy()
+        parameters = (prior.mean if guess is None else guess).copy()
         cut = self.config.outlier_lanes * unit
         for turn in range(rounds):
             residual, jacobian = self.residuals(parameters, samples)

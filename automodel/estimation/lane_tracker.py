@@ -75,7 +75,7 @@ class LaneTracker:
         kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
         self._sigma = np.concatenate(([self.OFFSET * u, self.HEADING_RAD], kappa, [0.004 * u]))
         self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u]))
-        self._start_sigma = np.concatenate(([0.3 * u, 0.5], np.full(nodes, 1.0 / u), [0.1 * u]))
+        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
@@ -115,7 +115,10 @@ class LaneTracker:
     def fit_alone(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
         """A lane from one frame's points near a guess of the parameters; None where they do not make one."""
         samples = _samples(seen)
-        solution = self.fit.solve(samples, LanePrior(mean=guess, sigma=self._start_sigma), rounds=6)
+        mean = guess.copy()  # the road up to what is seen may as well be straight, and the car stand well in its lane
+        mean[:2] = 0.0
+        mean[2:-1][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
+        solution = self.fit.solve(samples, LanePrior(mean=mean, sigma=self._start_sigma), rounds=6, guess=guess)
         residual = self.fit.residuals(solution.parameters, samples)[0]
         good = solution.inliers
         if good.mean() < 0.7 or float(np.std(residual[good])) > 0.03 * self.unit:
