@@ -188,7 +188,8 @@ class Windows:
             p = self._tracker.parameters
             assert p is not None
             aside, turned = abs(solution.parameters[0] - p[0]) / unit, abs(solution.parameters[1] - p[1])
-            away = aside < 0.5 and (aside > 0.08 or turned > 0.08)  # a whole lane aside it is the neighbour's
+            credible = 0.1 + 0.25 * self._tracker.blind_m / unit  # further aside it is the neighbour's lane
+            away = aside < min(credible, 0.5) and (aside > 0.08 or turned > 0.08)
             if len(seen.left_m) and len(seen.right_m) and away:
                 self._rivals += 1
                 return found if self._rivals >= self.RIVAL_FRAMES else None
@@ -230,7 +231,7 @@ class Windows:
         shape = self._tracker.shape
         points = shape.beside(side * 0.5 * shape.width_m)
         x = points[:, 0]
-        first = int(np.argmin(np.abs(x - self._reference_x_m)))
+        first = int(np.argmin(np.abs(shape.s_m)))  # beside the car; in a tight bend the line comes by there again
         folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (shape.s_m[1] - shape.s_m[0]))
         last = first + int(folds[0]) if len(folds) else len(x) - 1
         wanted = self._windows.centre_x_m
