@@ -181,15 +181,17 @@ class Windows:
         """
         unit, windows = self._lane.width_m, self.RIVAL_WINDOWS
         one = min(support.left, support.right) < self.MIN_WINDOWS
-        weak = one and (max(support.left, support.right) < windows or self._tracker.near_crossing)
+        blind = self._tracker.blind_m / unit
+        weak = one and (blind > 0.5 or self._tracker.near_crossing)
         found = self._fresh_lane(self._uncovered(lines, crossed), windows, everywhere=True) if weak else None
         if found is not None:
             seen, solution = found
             p = self._tracker.parameters
             assert p is not None
             aside, turned = abs(solution.parameters[0] - p[0]) / unit, abs(solution.parameters[1] - p[1])
-            credible = 0.1 + 0.25 * self._tracker.blind_m / unit  # further aside it is the neighbour's lane
-            away = aside < min(credible, 0.5) and (aside > 0.08 or turned > 0.08)
+            # what dead reckoning cannot have got so wrong is another lane
+            credible = aside < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
+            away = credible and (aside > 0.08 or turned > 0.08)
             if len(seen.left_m) and len(seen.right_m) and away:
                 self._rivals += 1
                 return found if self._rivals >= self.RIVAL_FRAMES else None
