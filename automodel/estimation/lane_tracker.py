@@ -134,17 +134,18 @@ class LaneTracker:
     def cross(self, distance_m: float, theta_rad: float) -> None:
         """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
         since_m = distance_m - self._crossing_s_m
-        inside = 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit
-        if inside:  # the far side of the crossing that is known, or the side of a road that crosses
+        if (
+            abs(since_m) < self.CROSSING_LANES * self.unit
+        ):  # the one that is known, or its far side, or a road across it
             expected = float(np.interp(distance_m, self.shape.s_m, self.shape.theta_rad))
             if abs(theta_rad - expected) > self.CROSSING_TURN_RAD:
                 return
-        else:
+        elif self.parameters is not None:
+            after = self.parameters.copy()  # a bend that leads up to a crossing says nothing of what comes after it
+            after[2:-1][self.fit.nodes_m > distance_m] = 0.0
+            self._take(after)
+        if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:
             self._crossing_s_m = distance_m
-            if self.parameters is not None and since_m >= self.CROSSING_LANES * self.unit:
-                after = self.parameters.copy()  # a bend that leads up to a crossing says nothing of what comes after it
-                after[2:-1][self.fit.nodes_m > distance_m] = 0.0
-                self._take(after)
         self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
 
     @property
