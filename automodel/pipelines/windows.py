@@ -183,7 +183,8 @@ class Windows:
         one = min(support.left, support.right) < self.MIN_WINDOWS
         blind = self._tracker.blind_m / unit
         weak = one and (blind > 0.5 or self._tracker.near_crossing)
-        found = self._fresh_lane(self._uncovered(lines, crossed), windows, everywhere=True) if weak else None
+        far = self._tracker.near_crossing  # the road goes straight on there, and its near part is bare
+        found = self._fresh_lane(self._uncovered(lines, crossed), windows, far) if weak else None
         if found is not None:
             seen, solution = found
             p = self._tracker.parameters
