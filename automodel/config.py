@@ -144,7 +144,6 @@ class WindowsConfig:
     contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
     coast_m: float = 1.6  # way [m] that the lane is carried on without any line, at most
     coast_s: float = 2.0  # and for how long at most
-    cluster: bool = False  # DBSCAN on the windows' points before the fit
 
     def __post_init__(self) -> None:
         _positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px", "contrast")

@@ -21,8 +21,9 @@ from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.regression import fit_polynomial
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.crossings import Crossed, CrossingSearch
+from automodel.perception.fresh_lane import Fresh, FreshLane
 from automodel.perception.ground_check import GroundCheck
-from automodel.perception.sliding_windows import HistogramStart, SlidingWindows
+from automodel.perception.lane_lines import LaneLines
 from automodel.perception.white_areas import WhiteAreas
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
@@ -35,11 +36,6 @@ class Windows:
     """Seed 003 as a pipeline: `step` one frame, `reset`."""
 
     name = "windows"
-    MIN_WINDOWS = 2  # windows that make a line seen
-    START_WINDOWS = 3  # and that start one of a pair
-    SINGLE_WINDOWS = 4  # and one alone
-    RIVAL_WINDOWS = 4  # windows a line of a new pair that takes over from a lane that is hardly seen any more
-    RIVAL_FRAMES = 3  # and frames in a row
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
     CONFIRM_FRAMES = 15  # a lane started from one line is not told before it was seen so often in a row
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
@@ -61,8 +57,7 @@ class Windows:
         self._size = (car.camera.height_px, car.camera.width_px)
         self._birdseye = BirdsEye(camera, self.view)
         self._white = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
-        self._start = HistogramStart(self.view, lane.width_m, lane.marking_width_m, self._reference_x_m)
-        self._windows = SlidingWindows(self.view, lane.marking_width_m)
+        self._lines = LaneLines(self.view, lane.marking_width_m)
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
         self._ground = GroundCheck(self.view, self._white.mask, lane.width_m, lane.marking_width_m)
         self._tracker = LaneTracker(
@@ -73,6 +68,7 @@ class Windows:
             ),
             near,
         )
+        self._fresh = FreshLane(self._lines, self._tracker)
         self.stages = StageClock()
         self.reset()
 
@@ -81,7 +77,7 @@ class Windows:
         self._tracker.forget()
         self._ground.forget()
         self._last_t_ns: int | None = None
-        self._seen_t_ns = self._to_confirm = self._rivals = 0
+        self._seen_t_ns = self._to_confirm = 0
         self._blind_m = 0.0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
@@ -100,23 +96,22 @@ class Windows:
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
-            started = self._begin(painted)
-            if started is None:
+            fresh = self._fresh.find(painted)
+            if fresh is None or not self._plausible(fresh.solution):
                 return self._lost(frame)
-            seen, solution, support = started
+            seen, solution, support = self._take(fresh)
+            self._to_confirm = 0 if fresh.pair else self.CONFIRM_FRAMES
         else:
             crossed = self._cross(bright)
             crossing = crossed.crossing
             self.stages.lap("crossing")
-            seen = self._observe(painted, self._predicted(+1), self._predicted(-1), crossed)
+            seen = self._observe(painted, crossed)
             self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
             self.stages.lap("lane_fit")
-            rival = self._rival(painted, crossed, support)
-            if rival is not None:
-                seen, solution = rival
-                self._tracker.begin(seen, solution)
-                support = Support(left=len(seen.left_m), right=len(seen.right_m))
+            rival = self._fresh.rival(painted, crossed, support)
+            if rival is not None and self._plausible(rival.solution):
+                seen, solution, support = self._take(rival)
         estimate = self._estimate(frame, crossing, seen, solution, support)
         self.stages.lap("estimate")
         return estimate
@@ -141,129 +136,30 @@ class Windows:
         else:
             self._ground.forget()
 
-    def _begin(self, lines: Image) -> tuple[Observation, LaneSolution, Support] | None:
-        found = self._fresh_lane(lines, self.START_WINDOWS)
-        if found is None:
-            return None
-        seen, solution = found
-        self._tracker.begin(seen, solution)
-        support = Support(left=len(seen.left_m), right=len(seen.right_m))
-        self._to_confirm = 0 if support.left and support.right else self.CONFIRM_FRAMES
-        return seen, solution, support
+    def _take(self, fresh: Fresh) -> tuple[Observation, LaneSolution, Support]:
+        self._tracker.begin(fresh.seen, fresh.solution)
+        return fresh.seen, fresh.solution, fresh.support
 
-    def _fresh_lane(
-        self, lines: Image, windows: int, everywhere: bool = False
-    ) -> tuple[Observation, LaneSolution] | None:
-        """A lane from this frame alone: a pair of lines, or one line in `SINGLE_WINDOWS`."""
-        best: Observation | None = None
-        for start in self._start.step(lines, everywhere):
-            along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
-            nowhere = np.full(len(along), np.nan)
-            left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
-            seen = self._observe(lines, left, right)
-            pair = start.left_m is not None and start.right_m is not None
-            counts = (len(seen.left_m), len(seen.right_m))
-            enough = min(counts) >= windows if pair else max(counts) >= self.SINGLE_WINDOWS
-            if enough and (best is None or sum(counts) > len(best.left_m) + len(best.right_m)):
-                best = seen
-        if best is None:
-            return None
-        seen = best
-        solution = self._tracker.fit_alone(seen, self._guess(seen))
-        if solution is None or not self._plausible(solution) or abs(solution.offset_m) > 0.5 * solution.width_m:
-            return None
-        return seen, solution
-
-    def _rival(self, lines: Image, crossed: Crossed, support: Support) -> tuple[Observation, LaneSolution] | None:
-        """A pair of lines that was seen several frames running beside a lane that little supports.
-
-        Little is: next to nothing, or one line at a crossing, where it may be another road's or the next lane's.
-        """
-        unit, windows = self._lane.width_m, self.RIVAL_WINDOWS
-        one = min(support.left, support.right) < self.MIN_WINDOWS
-        blind = self._tracker.blind_m / unit
-        weak = one and (blind > 0.5 or self._tracker.near_crossing)
-        far = self._tracker.near_crossing  # the road goes straight on there, and its near part is bare
-        found = self._fresh_lane(self._uncovered(lines, crossed), windows, far) if weak else None
-        if found is not None:
-            seen, solution = found
-            p = self._tracker.parameters
-            assert p is not None
-            aside, turned = abs(solution.parameters[0] - p[0]) / unit, abs(solution.parameters[1] - p[1])
-            # what dead reckoning cannot have got so wrong is another lane
-            credible = aside < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
-            away = credible and (aside > 0.08 or turned > 0.08)
-            if len(seen.left_m) and len(seen.right_m) and away:
-                self._rivals += 1
-                return found if self._rivals >= self.RIVAL_FRAMES else None
-        self._rivals = 0
-        return None
-
-    def _uncovered(self, lines: Image, crossed: Crossed) -> Image:
-        """The view without the rows where paint covers the lane: a zebra's bars look like pairs of lines."""
+    def _observe(self, lines: Image, crossed: Crossed) -> Observation:
+        """Both lines' points from where the lane is predicted, without those where paint covers the lane."""
+        lane = self._tracker.shape
+        breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
+        left, right = self._lines.expected(lane, +1), self._lines.expected(lane, -1)
+        seen = self._lines.observe(lines, left, right, breadth)
         if not crossed.covered.any():
-            return lines
-        shape = self._tracker.shape
-        ahead = slice(int(np.argmin(np.abs(shape.s_m))), None)
-        rows = np.arange(self.view.height_px)
-        x = self.view.to_body(np.stack((rows, rows), axis=-1))[:, 0]
-        s = np.interp(x, shape.points_m[ahead, 0], shape.s_m[ahead])
-        clean = lines.copy()
-        clean[~crossed.free(s)] = 0
-        return clean
-
-    def _guess(self, seen: Observation) -> FloatArray:
-        """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
-        width = self._lane.width_m
-        arcs = []
-        for side, points in ((+1, seen.left_m), (-1, seen.right_m)):
-            if len(points):
-                c = np.zeros(3)
-                fitted = fit_polynomial(points[:, 0], points[:, 1], 2)
-                c[: len(fitted)] = fitted
-                x = self._reference_x_m
-                theta = math.atan(c[1] + 2.0 * c[2] * x)
-                bend = 2.0 * c[2] * math.cos(theta) ** 3
-                offset = side * 0.5 * width - (c[0] + c[1] * x + c[2] * x * x) * math.cos(theta)
-                arcs.append((offset, theta, bend / max(1.0 + side * 0.5 * width * bend, 0.3)))
-        offset, theta, bend = np.mean(arcs, axis=0)
-        return self._tracker.fit.start(offset, theta, bend, width)
-
-    def _predicted(self, side: int) -> FloatArray:
-        """y [m] of the tracked lane's line at each window's `centre_x_m`, NaN where it does not go."""
-        shape = self._tracker.shape
-        points = shape.beside(side * 0.5 * shape.width_m)
-        x = points[:, 0]
-        first = int(np.argmin(np.abs(shape.s_m)))  # beside the car; in a tight bend the line comes by there again
-        folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (shape.s_m[1] - shape.s_m[0]))
-        last = first + int(folds[0]) if len(folds) else len(x) - 1
-        wanted = self._windows.centre_x_m
-        if last <= first:
-            return np.full(len(wanted), np.nan)
-        return np.asarray(
-            np.interp(wanted, x[first : last + 1], points[first : last + 1, 1], left=np.nan, right=np.nan)
-        )
-
-    def _observe(
-        self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, crossed: Crossed | None = None
-    ) -> Observation:
-        breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0) if crossed is not None else 1.0
-        found = [self._windows.follow(lines, y_m, breadth) for y_m in (left_y_m, right_y_m)]
-        if crossed is not None and crossed.covered.any():
-            found = [points[crossed.free(self._tracker.shape.nearest_s(points))] for points in found]
+            return seen
+        keep = [crossed.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]
         return Observation(
-            left_m=found[0], right_m=found[1], left_sigma_m=self._sigma(found[0]), right_sigma_m=self._sigma(found[1])
+            left_m=seen.left_m[keep[0]],
+            right_m=seen.right_m[keep[1]],
+            left_sigma_m=seen.left_sigma_m[keep[0]],
+            right_sigma_m=seen.right_sigma_m[keep[1]],
         )
-
-    def _sigma(self, points_m: FloatArray) -> FloatArray:
-        """A window's point is good to a tenth of the marking's width near the car; further out calibration counts."""
-        ahead = points_m[:, 0] - self.view.x_near_m
-        return np.asarray(0.12 * self._lane.marking_width_m + 0.01 * np.maximum(ahead, 0.0))
 
     def _estimate(
         self, frame: Frame, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> LaneEstimate:
-        left_seen, right_seen = support.left >= self.MIN_WINDOWS, support.right >= self.MIN_WINDOWS
+        left_seen, right_seen = support.left >= FreshLane.LINE_WINDOWS, support.right >= FreshLane.LINE_WINDOWS
         if left_seen or right_seen:
             self._seen_t_ns, self._blind_m = frame.t_ns, 0.0
         blind_ns = frame.t_ns - self._seen_t_ns
