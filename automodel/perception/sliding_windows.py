@@ -104,13 +104,14 @@ class SlidingWindows:
     """Follows one line from the near rows to the far ones by a stack of windows.
 
     The paper: 12 windows of 52x24 px, re-centred only if more than 14 px carry the line. Here a window is `BREADTH`
-    markings broad and a twelfth of the view high, and goes where the line is expected: along the prediction, shifted by
-    what the windows before it found.
+    markings broad and a twelfth of the view high; it goes on along the direction of what the window before it found,
+    or to where the line is expected.
     """
 
     COUNT = 12
     BREADTH = 4.8
     FILL = 0.4  # share of a full line's pixels that a window needs
+    LONG = 0.3  # variance of the pixels along the rows, in that of a line that fills the window, to tell its lean
     SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:
@@ -130,18 +131,14 @@ class SlidingWindows:
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
         """
         expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
-        slope = np.empty(self.COUNT)
-        slope[1:-1] = (expected[2:] - expected[:-2]) / (self.centre_rows[2:] - self.centre_rows[:-2])
-        slope[0], slope[-1] = slope[1], slope[-2]
-        slope[~np.isfinite(slope)] = 0.0
         half = round(self._half * breadth)
         points: list[tuple[float, float]] = []
-        shifts: list[tuple[float, float]] = []  # (row, shift) of the last two windows that found the line
+        last: _Piece | None = None
         for k, (far, near) in enumerate(self._rows):
-            if not np.isfinite(expected[k]):
+            place = self._place(float(expected[k]), float(self.centre_rows[k]), last)
+            if place is None:
                 continue
-            centre = round(float(expected[k]) + _carried(shifts, float(self.centre_rows[k])))
-            low, high = max(centre - half, 0), min(centre + half + 1, self.view.width_px)
+            low, high = max(place - half, 0), min(place + half + 1, self.view.width_px)
             if high - low < half:
                 continue
             m = cv2.moments(lines[far:near, low:high], True)
@@ -151,16 +148,27 @@ class SlidingWindows:
             if (m["mu20"] - lean * m["mu11"]) / m["m00"] > self.SPREAD * self._marking_px**2:
                 continue  # two things in one window
             column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
+            long = m["mu02"] / m["m00"] > self.LONG * (near - far) ** 2 / 12.0
             points.append((column, row))
-            centre_row = float(self.centre_rows[k])
-            shifts = [*shifts[-1:], (row, column - float(expected[k]) - float(slope[k]) * (row - centre_row))]
+            beside = column - float(expected[k]) if np.isfinite(expected[k]) else 0.0
+            last = _Piece(column, row, lean if long else None, beside, 2.5 * (near - far))
         return self.view.to_body(np.array(points).reshape(-1, 2))
 
+    def _place(self, expected: float, row: float, last: _Piece | None) -> int | None:
+        """The next window's middle column: along the line's own direction where one was just seen, else as expected."""
+        if last is not None and last.lean is not None and abs(row - last.row) <= last.reach:
+            return round(last.column + last.lean * (row - last.row))
+        if not np.isfinite(expected):
+            return None
+        return round(expected + (last.beside if last is not None else 0.0))
 
-def _carried(shifts: list[tuple[float, float]], row: float) -> float:
-    """How far the line lies beside the expectation at `row`, going on from the windows before."""
-    if len(shifts) < 2:
-        return shifts[-1][1] if shifts else 0.0
-    (row0, shift0), (row1, shift1) = shifts
-    trend = (shift1 - shift0) / (row1 - row0) if row1 != row0 else 0.0
-    return shift1 + 0.8 * min(max(trend, -1.0), 1.0) * (row - row1)
+
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """A piece of the line in a window: where, its lean (columns a row), how far beside the expectation."""
+
+    column: float
+    row: float
+    lean: float | None  # None for one too short to tell
+    beside: float
+    reach: float  # rows for which the lean holds

@@ -37,7 +37,7 @@ class Windows:
 
     name = "windows"
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
-    CONFIRM_FRAMES = 15  # a lane started from one line is not told before it was seen so often in a row
+    CONFIRM_NS = 250_000_000  # a lane started from one line is not told before it was seen for so long
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
 
@@ -77,7 +77,7 @@ class Windows:
         self._tracker.forget()
         self._ground.forget()
         self._last_t_ns: int | None = None
-        self._seen_t_ns = self._to_confirm = 0
+        self._seen_t_ns = self._confirmed_ns = 0
         self._blind_m = 0.0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
@@ -100,7 +100,7 @@ class Windows:
             if fresh is None or not self._plausible(fresh.solution):
                 return self._lost(frame)
             seen, solution, support = self._take(fresh)
-            self._to_confirm = 0 if fresh.pair else self.CONFIRM_FRAMES
+            self._confirmed_ns = frame.t_ns + (0 if fresh.pair else self.CONFIRM_NS)
         else:
             crossed = self._cross(bright)
             crossing = crossed.crossing
@@ -163,9 +163,7 @@ class Windows:
         if left_seen or right_seen:
             self._seen_t_ns, self._blind_m = frame.t_ns, 0.0
         blind_ns = frame.t_ns - self._seen_t_ns
-        unconfirmed = self._to_confirm > 0
-        if unconfirmed:
-            self._to_confirm -= 1
+        unconfirmed = frame.t_ns < self._confirmed_ns
         too_long = (
             (unconfirmed and blind_ns > 0)
             or blind_ns * 1e-9 > self._options.coast_s

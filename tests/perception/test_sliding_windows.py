@@ -81,13 +81,19 @@ class TestSlidingWindows:
         assert windows.follow(lines, np.full(windows.COUNT, np.nan)).shape == (0, 2)
         assert windows.follow(lines, np.full(windows.COUNT, 5.0)).shape == (0, 2)
 
-    def test_only_the_windows_that_are_expected_look(self) -> None:
+    def test_no_window_looks_before_the_line_is_expected(self) -> None:
         windows = SlidingWindows(VIEW, MARKING_M)
         expected = np.full(windows.COUNT, 0.2)
-        expected[:4] = expected[9:] = np.nan
+        expected[:4] = np.nan
         points = windows.follow(binary(VIEW, line_at(0.2)), expected)
-        assert len(points) == 5
-        assert points[:, 0] == pytest.approx(windows.centre_x_m[4:9], abs=0.002)
+        assert len(points) == windows.COUNT - 4
+        assert points[:, 0] == pytest.approx(windows.centre_x_m[4:], abs=0.002)
+
+    def test_a_line_is_followed_on_where_the_expectation_ends(self) -> None:
+        windows = SlidingWindows(VIEW, MARKING_M)
+        expected = np.full(windows.COUNT, np.nan)
+        expected[:3] = 0.2
+        assert len(windows.follow(binary(VIEW, line_at(0.2)), expected)) == windows.COUNT
 
     def test_a_bar_across_is_no_point(self) -> None:
         windows = SlidingWindows(VIEW, MARKING_M)
