@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,10 +14,10 @@ from automodel.cli.workers import spread
 from automodel.config import CarConfig
 from automodel.evaluation.accuracy import AccuracyMeter, TruePose
 from automodel.pipelines import make_pipeline
-from automodel.signals import Frame
+from automodel.signals import Frame, LaneEstimate, Motion
 from automodel.sim.track import load_track
-from automodel.sim.trajectory import Drive, Odometer
-from automodel.sim.truth import TruthFollower
+from automodel.sim.trajectory import Drive, DrivenPose, Odometer
+from automodel.sim.truth import Truth, TruthFollower
 
 COLUMNS = (
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
@@ -37,14 +38,15 @@ class Case:
     speed_mps: float = 1.0
 
 
-def drive(car: CarConfig, case: Case) -> AccuracyMeter:
-    """Render the drive frame by frame, estimate, compare with the truth."""
+def watch(
+    car: CarConfig, case: Case, step: Callable[[Frame, Motion], LaneEstimate]
+) -> Iterator[tuple[LaneEstimate, Truth, DrivenPose]]:
+    """Render the drive frame by frame and let `step` see it: its estimate, the truth, and the pose of the body."""
     track = load_track(case.track)
     lane = track.lane(case.direction)
     way = Drive(lane=lane, style=case.style, speed_mps=case.speed_mps, car_width_m=car.vehicle.width_m, seed=case.seed)
     camera = renderer(track, car, appearance(case.look, case.seed))
-    pipeline = make_pipeline(case.pipeline, car)
-    follower, odometer, meter = TruthFollower(lane, car.vehicle.reference_x_m), Odometer(case.seed), AccuracyMeter()
+    follower, odometer = TruthFollower(lane, car.vehicle.reference_x_m), Odometer(case.seed)
     period_s = 1.0 / car.camera.rate_hz
     for index in range(int(way.path.length_m / case.speed_mps / period_s)):
         t_ns = round(index * period_s * 1e9)
@@ -52,10 +54,16 @@ def drive(car: CarConfig, case: Case) -> AccuracyMeter:
         image = camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
         # the odometry of the way since the frame before, as a car would have it
         motion = odometer.motion(way.pose((index - 0.5) * period_s), t_ns)
-        estimate = pipeline.step(Frame(t_ns=t_ns, index=index, image=image), motion)
-        truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
+        estimate = step(Frame(t_ns=t_ns, index=index, image=image), motion)
+        yield estimate, follower.step(pose.x_m, pose.y_m, pose.yaw_rad), pose
+
+
+def drive(car: CarConfig, case: Case) -> AccuracyMeter:
+    """The drive's estimates compared with the truth."""
+    meter = AccuracyMeter()
+    for estimate, truth, _ in watch(car, case, make_pipeline(case.pipeline, car).step):
         meter.add(
-            t_ns * 1e-9,
+            estimate.t_ns * 1e-9,
             estimate,
             TruePose(offset_m=truth.offset_m, heading_rad=truth.heading_rad, width_m=truth.width_m),
         )

@@ -5,14 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from automodel.cli.figures import show
 from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.cli.parts import car_of
-from automodel.config import PIPELINES
+from automodel.config import PIPELINES, CarConfig
 from automodel.sim.trajectory import STYLES
 
 TRACKS = ("tmr", "oval", "chicane")
+TABLES = ("windows-paper",)
 LOOKS = ("clean", "competition", "varied")
 
 
@@ -33,6 +35,7 @@ def command() -> None:
 @click.option("--look", type=click.Choice(LOOKS), default="competition", show_default=True, help="Floor and light.")
 @click.option("--direction", type=click.Choice(["forward", "reverse"]), default="forward", show_default=True)
 @click.option("--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, default=1.0, show_default=True)
+@click.option("--table", type=click.Choice(TABLES), help="The tables of a pipeline's paper instead, on tmr.")
 @click.option("--plot", type=FILE, help="Estimate against truth over time, as PNG.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
@@ -43,6 +46,7 @@ def accuracy(
     styles: tuple[str, ...],
     seeds: int,
     first_seed: int,
+    table: str | None,
     plot: Path | None,
     jobs: int | None,
     as_json: bool,
@@ -53,6 +57,9 @@ def accuracy(
 
     check_outputs({"--plot": plot}, {"--car": car_file})
     car = car_of(car_file)
+    if table is not None:
+        _paper_tables(car, first_seed, drive, jobs, as_json)
+        return 0
     cases = [
         Case(pipeline=pipeline, track=track, style=style, seed=seed, **drive)  # type: ignore[arg-type]
         for pipeline in pipelines or PIPELINES
@@ -63,6 +70,23 @@ def accuracy(
     rows = measure(car, cases, jobs, plot)
     show("bench accuracy", rows, as_json)
     return 0
+
+
+def _paper_tables(car: CarConfig, seed: int, drive: dict[str, object], jobs: int | None, as_json: bool) -> None:
+    """Both directions of tmr, centred; what would choose other drives is refused."""
+    from automodel.cli.accuracy import Case
+    from automodel.cli.windows_paper import show_tables
+
+    context = click.get_current_context()
+    for name in ("pipelines", "tracks", "styles", "seeds", "direction", "plot"):
+        if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
+            option = next(p.opts[0] for p in context.command.params if p.name == name)
+            raise click.UsageError(f"--table has its own drives: leave out {option}")
+    cases = [
+        Case(pipeline="windows", track="tmr", style="centred", seed=seed, **{**drive, "direction": direction})  # type: ignore[arg-type]
+        for direction in ("forward", "reverse")
+    ]
+    show_tables(car, cases, jobs, as_json)
 
 
 @command.command("speed")

@@ -81,11 +81,11 @@ class CrossingSearch:
         crossing = None
         if first is not None:
             ground = np.stack((x, y), axis=-1)
-            crossing = self._edge(white, ground, first, float(s[first]), float(theta[first]))
+            crossing = self._edge(white, ground, first, s, float(theta[first]))
         return Crossed(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
 
     def _edge(
-        self, white: NDArray[np.bool_], ground: FloatArray, first: int, distance_m: float, lane_rad: float
+        self, white: NDArray[np.bool_], ground: FloatArray, first: int, s: FloatArray, lane_rad: float
     ) -> Crossing | None:
         reach = int(math.tan(self.MAX_SKEW_RAD) * self.lane_m / self._step) + 2 * self._need
         low = max(first - reach, 0)
@@ -93,7 +93,8 @@ class CrossingSearch:
         hit = band.any(axis=0)
         if hit.sum() < self.COLUMNS // 3:
             return None
-        points = ground[low + band.argmax(axis=0)[hit], np.flatnonzero(hit)]
+        begins = low + band.argmax(axis=0)[hit]
+        points = ground[begins, np.flatnonzero(hit)]
         slope = _median_slope(points[:, 1], points[:, 0])
         off = points[:, 0] - slope * points[:, 1]
         keep = np.abs(off - np.median(off)) <= 0.75 * self.marking_m
@@ -103,6 +104,8 @@ class CrossingSearch:
         angle = 0.5 * math.pi - math.atan(line[1])
         if abs(angle - lane_rad - 0.5 * math.pi) > self.MAX_SKEW_RAD:
             return None
+        # the edge lies between the first white place of a column and the one before it
+        distance_m = float(np.median(s[begins][keep])) - 0.5 * self._step
         return Crossing(distance_m=distance_m, angle_rad=angle)
 
 
