@@ -193,7 +193,7 @@ class LaneFit:
         unit = self.config.lane_width_m
         weight_prior = 1.0 / prior.sigma**2
         fixed, pull = self._smooth.copy(), weight_prior * prior.mean
-        fixed[np.diag_indices(self.size)] += weight_prior
+        fixed.flat[:: self.size + 1] += weight_prior
         if bearing is not None:
             row = np.zeros(self.size)
             row[1], row[2:-1] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]

@@ -18,14 +18,18 @@ def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike |
     xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(xs) == 0:
         raise ValueError("x: no point to fit")
-    w = np.ones(len(xs)) if weights is None else np.asarray(weights, dtype=np.float64)
     low, high = float(xs.min()), float(xs.max())
     centre, scale = 0.5 * (low + high), max(0.5 * (high - low), 1e-12)
     degree = min(degree, len(set(xs.tolist())) - 1)
-    powers = ((xs - centre) / scale)[:, None] ** np.arange(degree + 1)
-    weighted = powers * w[:, None]
-    normal = weighted.T @ powers + 1e-12 * np.eye(degree + 1)
-    return shift_polynomial(np.linalg.solve(normal, weighted.T @ ys), centre, scale)
+    t = (xs - centre) / scale
+    powers = np.empty((degree + 1, len(xs)))
+    powers[0] = 1.0
+    for k in range(1, degree + 1):
+        powers[k] = powers[k - 1] * t
+    weighted = powers if weights is None else powers * np.asarray(weights, dtype=np.float64)
+    normal = weighted @ powers.T
+    normal.flat[:: degree + 2] += 1e-12
+    return shift_polynomial(np.linalg.solve(normal, weighted @ ys), centre, scale)
 
 
 def shift_polynomial(local: FloatArray, centre: float, scale: float) -> FloatArray:
