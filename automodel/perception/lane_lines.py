@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,9 +23,16 @@ class LaneLines:
         self.view, self.marking_m = view, marking_width_m
         self.windows = SlidingWindows(view, marking_width_m)
 
-    def observe(self, lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, breadth: float = 1.0) -> Observation:
-        """The points of both lines; the expected places as in `SlidingWindows.follow`, NaN for none."""
-        left, right = (self.windows.follow(lines, y_m, breadth) for y_m in (left_y_m, right_y_m))
+    def observe(
+        self,
+        lines: Image,
+        left_y_m: FloatArray,
+        right_y_m: FloatArray,
+        breadth: float = 1.0,
+        turn: float = math.inf,
+    ) -> Observation:
+        """The points of both lines; the expected places, `breadth` and `turn` as in `SlidingWindows.follow`."""
+        left, right = (self.windows.follow(lines, y_m, breadth, turn) for y_m in (left_y_m, right_y_m))
         return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -123,15 +124,20 @@ class SlidingWindows:
         self._marking_px = marking_width_m / view.m_per_px
         self._half = int(0.5 * self.BREADTH * self._marking_px)
 
-    def follow(self, lines: Image, expected_y_m: FloatArray, breadth: float = 1.0) -> FloatArray:
+    def follow(
+        self, lines: Image, expected_y_m: FloatArray, breadth: float = 1.0, turn: float = math.inf
+    ) -> FloatArray:
         """Line points (n, 2) [m] in a filtered binary view, near to far.
 
-        `breadth` widens the windows, for a line whose place is not well known.
+        `breadth` widens the windows, for a line whose place is not well known; `turn` is how much the line's slope
+        dy/dx may differ from the expected one and still be followed.
 
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
         """
         expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
         half = round(self._half * breadth)
+        slope = _slopes(expected, self.centre_rows)
+        turn_px = turn * self.view.m_per_row / self.view.m_per_px
         points: list[tuple[float, float]] = []
         last: _Piece | None = None
         for k, (far, near) in enumerate(self._rows):
@@ -151,7 +157,8 @@ class SlidingWindows:
             long = m["mu02"] / m["m00"] > self.LONG * (near - far) ** 2 / 12.0
             points.append((column, row))
             beside = column - float(expected[k]) if np.isfinite(expected[k]) else 0.0
-            last = _Piece(column, row, lean if long else None, beside, 2.5 * (near - far))
+            trusted = long and not abs(lean - slope[k]) > turn_px  # NaN: nothing is expected there
+            last = _Piece(column, row, lean if trusted else None, beside, 2.5 * (near - far))
         return self.view.to_body(np.array(points).reshape(-1, 2))
 
     def _place(self, expected: float, row: float, last: _Piece | None) -> int | None:
@@ -161,6 +168,14 @@ class SlidingWindows:
         if not np.isfinite(expected):
             return None
         return round(expected + (last.beside if last is not None else 0.0))
+
+
+def _slopes(expected: FloatArray, rows: FloatArray) -> FloatArray:
+    """Columns a row of the expected line at each window, NaN where it is not known."""
+    slope = np.empty(len(rows))
+    slope[1:-1] = (expected[2:] - expected[:-2]) / (rows[2:] - rows[:-2])
+    slope[0], slope[-1] = slope[1], slope[-2]
+    return slope
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,7 @@ class Windows:
     """Seed 003 as a pipeline: `step` one frame, `reset`."""
 
     name = "windows"
+    CROSSING_TURN = 0.5  # how much a line's slope may differ from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
     CONFIRM_NS = 250_000_000  # a lane started from one line is not told before it was seen for so long
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
@@ -145,7 +146,8 @@ class Windows:
         lane = self._tracker.shape
         breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
         left, right = self._lines.expected(lane, +1), self._lines.expected(lane, -1)
-        seen = self._lines.observe(lines, left, right, breadth)
+        turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
+        seen = self._lines.observe(lines, left, right, breadth, turn)
         if not crossed.covered.any():
             return seen
         keep = [crossed.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]
