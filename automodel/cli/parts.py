@@ -6,6 +6,8 @@ import dataclasses
 import time
 from pathlib import Path
 
+import cv2
+
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
 from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
@@ -59,7 +61,8 @@ def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:
 
 
 def make_loop(car: CarConfig) -> Loop:
-    """Pipeline, controller and limits of a car."""
+    """Pipeline, controller and limits of a car; OpenCV is kept to one thread: handing so little over costs more."""
+    cv2.setNumThreads(1)
     return Loop(
         make_pipeline(car.pipeline.name, car),
         LaneController(car),

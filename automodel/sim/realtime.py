@@ -14,6 +14,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 
 from automodel.interrupts import signals_held_back
@@ -113,6 +114,7 @@ def _serve(
     rate_hz: float,
     pipe: Connection,
 ) -> None:
+    cv2.setNumThreads(1)  # the other core is the driving process's
     slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
     world, port = factory(*arguments)
     index, start = 0, time.monotonic_ns()
