@@ -12,23 +12,9 @@ import itertools
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from automodel.reading import ConfigError, parse_toml, read_section, read_text
+from automodel.reading import ConfigError, not_negative, parse_toml, positive, read_section, read_text
 
 __all__ = ["CarConfig", "ConfigError", "load_car", "parse_car"]
-
-
-def _positive(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value > 0:
-            raise ValueError(f"{name}: {value} where a positive number is wanted")
-
-
-def _not_negative(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value >= 0:
-            raise ValueError(f"{name}: {value} where a number >= 0 is wanted")
 
 
 def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
@@ -49,7 +35,7 @@ class Intrinsics:
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        _positive(self, "fx_px", "fy_px")
+        positive(self, "fx_px", "fy_px")
         if len(self.distortion) != 5:
             raise ValueError(f"distortion: {len(self.distortion)} numbers where k1 k2 p1 p2 k3 are wanted")
 
@@ -69,7 +55,7 @@ class Extrinsics:
     roll_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive(self, "z_m")
+        positive(self, "z_m")
         if not -1.5 < self.pitch_rad < 1.5:
             raise ValueError(f"pitch_rad: {self.pitch_rad} where -1.5 .. 1.5 is wanted (radians, positive looks down)")
 
@@ -97,8 +83,8 @@ class CameraConfig:
     right: SecondCamera | None = None
 
     def __post_init__(self) -> None:
-        _positive(self, "width_px", "height_px", "rate_hz")
-        _not_negative(self, "device")
+        positive(self, "width_px", "height_px", "rate_hz")
+        not_negative(self, "device")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,8 +99,8 @@ class VehicleConfig:
     ticks_per_m: float = 200.0  # wheel ticks a metre of the rear axle's way
 
     def __post_init__(self) -> None:
-        _positive(self, "wheelbase_m", "width_m", "ticks_per_m")
-        _not_negative(self, "front_overhang_m", "rear_overhang_m")
+        positive(self, "wheelbase_m", "width_m", "ticks_per_m")
+        not_negative(self, "front_overhang_m", "rear_overhang_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +112,7 @@ class LaneConfig:
     dark_markings: bool = False  # True: dark lines on a bright floor
 
     def __post_init__(self) -> None:
-        _positive(self, "width_m", "marking_width_m")
+        positive(self, "width_m", "marking_width_m")
         if self.marking_width_m > 0.5 * self.width_m:
             raise ValueError(f"marking_width_m: {self.marking_width_m} is more than half the lane's width")
 
@@ -146,8 +132,8 @@ class WindowsConfig:
     coast_s: float = 2.0  # and for how long at most
 
     def __post_init__(self) -> None:
-        _positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px", "contrast")
-        _not_negative(self, "coast_m", "coast_s")
+        positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px", "contrast")
+        not_negative(self, "coast_m", "coast_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,9 +169,9 @@ class ControlConfig:
 
     def __post_init__(self) -> None:
         _one_of("controller", self.controller, ("stanley", "pure_pursuit"))
-        _positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
-        _positive(self, "stanley_gain_per_s", "stanley_softening_mps", "one_line_speed", "coasting_speed")
-        _not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
+        positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
+        positive(self, "stanley_gain_per_s", "stanley_softening_mps", "one_line_speed", "coasting_speed")
+        not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
         if self.obstacle_go_m < self.obstacle_stop_m:
             raise ValueError(f"obstacle_go_m: {self.obstacle_go_m} is less than obstacle_stop_m")
 
@@ -238,7 +224,7 @@ class LinkConfig:
 
     def __post_init__(self) -> None:
         _one_of("kind", self.kind, ("arduino",))
-        _positive(self, "baud")
+        positive(self, "baud")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -260,7 +246,7 @@ class SafetyConfig:
     rearm_s: float = 0.5  # healthy input for so long before arming
 
     def __post_init__(self) -> None:
-        _positive(self, *(f.name for f in dataclasses.fields(self)))
+        positive(self, *(f.name for f in dataclasses.fields(self)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,6 +24,22 @@ class ConfigError(ValueError):
     """A file that a user wrote is wrong; the text is one line: where, what, what to do."""
 
 
+def positive(section: object, *names: str) -> None:
+    """Raise ValueError, the key first, unless these fields of a section are above 0."""
+    for name in names:
+        value = getattr(section, name)
+        if not value > 0:
+            raise ValueError(f"{name}: {value} where a positive number is wanted")
+
+
+def not_negative(section: object, *names: str) -> None:
+    """Raise ValueError, the key first, unless these fields of a section are 0 or above."""
+    for name in names:
+        value = getattr(section, name)
+        if not value >= 0:
+            raise ValueError(f"{name}: {value} where a number >= 0 is wanted")
+
+
 def read_text(path: str | Path) -> str:
     """The file's text; raises ConfigError when it cannot be read."""
     try:

@@ -79,7 +79,6 @@ class Windows:
         self._ground.forget()
         self._last_t_ns: int | None = None
         self._seen_t_ns = self._confirmed_ns = 0
-        self._blind_m = 0.0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame (LOST for a picture of another size than the camera's)."""
@@ -129,7 +128,6 @@ class Windows:
             return
         distance = motion.speed_mps * dt_ns * 1e-9 if motion.known else 0.0
         turn = motion.yaw_rate_radps * dt_ns * 1e-9 if motion.known else 0.0
-        self._blind_m += abs(distance)
         before_from_after = SE2.arc(distance, turn)
         self._tracker.move(before_from_after.inverse(), distance, motion.known)
         if motion.known:
@@ -163,13 +161,13 @@ class Windows:
     ) -> LaneEstimate:
         left_seen, right_seen = support.left >= FreshLane.LINE_WINDOWS, support.right >= FreshLane.LINE_WINDOWS
         if left_seen or right_seen:
-            self._seen_t_ns, self._blind_m = frame.t_ns, 0.0
+            self._seen_t_ns = frame.t_ns
         blind_ns = frame.t_ns - self._seen_t_ns
         unconfirmed = frame.t_ns < self._confirmed_ns
         too_long = (
             (unconfirmed and blind_ns > 0)
             or blind_ns * 1e-9 > self._options.coast_s
-            or self._blind_m > self._options.coast_m
+            or self._tracker.blind_m > self._options.coast_m
         )
         if too_long or not self._plausible(solution):
             self._tracker.forget()

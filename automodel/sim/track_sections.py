@@ -6,25 +6,12 @@ import math
 from dataclasses import dataclass, field
 
 from automodel.curves import Curve, arc, clothoid, line
+from automodel.reading import not_negative, positive
 
 STYLES = ("solid", "dashed", "none")
 COLOURS = ("white", "yellow")
 DIRECTIONS = ("forward", "reverse")
 LINES = ("left", "centre", "right")
-
-
-def _positive(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value > 0:
-            raise ValueError(f"{name}: {value} where a positive number is wanted")
-
-
-def _not_negative(section: object, *names: str) -> None:
-    for name in names:
-        value = getattr(section, name)
-        if not value >= 0:
-            raise ValueError(f"{name}: {value} where a number >= 0 is wanted")
 
 
 def _one_of(section: object, name: str, choices: tuple[str, ...]) -> None:
@@ -68,7 +55,7 @@ class LanesSection:
     def __post_init__(self) -> None:
         if self.count not in (1, 2):
             raise ValueError(f"count: {self.count} where 1 or 2 is wanted")
-        _positive(self, "width_m")
+        positive(self, "width_m")
 
     @property
     def half_road_m(self) -> float:
@@ -89,7 +76,7 @@ class Marking:
     def __post_init__(self) -> None:
         _one_of(self, "style", STYLES)
         _one_of(self, "colour", COLOURS)
-        _positive(self, "width_m", "dash_m", "gap_m")
+        positive(self, "width_m", "dash_m", "gap_m")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,8 +99,8 @@ class ZebraPattern:
     colour: str = "white"
 
     def __post_init__(self) -> None:
-        _positive(self, "bar_width_m", "bar_gap_m", "length_m")
-        _not_negative(self, "distance_m")
+        positive(self, "bar_width_m", "bar_gap_m", "length_m")
+        not_negative(self, "distance_m")
         _one_of(self, "colour", COLOURS)
 
 
@@ -135,7 +122,7 @@ class StopLine:
     colour: str = "white"
 
     def __post_init__(self) -> None:
-        _positive(self, "width_m")
+        positive(self, "width_m")
         _one_of(self, "direction", DIRECTIONS)
         _one_of(self, "colour", COLOURS)
 
@@ -149,7 +136,7 @@ class Gap:
     lines: tuple[str, ...] = LINES
 
     def __post_init__(self) -> None:
-        _not_negative(self, "from_m")
+        not_negative(self, "from_m")
         if not self.to_m > self.from_m:
             raise ValueError(f"to_m: {self.to_m} where more than from_m = {self.from_m} is wanted")
         for name in self.lines:
@@ -170,7 +157,7 @@ class Box:
     grey: int = 200
 
     def __post_init__(self) -> None:
-        _positive(self, "length_m", "width_m", "height_m")
+        positive(self, "length_m", "width_m", "height_m")
         if not 0 <= self.grey <= 255:
             raise ValueError(f"grey: {self.grey} where 0 .. 255 is wanted")
 
@@ -195,7 +182,7 @@ class LinePiece:
     length_m: float
 
     def __post_init__(self) -> None:
-        _positive(self, "length_m")
+        positive(self, "length_m")
 
     @property
     def sharpest_per_m(self) -> float:
@@ -215,7 +202,7 @@ class ArcPiece:
     turn_rad: float
 
     def __post_init__(self) -> None:
-        _positive(self, "radius_m")
+        positive(self, "radius_m")
         if self.turn_rad == 0:
             raise ValueError("turn_rad: 0 where a turn is wanted, positive to the left; a straight piece is a line")
 
@@ -239,7 +226,7 @@ class ClothoidPiece:
     length_m: float
 
     def __post_init__(self) -> None:
-        _positive(self, "length_m")
+        positive(self, "length_m")
 
     @property
     def sharpest_per_m(self) -> float:
