@@ -29,6 +29,7 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.viewer": GROUND,
     "automodel.sim": GROUND | {"automodel.clocks", "automodel.interrupts", "automodel.sources"},
     "automodel.evaluation": GROUND | {"automodel.estimation", "automodel.interfaces"},
+    "automodel.training": GROUND | {"automodel.perception"},
     "automodel.safety": {"automodel.signals", "automodel.config", "automodel.clocks"},
     "automodel.loop": {"automodel.signals", "automodel.config", "automodel.clocks", "automodel.interfaces"},
     "firmware_link": {"automodel.signals", "automodel.config", "automodel.geometry"},

@@ -1,0 +1,258 @@
+"""What a camera does to a picture: lens, exposure, sensor, and the compression behind it."""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.training import noise
+from automodel.training.lighting import light
+from automodel.training.noise import Grey
+
+__all__ = ["damage", "light"]
+
+Rng = np.random.Generator
+Levels = NDArray[np.float64]
+_LEVELS: Levels = np.arange(256, dtype=np.float64)
+
+
+def damage(picture: Grey, rng: Rng, metered: Grey | None = None) -> Grey:
+    """A picture (h, w) uint8 as a real camera would have delivered it; the input stays as it is.
+
+    About one picture in seven comes out almost clean. The exposure is taken from `metered` (h, w) when it is given: two
+    versions of one scene that share it and the generator's state get the same tones.
+    """
+    if rng.random() < 0.12:
+        return _noise(picture, rng, 2.0)
+    out = _lens(picture, rng)
+    out = _tone(out, picture if metered is None else metered, rng)
+    height, width = picture.shape
+    small = rng.random() < 0.35
+    if small:
+        out = _sampled(out, rng)
+    out = _sensor(out, rng)
+    if small:
+        method = int(rng.choice((cv2.INTER_LINEAR, cv2.INTER_LINEAR, cv2.INTER_CUBIC, cv2.INTER_NEAREST)))
+        out = _as_grey(cv2.resize(out, (width, height), interpolation=method))
+    return out
+
+
+def _as_grey(picture: object) -> Grey:
+    return np.asarray(picture, dtype=np.uint8)
+
+
+def _lens(picture: Grey, rng: Rng) -> Grey:
+    """Dirt, drops and haze before the lens; then its bloom, softness and vignette, and the motion."""
+    out = picture
+    if rng.random() < 0.1:
+        out = _haze(out, rng)
+    if rng.random() < 0.1:
+        out = _spots_on_glass(out, rng)
+    if rng.random() < 0.2:
+        out = _bloom(out, rng)
+    if rng.random() < 0.35:
+        out = _as_grey(cv2.GaussianBlur(out, (0, 0), float(np.exp(rng.uniform(math.log(0.4), math.log(2.2))))))
+    if rng.random() < 0.3:
+        out = _motion(out, rng)
+    if rng.random() < 0.3:
+        out = _vignette(out, rng)
+    return out
+
+
+def _haze(picture: Grey, rng: Rng) -> Grey:
+    """Fog or a veil of stray light, thickest at a random height of the picture."""
+    height = picture.shape[0]
+    rows = (np.arange(height) / height - rng.uniform(0.2, 0.6)) / rng.uniform(0.1, 0.6)
+    thickness = (rng.uniform(0.1, 0.6) * np.exp(-rows * rows)).astype(np.float32)[:, None]
+    veil = rng.uniform(70, 220)
+    return _as_grey(picture * (1.0 - thickness) + veil * thickness)
+
+
+def _spots_on_glass(picture: Grey, rng: Rng) -> Grey:
+    """Drops of water (another part of the picture, blurred) or dirt on the glass."""
+    height, width = picture.shape
+    mask = np.zeros_like(picture)
+    wet = rng.random() < 0.5
+    for _ in range(int(rng.integers(2, 30))):
+        centre = (int(rng.integers(width)), int(rng.integers(height)))
+        axes = tuple(int(v) for v in rng.uniform(2, 16 if wet else 24, 2))
+        cv2.ellipse(mask, centre, axes, rng.uniform(0, 180), 0, 360, int(rng.integers(60, 230)), -1)
+    mask = _as_grey(cv2.blur(mask, (5, 5)))
+    if wet:
+        shifted = np.roll(picture, (int(rng.integers(-40, 40)), int(rng.integers(-40, 40))), axis=(0, 1))
+        behind = cv2.blur(shifted[::-1], (9, 9)).astype(np.float32)
+    else:
+        behind = np.full(picture.shape, rng.uniform(0, 200), dtype=np.float32)
+    weight = mask.astype(np.float32) / 255.0
+    return _as_grey(picture + weight * (behind - picture))
+
+
+def _bloom(picture: Grey, rng: Rng) -> Grey:
+    """Bright spots flow over into what lies around them."""
+    height, width = picture.shape
+    quarter = cv2.resize(picture, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
+    over = cv2.subtract(quarter, np.full_like(quarter, int(rng.integers(150, 230))))
+    sigma = rng.uniform(1.0, 6.0)
+    halo = cv2.GaussianBlur(over.astype(np.float32), (0, 0), sigma, sigmaY=sigma * rng.uniform(0.5, 3.0))
+    halo = cv2.resize(halo * rng.uniform(0.5, 4.0), (width, height))
+    return _as_grey(cv2.add(picture, np.clip(halo, 0, 255).astype(np.uint8)))
+
+
+def _motion(picture: Grey, rng: Rng) -> Grey:
+    """Blur along one direction, or away from the vanishing point as when driving on."""
+    length = int(rng.integers(3, 16))
+    if rng.random() < 0.35:
+        return _zoomed(picture, rng, length)
+    angle = rng.choice((0.0, math.pi / 2, rng.uniform(0, math.pi)))
+    kernel = np.zeros((length, length), dtype=np.float32)
+    middle = (length - 1) / 2.0
+    dx, dy = middle * math.cos(angle), middle * math.sin(angle)
+    ends = [(round((middle + s * dx) * 16), round((middle + s * dy) * 16)) for s in (-1, 1)]
+    cv2.line(kernel, ends[0], ends[1], 1.0, 1, cv2.LINE_8, 4)
+    return _as_grey(cv2.filter2D(picture, -1, kernel / kernel.sum()))
+
+
+def _zoomed(picture: Grey, rng: Rng, length: int) -> Grey:
+    """The mean of pictures from a little smaller to a little larger about the vanishing point: all stays in place."""
+    height, width = picture.shape
+    u, v = width * rng.uniform(0.3, 0.7), height * rng.uniform(0.1, 0.5)
+    step = length / width
+    out = _scaled(picture, 1.0 - 1.5 * step, (u, v))
+    for scale in (1.0 + step, 1.0 + 2.0 * step):  # each doubles the exposures
+        out = _as_grey(cv2.addWeighted(out, 0.5, _scaled(out, scale, (u, v)), 0.5, 0.0))
+    return out
+
+
+def _scaled(picture: Grey, scale: float, about: tuple[float, float]) -> Grey:
+    height, width = picture.shape
+    matrix = np.array([[scale, 0.0, about[0] * (1.0 - scale)], [0.0, scale, about[1] * (1.0 - scale)]])
+    return _as_grey(cv2.warpAffine(picture, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
+
+
+def _vignette(picture: Grey, rng: Rng) -> Grey:
+    height, width = picture.shape
+    u = np.linspace(-1.0, 1.0, width) + rng.normal(0, 0.1)
+    v = np.linspace(-1.0, 1.0, height) + rng.normal(0, 0.1)
+    fall = rng.uniform(0.1, 0.45)
+    gain = np.maximum(1.0 - fall * (u * u)[None, :] - fall * (v * v)[:, None], 0.05).astype(np.float32)
+    return _as_grey(picture * gain)
+
+
+def _tone(picture: Grey, metered: Grey, rng: Rng) -> Grey:
+    """Exposure, gamma, contrast and quantisation in one table of 256 levels."""
+    middle, high = np.percentile(metered[metered.shape[0] // 2 :: 6, ::6], (50, 97))  # the ground, then its paint
+    levels = _LEVELS
+    if rng.random() < 0.6:
+        wanted = math.exp(rng.normal(math.log(90.0), 0.35))  # the exposure control works towards a middle grey
+        levels = levels * (wanted / max(middle, 4.0)) ** rng.uniform(0.3, 0.8) * math.exp(rng.normal(0.0, 0.3))
+    if rng.random() < 0.35:
+        levels = 255.0 * (np.clip(levels, 0, 255) / 255.0) ** math.exp(rng.normal(0.0, 0.3))
+    if rng.random() < 0.35:
+        contrast = math.exp(rng.normal(0.0, 0.25))
+        pivot = rng.uniform(60, 170)
+        levels = pivot + contrast * (levels - pivot)
+    if rng.random() < 0.25:  # a black level that is not black
+        lift = rng.uniform(0, 50)
+        levels = lift + levels * (255.0 - lift) / 255.0
+    if rng.random() < 0.15:  # the shoulder and toe of a film-like curve
+        x = np.clip(levels, 0, 255) / 255.0
+        levels = 255.0 * x * x * (3.0 - 2.0 * x)
+    if rng.random() < 0.05:
+        step = float(rng.integers(3, 12))
+        levels = np.round(levels / step) * step
+    out = cv2.LUT(picture, _legible(levels, float(middle), float(high)).astype(np.uint8))
+    if rng.random() < 0.06:
+        out = _levelled(_as_grey(out), rng)
+    return _as_grey(out)
+
+
+def _legible(levels: Levels, middle: float, high: float) -> Levels:
+    """A table (256,) clipped to 0..255 and held back where it would drown the ground's paint in white or black."""
+    at = (round(middle), round(high))
+    if levels[at[0]] > 205.0:
+        levels = levels * (205.0 / levels[at[0]])
+    levels = np.clip(levels, 0.0, 255.0)
+    if levels[at[1]] - levels[at[0]] < 0.4 * (high - middle):
+        levels = 0.5 * (levels + _LEVELS)
+    return levels
+
+
+def _levelled(picture: Grey, rng: Rng) -> Grey:
+    """Contrast made even over the picture, as some cameras do."""
+    return _as_grey(cv2.createCLAHE(rng.uniform(1.0, 4.0), (4, 4)).apply(picture))
+
+
+def _sampled(picture: Grey, rng: Rng) -> Grey:
+    """The picture of a smaller sensor, with or without the stairs of poor scaling."""
+    height, width = picture.shape
+    scale = rng.uniform(0.31, 0.9)
+    size = (max(8, round(width * scale)), max(8, round(height * min(1.0, scale * rng.uniform(1.0, 1.5)))))
+    method = int(rng.choice((cv2.INTER_AREA, cv2.INTER_AREA, cv2.INTER_LINEAR, cv2.INTER_NEAREST)))
+    return _as_grey(cv2.resize(picture, size, interpolation=method))
+
+
+def _sensor(picture: Grey, rng: Rng) -> Grey:
+    """Noise, fields and bands of the sensor; sharpening and JPEG of what follows it."""
+    out = picture
+    if rng.random() < 0.07:
+        out = _interlaced(out, rng)
+    if rng.random() < 0.55:
+        out = _noise(out, rng, float(np.exp(rng.uniform(math.log(0.8), math.log(10.0)))))
+    if rng.random() < 0.08:
+        out = _bands(out, rng)
+    if rng.random() < 0.3:
+        out = _sharpened(out, rng)
+    if rng.random() < 0.45:
+        out = _compressed(out, rng)
+    return out
+
+
+def _noise(picture: Grey, rng: Rng, strength: float) -> Grey:
+    """Read and shot noise [grey levels], fine or smeared by the camera's own filter."""
+    height, width = picture.shape
+    bank = noise.white(int(rng.integers(2)))
+    if height > bank.shape[0] or width > bank.shape[1]:
+        bank = np.tile(bank, (-(-height // bank.shape[0]) + 1, -(-width // bank.shape[1]) + 1))
+    y, x = int(rng.integers(bank.shape[0] - height + 1)), int(rng.integers(bank.shape[1] - width + 1))
+    grain: NDArray[np.float32] = bank[y : y + height, x : x + width]
+    if rng.random() < 0.3:
+        grain = np.asarray(cv2.blur(grain, (2, 2)), dtype=np.float32) * 1.6
+    shot = rng.uniform(0.0, 1.0)
+    sigma = strength * np.sqrt((1.0 - shot) + shot * _LEVELS / 128.0)
+    amplitude = cv2.LUT(picture, sigma.astype(np.float32))
+    noisy = cv2.multiply(grain, amplitude)
+    return _as_grey(cv2.add(picture, noisy, dtype=cv2.CV_8U))
+
+
+def _interlaced(picture: Grey, rng: Rng) -> Grey:
+    """Every other row taken a little later, while the car turned."""
+    out, shift = picture.copy(), int(rng.integers(-5, 6))
+    out[0::2] = np.roll(out[0::2], -(shift // 2), axis=1)
+    out[1::2] = np.roll(out[1::2], shift - shift // 2, axis=1)
+    return out
+
+
+def _bands(picture: Grey, rng: Rng) -> Grey:
+    """Stripes of a rolling shutter under lamps on the mains, or of a poor sensor's rows."""
+    height = picture.shape[0]
+    if rng.random() < 0.5:
+        gain = 1.0 + rng.uniform(0.03, 0.2) * np.sin(
+            np.arange(height) / height * rng.uniform(6, 60) + rng.uniform(0, 6)
+        )
+    else:
+        gain = 1.0 + rng.normal(0.0, 0.03, height)
+    return _as_grey(np.clip(picture * gain[:, None].astype(np.float32), 0, 255))
+
+
+def _sharpened(picture: Grey, rng: Rng) -> Grey:
+    amount = rng.uniform(0.3, 1.5)
+    soft = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.7, 2.0))
+    return _as_grey(cv2.addWeighted(picture, 1.0 + amount, soft, -amount, 0.0))
+
+
+def _compressed(picture: Grey, rng: Rng) -> Grey:
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(15, 96))])
+    return _as_grey(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))

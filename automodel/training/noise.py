@@ -1,0 +1,139 @@
+"""Banks of periodic noise and marks, made once per process from fixed seeds and cropped at random.
+
+Every layer is a (512, 512) periodic picture repeated 2 x 2, so that any crop up to (512, 512) is a plain view.
+Signed layers lie around `MIDDLE` with a standard deviation of `SPREAD`; masks run from 0 (nothing) to 255.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+Grey = NDArray[np.uint8]
+
+SIDE_PX = 512
+MIDDLE = 128.0
+SPREAD = 40.0
+VARIANTS = 3
+
+
+def _repeated(tile: NDArray[np.generic]) -> Grey:
+    layer = np.tile(np.clip(np.rint(tile), 0, 255).astype(np.uint8), (2, 2))
+    layer.setflags(write=False)
+    return layer
+
+
+def _filtered(amplitude: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """White noise shaped by a spectrum (512, 257); zero mean, unit standard deviation, periodic."""
+    white = np.random.default_rng(seed).standard_normal((SIDE_PX, SIDE_PX))
+    amplitude[0, 0] = 0.0
+    shaped: NDArray[np.float64] = np.fft.irfft2(np.fft.rfft2(white) * amplitude, s=(SIDE_PX, SIDE_PX))
+    return shaped / shaped.std()
+
+
+def _frequencies(stretch: float) -> NDArray[np.float64]:
+    """Cycles per tile (512, 257) of each term of the spectrum, those along the rows counted `stretch` times."""
+    fx, fy = np.fft.rfftfreq(SIDE_PX, 1.0 / SIDE_PX), np.fft.fftfreq(SIDE_PX, 1.0 / SIDE_PX)
+    return np.maximum(np.hypot(fx[None, :] * stretch, fy[:, None]), 1e-6)
+
+
+@cache
+def band(cycles: float, stretch: float = 1.0, variant: int = 0) -> Grey:
+    """Signed noise with about `cycles` waves a tile, drawn out `stretch` times along the rows."""
+    octaves = np.log2(_frequencies(stretch) / cycles)
+    return _repeated(MIDDLE + SPREAD * _filtered(np.exp(-((octaves / 0.8) ** 2)), 1000 + variant))
+
+
+@cache
+def fractal(slope: float = 1.4, variant: int = 0) -> Grey:
+    """Signed noise whose amplitude falls with frequency to the power `slope`: clouds, dirt, uneven paint."""
+    return _repeated(MIDDLE + SPREAD * _filtered(_frequencies(1.0) ** -slope, 2000 + variant))
+
+
+@cache
+def stains(variant: int = 0) -> Grey:
+    """A mask of soft blots that cover about a sixth of the tile."""
+    return _repeated(110.0 * (_filtered(_frequencies(1.0) ** -1.8, 3000 + variant) - 0.9))
+
+
+@cache
+def leaves(variant: int = 0) -> Grey:
+    """A mask of hard-edged blots of many sizes, half of the tile: foliage against the sky, dappled light."""
+    octaves = np.log2(_frequencies(1.0) / 20.0)
+    amplitude = np.exp(-((octaves / 1.6) ** 2)) * _frequencies(1.0) ** -0.5
+    return _repeated(128.0 + 190.0 * _filtered(amplitude, 4000 + variant))
+
+
+@cache
+def specks(percent: float, variant: int = 0) -> Grey:
+    """A mask of small bright dots that cover about `percent` of the tile: stones, dust, litter."""
+    rng = np.random.default_rng(5000 + variant)
+    dots = (rng.random((SIDE_PX, SIDE_PX)) < percent / 400.0).astype(np.float32)
+    dots *= rng.uniform(0.3, 1.0, dots.shape).astype(np.float32)
+    wide = cv2.copyMakeBorder(dots, 4, 4, 4, 4, cv2.BORDER_WRAP)
+    return _repeated(255.0 * 2.4 * cv2.GaussianBlur(wide, (0, 0), 0.8)[4:-4, 4:-4])
+
+
+@cache
+def white(variant: int = 0) -> NDArray[np.float32]:
+    """Independent normal noise (1024, 1024) float32, the sensor's."""
+    noise = np.random.default_rng(6000 + variant).standard_normal((2 * SIDE_PX, 2 * SIDE_PX)).astype(np.float32)
+    noise.setflags(write=False)
+    return noise
+
+
+def _walk(rng: np.random.Generator, steps: int, step_px: float, wander_rad: float) -> NDArray[np.float64]:
+    heading = rng.uniform(0.0, 2.0 * math.pi) + np.cumsum(rng.normal(0.0, wander_rad, steps))
+    start = rng.uniform(0.0, SIDE_PX, 2)
+    return start + np.cumsum(step_px * np.column_stack((np.cos(heading), np.sin(heading))), axis=0)
+
+
+def _draw_wrapped(mask: Grey, path: NDArray[np.float64], grey: int, width_px: int) -> None:
+    """Draw a path of pixels (n, 2) on a periodic tile."""
+    low = np.floor(path.min(axis=0) / SIDE_PX).astype(int)
+    high = np.floor(path.max(axis=0) / SIDE_PX).astype(int)
+    for i in range(low[0] - 1, high[0] + 2):
+        for j in range(low[1] - 1, high[1] + 2):
+            moved = np.rint((path - (i * SIDE_PX, j * SIDE_PX)) * 16.0).astype(np.int32)
+            cv2.polylines(mask, [moved], False, grey, width_px, cv2.LINE_AA, 4)
+
+
+@cache
+def cracks(paths: int, width_px: int, wander_rad: float, variant: int = 0) -> Grey:
+    """A mask of wandering lines: cracks (much wander), tar seams (some), skid marks and scratches (little)."""
+    rng = np.random.default_rng(7000 + variant)
+    mask = np.zeros((SIDE_PX, SIDE_PX), dtype=np.uint8)
+    for _ in range(paths):
+        walk = _walk(rng, int(rng.integers(20, 90)), rng.uniform(4.0, 9.0), wander_rad)
+        _draw_wrapped(mask, walk, int(rng.integers(90, 256)), width_px)
+    wide = cv2.copyMakeBorder(mask, 4, 4, 4, 4, cv2.BORDER_WRAP)
+    return _repeated(cv2.GaussianBlur(wide, (0, 0), 0.6)[4:-4, 4:-4])
+
+
+def variant(rng: np.random.Generator) -> int:
+    """One of the variants of a layer."""
+    return int(rng.integers(VARIANTS))
+
+
+def crop(layer: Grey, rng: np.random.Generator, height_px: int = SIDE_PX, width_px: int = SIDE_PX) -> Grey:
+    """A view of a layer (height, width) from a random place; a layer too small for it is enlarged first."""
+    if max(height_px, width_px) > SIDE_PX:
+        small = crop(layer, rng)
+        return np.asarray(cv2.resize(small, (width_px, height_px), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+    y, x = int(rng.integers(SIDE_PX)), int(rng.integers(SIDE_PX))
+    return layer[y : y + height_px, x : x + width_px]
+
+
+def add(picture: Grey, layer: Grey, spread: float, rng: np.random.Generator) -> None:
+    """Add a random crop of a signed layer in place, scaled to a standard deviation of `spread` grey levels."""
+    part = crop(layer, rng, *picture.shape[:2])
+    cv2.addWeighted(picture, 1.0, part, spread / SPREAD, -MIDDLE * spread / SPREAD, dst=picture)
+
+
+def add_mask(picture: Grey, layer: Grey, change: float, rng: np.random.Generator) -> None:
+    """Add `change` grey levels in place where a random crop of a mask is full."""
+    cv2.addWeighted(picture, 1.0, crop(layer, rng, *picture.shape[:2]), change / 255.0, 0.0, dst=picture)

@@ -1,0 +1,195 @@
+"""Roads for the training pictures: how they bend, how their lines look. Lengths in lane widths, car at the origin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.geometry import SE2
+from automodel.training.cameras import Kind
+from automodel.training.shapes import Ink, Ribbon, Stripe
+
+FloatArray = NDArray[np.float64]
+_BEHIND = 4.0  # how far a road reaches behind the car
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Road:
+    """A road around the car: its curve, the extent of its lanes to the left and right, and its stripes.
+
+    `paved` are the stripes that its surface covers; empty where the floor goes on beside the road.
+    """
+
+    kind: Kind
+    ribbon: Ribbon
+    left: float
+    right: float
+    reach: float
+    stripes: tuple[Stripe, ...] = ()
+    paved: tuple[Stripe, ...] = field(default=())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineStyle:
+    """How one line is painted: half widths of its stripes with their places beside the line, and their patterns."""
+
+    half_width: float
+    ink: Ink
+    patterns: tuple[tuple[float, ...], ...]  # one a stripe; () is solid
+    spacing: float = 0.0  # between the middles of a double line's stripes
+
+
+def random_ribbon(
+    rng: np.random.Generator, kind: Kind, room: float, *, straight: bool = False, crossed: bool = False
+) -> Ribbon:
+    """The curve of the ego lane's middle, in the body frame of a car that is somewhere in it.
+
+    `room` is the widest offset that lines will have from it, which bounds its curvature.
+    """
+    reach = rng.uniform(*{Kind.SCALE: (8.0, 40.0), Kind.ROAD: (40.0, 110.0), Kind.CIRCUIT: (15.0, 60.0)}[kind])
+    tightest = max(1.5, 1.2 * room)
+    radius = {Kind.SCALE: (tightest, 15.0), Kind.ROAD: (max(8.0, tightest), 250.0), Kind.CIRCUIT: (tightest, 60.0)}[
+        kind
+    ]
+    knots_s, knots_k = _curvature(rng, kind, reach, radius)
+    if straight or crossed or rng.random() < 0.12:
+        knots_k = knots_k * (0.03 if crossed else 0.0)
+    tight = float(np.abs(knots_k).max())
+    growth = 0.012 if tight > 0.08 else 0.04
+    count = math.ceil(math.log1p(reach * growth / 0.08) / growth)
+    ahead = np.expm1(growth * np.arange(1, count + 1)) * 0.08 / growth
+    s = np.concatenate((np.arange(-_BEHIND, 0.04, 0.08), ahead))
+    s -= s[np.argmin(np.abs(s))]
+    return _from_body(rng, s, np.interp(s, knots_s, knots_k), room)
+
+
+def _curvature(
+    rng: np.random.Generator, kind: Kind, reach: float, radius: tuple[float, float]
+) -> tuple[FloatArray, FloatArray]:
+    """Knots of a curvature that changes linearly between them, as clothoids do."""
+    longest = {Kind.SCALE: 5.0, Kind.ROAD: 40.0, Kind.CIRCUIT: 15.0}[kind]
+    s, k = [-_BEHIND], [0.0]
+    side = 1.0 if rng.random() < 0.5 else -1.0
+    while s[-1] < reach:
+        if rng.random() < 0.35:
+            side = -side
+        held = 0.0 if rng.random() < 0.35 else side / math.exp(rng.uniform(*np.log(radius)))
+        s.append(s[-1] + longest * rng.uniform(0.05, 0.5))
+        k.append(held)
+        s.append(s[-1] + longest * rng.uniform(0.05, 0.9))
+        k.append(held)
+    if rng.random() < 0.5:
+        k[0] = k[1]
+    return np.array(s), np.array(k)
+
+
+def _from_body(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, room: float) -> Ribbon:
+    """Integrates the curve through s = 0 and turns it into the frame of a car beside it."""
+    steps = np.diff(s)
+    heading = np.concatenate(([0.0], np.cumsum(0.5 * (curvature[1:] + curvature[:-1]) * steps)))
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    xy = np.concatenate(
+        (np.zeros((1, 2)), np.cumsum(np.column_stack((np.cos(middle), np.sin(middle))) * steps[:, None], axis=0))
+    )
+    here = int(np.argmin(np.abs(s)))
+    origin = SE2(xy[here, 0], xy[here, 1], heading[here])
+    offset = rng.normal(0.0, 0.12) if rng.random() < 0.8 else rng.uniform(-0.6, 0.6) * min(room, 1.5)
+    yaw = math.radians(rng.normal(0.0, 6.0) if rng.random() < 0.8 else rng.uniform(-45.0, 45.0))
+    body_from_road = (origin @ SE2(0.0, offset, yaw)).inverse()
+    return Ribbon(s, body_from_road.apply(xy), heading + body_from_road.yaw_rad)
+
+
+def edge_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
+    """The line at a road's edge: mostly solid."""
+    half = _half_width(rng, kind)
+    draw = rng.random()
+    ink = Ink.SECOND_PAINT if rng.random() < 0.25 else Ink.PAINT
+    if draw < 0.88:
+        return LineStyle(half_width=half, ink=ink, patterns=((),))
+    if draw < 0.94:
+        return LineStyle(half_width=half, ink=ink, patterns=(_dashes(rng, kind),))
+    return _double(rng, kind, half, ink)
+
+
+def inner_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
+    """The line between two lanes: dashed, solid, double or dotted."""
+    half = _half_width(rng, kind)
+    draw = rng.random()
+    ink = Ink.SECOND_PAINT if rng.random() < 0.35 else Ink.PAINT
+    if draw < 0.7:
+        return LineStyle(half_width=half, ink=ink, patterns=(_dashes(rng, kind),))
+    if draw < 0.8:
+        return LineStyle(half_width=half, ink=ink, patterns=((),))
+    if draw < 0.9:
+        return _double(rng, kind, half, ink)
+    return LineStyle(half_width=half, ink=ink, patterns=(_dots(rng, half),))
+
+
+def _double(rng: np.random.Generator, kind: Kind, half: float, ink: Ink) -> LineStyle:
+    half = min(half, 0.035)
+    dashes = _dashes(rng, kind)
+    choices: list[tuple[tuple[float, ...], ...]] = [((), ()), ((), dashes), (dashes, ()), (dashes, dashes)]
+    picked = choices[int(rng.choice(4, p=[0.55, 0.2, 0.15, 0.1]))]
+    return LineStyle(half_width=half, ink=ink, patterns=picked, spacing=2.0 * half * rng.uniform(1.6, 3.2))
+
+
+def _half_width(rng: np.random.Generator, kind: Kind) -> float:
+    low, high = {Kind.SCALE: (0.03, 0.1), Kind.ROAD: (0.025, 0.07), Kind.CIRCUIT: (0.009, 0.03)}[kind]
+    if rng.random() < 0.12:
+        low, high = low * 0.6, high * 1.6
+    return 0.5 * float(rng.uniform(low, high))
+
+
+def _dashes(rng: np.random.Generator, kind: Kind) -> tuple[float, ...]:
+    if kind is Kind.SCALE or rng.random() < 0.2:
+        paint = math.exp(rng.uniform(math.log(0.1), math.log(1.2)))
+        return paint, paint * math.exp(rng.uniform(math.log(0.3), math.log(3.0)))
+    known = [(0.85, 2.5), (1.7, 3.4), (1.6, 1.6), (0.85, 0.85), (0.4, 0.4), (0.27, 0.27), (1.2, 2.4)]
+    paint, gap = known[int(rng.integers(len(known)))]
+    return paint * rng.uniform(0.8, 1.25), gap * rng.uniform(0.8, 1.25)
+
+
+def _dots(rng: np.random.Generator, half: float) -> tuple[float, ...]:
+    """Studs: groups of dots as long as they are wide."""
+    size, gap = 2.0 * half, rng.uniform(0.15, 0.5)
+    dots = (size, gap) * int(rng.integers(1, 5))
+    return (*dots[:-1], gap + rng.uniform(0.0, 2.0))
+
+
+def painted(rng: np.random.Generator, style: LineStyle, points: FloatArray) -> list[Stripe]:
+    """The stripes of one line along a polyline (n, 2)."""
+    stripes = []
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.maximum(np.hypot(tangent[:, 0], tangent[:, 1]), 1e-9)[:, None]
+    normal = np.column_stack((-tangent[:, 1], tangent[:, 0]))
+    ragged = rng.uniform(0.0, 0.12) if rng.random() < 0.4 else 0.0
+    for k, pattern in enumerate(style.patterns):
+        shift = (k - 0.5 * (len(style.patterns) - 1)) * style.spacing
+        half: float | FloatArray = style.half_width
+        if ragged:
+            half = style.half_width * np.clip(1.0 + ragged * rng.standard_normal(len(points)), 0.5, 1.5)
+        stripes.append(
+            Stripe(
+                points=points + shift * normal,
+                half_width=half,
+                ink=style.ink,
+                pattern=pattern,
+                phase=rng.uniform(0.0, sum(pattern)) if pattern else 0.0,
+                marking=True,
+            )
+        )
+    return stripes
+
+
+def paved(road: Road, margin_left: float, margin_right: float) -> Road:
+    """The road with a surface of its own that ends a margin beyond its outer lines."""
+    left, right = road.left + margin_left, road.right + margin_right
+    bed = Stripe(
+        points=road.ribbon.place(road.ribbon.s, 0.5 * (left - right)),
+        half_width=0.5 * (left + right),
+        ink=Ink.ROADBED,
+    )
+    return replace(road, paved=(*road.paved, bed))

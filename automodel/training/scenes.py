@@ -1,0 +1,248 @@
+"""Synthetic pictures to train the marking network on: `make_sample(seed)` gives a picture and its mask.
+
+A picture is put together in the order in which light meets things: a backdrop, the ground (floor, roadside, stains,
+paint) as a random camera sees it, light and shadow, things that stand on the ground, then the camera's own damage.
+Lengths are in lane widths, so that one generator covers scale cars and highways.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.geometry import GroundCamera
+from automodel.training import noise
+from automodel.training.backdrops import backdrop
+from automodel.training.cameras import Kind, random_camera
+from automodel.training.damage import damage, light
+from automodel.training.distractors import random_distractors
+from automodel.training.ground_view import GroundView, atlas
+from automodel.training.layouts import random_road
+from automodel.training.objects import draw_objects
+from automodel.training.painting import Canvas, worn
+from automodel.training.roads import Road
+from automodel.training.shapes import Ink, Patch, Stripe
+from automodel.training.textures import floor_tile, roadside_tile
+
+Rng = np.random.Generator
+Grey = NDArray[np.uint8]
+FloatImage = NDArray[np.float32]
+_TILES = 160  # different floors; each is seen at many sizes, turns and tones
+_FAINT = 2.2  # grey levels that paint must add to be seen,
+_ROUGH_SHARE = 0.6  # and as a share of the unevenness of what is around
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sample:
+    """A picture (h, w) uint8 grey, and its mask (h, w) uint8: 0..255, how much of the pixel is lane-line marking."""
+
+    image: Grey
+    mask: Grey
+
+
+def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
+    """The training picture of a seed: the same seed gives the same picture."""
+    rng = np.random.default_rng(seed)
+    kind = (Kind.SCALE, Kind.ROAD, Kind.CIRCUIT)[int(rng.choice(3, p=(0.5, 0.38, 0.12)))]
+    camera = random_camera(rng, kind, width_px, height_px)
+    road = random_road(rng, kind)
+    ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes))
+    picture, mask = ground.picture, ground.mask
+    draw_objects(picture, mask, camera, rng, min(road.reach, 60.0))
+    layers = picture, mask, ground.seen, ground.whole
+    if rng.random() < 0.25:
+        layers = _bent(rng, layers)
+    return photographed(layers, int(rng.integers(2**62)))
+
+
+def photographed(layers: tuple[Grey, Grey, FloatImage, FloatImage], damage_seed: int) -> Sample:
+    """The picture as the camera delivers it, and the mask without the markings that nobody could see in it.
+
+    The same damage is done to the picture with whole paint and with none: where both look alike, nothing can be learnt.
+    """
+    picture, mask, seen, whole = layers
+    image = damage(picture, np.random.default_rng(damage_seed))
+    if not mask.any():
+        return Sample(image=image, mask=mask)
+    bare = np.where(mask > 0, np.clip(picture - seen, 0.0, 255.0), picture)
+    full = np.where(mask > 0, np.clip(bare + whole, 0.0, 255.0), picture)
+    parts = [part.astype(np.uint8) for part in (bare, full)]
+    without, painted = (damage(part, np.random.default_rng(damage_seed), picture) for part in parts)
+    rough = cv2.blur(cv2.absdiff(without, cv2.blur(without, (7, 7))), (21, 21)).astype(np.float32)
+    needed = _FAINT + np.float32(_ROUGH_SHARE) * rough
+    known = _stands_out(painted, without, needed, 9) * _stands_out(image, without, needed, 31)
+    return Sample(image=image, mask=np.round(mask * known).astype(np.uint8))
+
+
+def _stands_out(picture: Grey, without: Grey, needed: FloatImage, around_px: int) -> FloatImage:
+    """Whether paint is to be seen at or near each pixel (h, w), 0..1."""
+    signal = cv2.dilate(cv2.blur(cv2.subtract(picture, without), (3, 3)), np.ones((around_px, around_px), np.uint8))
+    return np.asarray(np.clip((signal - needed) / (0.5 * needed), 0.0, 1.0), dtype=np.float32)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ground:
+    """The lit ground before anything stands on it: picture and mask (h, w), and what paint adds to it in grey levels.
+
+    `seen` is what the worn paint adds, `whole` what it would add if none of it were worn.
+    """
+
+    picture: Grey
+    mask: Grey
+    seen: FloatImage
+    whole: FloatImage
+
+
+def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stripe | Patch]) -> Ground:
+    """A road and what lies on it as a camera sees it, with the backdrop behind."""
+    canvas = Canvas(camera)
+    for shape in (*road.paved, *shapes):
+        if isinstance(shape, Stripe):
+            canvas.stripe(shape)
+        else:
+            canvas.patch(shape)
+    view = GroundView(camera, farthest=300.0)
+    floor = _floor(rng, view, canvas.coverage(Ink.ROADBED))
+    picture, seen, whole = _painted(rng, view, canvas, floor)
+    before = picture.copy()
+    light(picture, camera, rng)
+    gain = (picture + 4.0) / (before + 4.0)
+    gain = np.where((before - seen) * gain > 250.0, 0.0, np.minimum(gain, 1.0))
+    if rng.random() < 0.15:
+        clear = np.exp(view.distance * np.float32(-1.0 / rng.uniform(10.0, 200.0)))
+        picture = np.float32(rng.uniform(60.0, 220.0)) * (1.0 - clear) + clear * picture
+        gain = gain * clear
+    mask = np.round(canvas.label() * (view.share > 0.5)).astype(np.uint8)
+    if float(view.share.min()) < 1.0:
+        behind = _behind(rng, view, camera).astype(np.float32)
+        picture = behind + view.share * (picture - behind)
+    return Ground(
+        picture=np.clip(picture, 0.0, 255.0).astype(np.uint8),
+        mask=mask,
+        seen=np.asarray(seen * gain, dtype=np.float32),
+        whole=np.asarray(whole * gain, dtype=np.float32),
+    )
+
+
+@lru_cache(maxsize=2 * _TILES)
+def _ground_atlas(number: int, roadside: bool) -> tuple[Grey, float, float]:
+    """A floor or roadside: its atlas, its mean grey and its size; a few hundred of them are kept."""
+    rng = np.random.default_rng((number, int(roadside)))
+    tile = roadside_tile(rng) if roadside else floor_tile(rng)
+    return atlas(tile.image), float(tile.image.mean()), tile.size_lanes
+
+
+def _surface(rng: Rng, view: GroundView, roadside: bool) -> FloatImage:
+    """A floor as seen, its tone and contrast changed at random."""
+    picture, mean, size = _ground_atlas(int(rng.integers(_TILES)), roadside)
+    turn = rng.normal(0.0, 0.1) if rng.random() < 0.5 else rng.uniform(0.0, 2.0 * math.pi)
+    seen = view.laid(picture, size * math.exp(rng.normal(0.0, 0.3)), turn, tuple(rng.uniform(0.0, 1.0, 2)))
+    tone = np.clip(mean * math.exp(rng.normal(0.0, 0.35)), 6.0, 235.0)
+    contrast = tone / max(mean, 8.0) * math.exp(rng.normal(0.0, 0.3))
+    return (seen.astype(np.float32) - np.float32(mean)) * np.float32(contrast) + np.float32(tone)
+
+
+def _floor(rng: Rng, view: GroundView, bed: FloatImage | None) -> FloatImage:
+    """The bare ground, with another surface beside the road where the road has its own."""
+    floor = _surface(rng, view, roadside=False)
+    if bed is None:
+        return floor
+    beside = _surface(rng, view, roadside=True)
+    return beside + bed * (floor - beside)
+
+
+def _painted(
+    rng: Rng, view: GroundView, canvas: Canvas, floor: FloatImage
+) -> tuple[FloatImage, FloatImage, FloatImage]:
+    """The ground with all that lies on it, and what worn and whole paint add to it."""
+    picture = floor.copy()
+    base = float(np.median(floor[::4, ::4][view.share[::4, ::4] > 0.5])) if (view.share[::4, ::4] > 0.5).any() else 90.0
+    keep = _wear(rng, view)
+    band = canvas.coverage(Ink.BAND)
+    if band is not None:
+        if rng.random() < 0.6:
+            band = np.asarray(cv2.blur(band, (9, 5)), dtype=np.float32)
+        picture *= 1.0 + band * np.float32(rng.uniform(-0.35, 0.12))
+    whole = seen = np.zeros_like(floor)
+    for ink in (Ink.DARK, Ink.BRIGHT, Ink.SECOND_PAINT, Ink.PAINT):
+        cover = canvas.coverage(ink)
+        stands_out = np.float32(_contrast(rng, ink, base))
+        if cover is None:
+            continue
+        tone = np.float32(base) + stands_out
+        rough = np.float32(rng.uniform(0.0, 0.7)) * tone / np.float32(max(base, 20.0))
+        surface = tone + rough * (floor - np.float32(base))
+        if ink in (Ink.SECOND_PAINT, Ink.PAINT):
+            surface = np.maximum(surface, floor + 0.5 * stands_out)
+            full = cover * (surface - picture)
+            added = keep * full
+            whole, seen = np.maximum(whole, full), np.maximum(seen, added)
+        else:
+            added = cover * (surface - picture)
+        picture += added
+    return picture, seen, whole
+
+
+def _contrast(rng: Rng, ink: Ink, base: float) -> float:
+    """Grey levels between the floor and an ink on it."""
+    if ink is Ink.DARK:
+        return -base * rng.uniform(0.15, 0.85)
+    if ink is Ink.BRIGHT:
+        return float(rng.uniform(10.0, 110.0))
+    room = max(255.0 - base, 25.0)
+    if rng.random() < 0.12:
+        return float(min(room, rng.uniform(9.0, 30.0)))
+    return float(room * rng.uniform(0.25, 1.0))
+
+
+def _wear(rng: Rng, view: GroundView) -> FloatImage:
+    """How much of the paint is left at each pixel (h, w)."""
+    if rng.random() < 0.5:
+        return np.ones(view.share.shape, dtype=np.float32)
+    lost = float(rng.beta(1.0, 2.2)) * 0.95
+    grain = noise.fractal(float(rng.choice([0.8, 1.1, 1.4])), noise.variant(rng))[:512, :512]
+    tile = atlas(worn(grain, lost, rng.uniform(8.0, 60.0)))
+    turn, shift = rng.uniform(0.0, math.pi), tuple(rng.uniform(0.0, 1.0, 2))
+    keep = view.laid(tile, rng.uniform(0.6, 5.0), turn, shift).astype(np.float32) * np.float32(1.0 / 255.0)
+    least = np.float32(rng.uniform(0.0, 0.4) ** 2)
+    return np.asarray(least + (1.0 - least) * keep, dtype=np.float32)
+
+
+def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Grey:
+    """The backdrop (h, w), bent so that its horizon is where the camera sees the horizon."""
+    height, width = view.share.shape
+    focal = float(camera.camera.matrix[1, 1])
+    row = float(np.interp(0.0, view.rise[::-1, width // 2], np.arange(height)[::-1], left=height, right=-20.0))
+    flat = backdrop(rng, width, height, row)
+    v = np.float32(row) - np.float32(focal) * np.clip(view.rise, -2.0, 2.0)
+    u = np.broadcast_to(np.arange(width, dtype=np.float32), v.shape)
+    return np.asarray(cv2.remap(flat, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
+
+
+def _bent(rng: Rng, layers: tuple[Grey, Grey, FloatImage, FloatImage]) -> tuple[Grey, Grey, FloatImage, FloatImage]:
+    """The layers with their rows shifted smoothly: hills ahead, a car that nods while the shutter rolls."""
+    height, width = layers[0].shape
+    rows = np.arange(height) / height
+    middle, spread = rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.3)
+    shift = rng.uniform(-0.35, 0.35) * spread * np.exp(-(((rows - middle) / spread) ** 2))
+    slope = rng.normal(0.0, 0.02) * np.sin(2.0 * math.pi * (rows * rng.uniform(0.3, 1.5) + rng.random()))
+    v = np.repeat(((rows + shift) * height)[:, None], width, axis=1).astype(np.float32)
+    u = (np.arange(width)[None, :] + (slope * width)[:, None]).astype(np.float32)
+    way = cv2.convertMaps(u, v, cv2.CV_16SC2)
+
+    def bent(layer: Grey | FloatImage) -> cv2.typing.MatLike:
+        return cv2.remap(layer, *way, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    picture, mask, seen, whole = layers
+    return (
+        np.asarray(bent(picture), dtype=np.uint8),
+        np.asarray(bent(mask), dtype=np.uint8),
+        np.asarray(bent(seen), dtype=np.float32),
+        np.asarray(bent(whole), dtype=np.float32),
+    )
