@@ -22,6 +22,7 @@ COMMANDS = {
     "bench": "Measure: accuracy against the simulator's truth, and speed.",
     "export": "A recording as CSV and video.",
     "recover": "Make a recording readable that was cut by a power loss.",
+    "train": "Train the network that finds lane markings.",
 }
 
 

@@ -1,0 +1,111 @@
+"""The marking network: a U-Net of two levels on a picture packed to half size (after Cudrano et al. 2020).
+
+The paper reduces U-Net to two poolings so that it runs on a small computer. The same is done here, with three changes
+that buy accuracy at the same time a frame: a strided first layer and a pixel-shuffle last layer put the whole U-Net at
+half the picture's size; depth-wise separable residual blocks make each level cheap; dilated ones at the bottom see far
+enough (some 400 pixels) to tell a lane marking from a table's edge. Needs torch (the extra `train`).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+CHANNELS = (16, 48, 96)  # at 1/2, 1/4 and 1/8 of the picture's size; multiples of 16 fill the vector registers
+DILATIONS = (1, 2, 4, 8, 4, 2)  # of the blocks at the bottom
+DARKEST_STD = 0.03  # of a picture's grey values in 0..1: what is flatter than this is not stretched any further
+
+
+def _layer(inside: int, out: int, kernel: int, **options: int) -> list[nn.Module]:
+    return [nn.Conv2d(inside, out, kernel, bias=False, **options), nn.BatchNorm2d(out)]
+
+
+class FullPrecision(nn.Conv2d):
+    """A convolution in 32 bits where the rest is in 16.
+
+    For dilated depth-wise kernels, whose gradient in bfloat16 torch gets wrong on a CPU, now and then and by any amount
+    (oneDNN reads memory that it never wrote; seen with torch 2.13), and takes twice as long for.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The convolution of x, in 32 bits."""
+        with torch.autocast(x.device.type, enabled=False):
+            return super().forward(x if x.dtype == torch.float32 else x.float())
+
+
+class Block(nn.Module):
+    """A residual block: 3x3 depth-wise, then 1x1; keeps the shape (n, channels, h, w)."""
+
+    def __init__(self, channels: int, dilation: int = 1) -> None:
+        super().__init__()
+        kind = nn.Conv2d if dilation == 1 else FullPrecision
+        self.layers = nn.Sequential(
+            kind(channels, channels, 3, padding=dilation, dilation=dilation, groups=channels, bias=False),
+            nn.BatchNorm2d(channels),
+            nn.ReLU(),
+            *_layer(channels, channels, 1),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The block's features (n, channels, h, w)."""
+        return functional.relu(x + self.layers(x))
+
+
+class Down(nn.Sequential):
+    """A level down: 2x2 maximum, which keeps thin bright lines, then 1x1 to more channels."""
+
+    def __init__(self, inside: int, out: int) -> None:
+        super().__init__(nn.MaxPool2d(2), *_layer(inside, out, 1), nn.ReLU())
+
+
+class Up(nn.Module):
+    """A level up: 1x1 to fewer channels, each pixel doubled, plus the encoder's features of that level."""
+
+    def __init__(self, inside: int, out: int) -> None:
+        super().__init__()
+        self.narrow = nn.Sequential(*_layer(inside, out, 1))
+        self.block = Block(out)
+
+    def forward(self, deep: Tensor, skip: Tensor) -> Tensor:
+        """(n, inside, h, w) and (n, out, 2h, 2w) -> (n, out, 2h, 2w)."""
+        doubled = functional.interpolate(self.narrow(deep), scale_factor=2.0, mode="nearest")
+        return self.block(functional.relu(doubled + skip))
+
+
+class MarkingNet(nn.Module):
+    """Grey pictures (n, 1, h, w) -> logits of "this pixel is lane marking", same shape; h and w are multiples of 8.
+
+    Grey values are 0..255, uint8 or floating point. Each picture is brought to mean 0 and deviation 1 first, so that
+    exposure has little say.
+    """
+
+    def __init__(self, channels: tuple[int, int, int] = CHANNELS, dilations: tuple[int, ...] = DILATIONS) -> None:
+        super().__init__()
+        fine, middle, coarse = channels
+        self.stem = nn.Sequential(*_layer(1, fine, 6, stride=2, padding=2), nn.ReLU(), Block(fine))
+        self.down1 = nn.Sequential(Down(fine, middle), Block(middle), Block(middle))
+        self.down2 = nn.Sequential(Down(middle, coarse), *(Block(coarse, dilation) for dilation in dilations))
+        self.up1 = Up(coarse, middle)
+        self.up2 = Up(middle, fine)
+        self.head = nn.Sequential(*_layer(fine, fine, 3, padding=1, groups=fine), nn.ReLU(), nn.Conv2d(fine, 4, 1))
+        last = self.head[-1]
+        assert isinstance(last, nn.Conv2d)
+        assert last.bias is not None
+        nn.init.constant_(last.bias, -3.5)  # some 3 % of all pixels are marking
+
+    def forward(self, image: Tensor) -> Tensor:
+        """The logits."""
+        half = self.stem(standardised(image))
+        quarter = self.down1(half)
+        eighth = self.down2(quarter)
+        up = self.up2(self.up1(eighth, quarter), half)
+        return functional.pixel_shuffle(self.head(up), 2)
+
+
+def standardised(image: Tensor) -> Tensor:
+    """Pictures (n, 1, h, w) of grey values 0..255, each brought to mean 0 and deviation 1 (less where it is flat)."""
+    grey = image.float() * (1.0 / 255.0)
+    centred = grey - grey.mean((2, 3), keepdim=True)
+    variance = (centred * centred).mean((2, 3), keepdim=True)
+    return centred / torch.sqrt(variance + DARKEST_STD**2)
