@@ -146,7 +146,7 @@ def test_not_toml() -> None:
 
 
 def test_no_such_track_names_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"^tnr: no such track; shipped are chicane, oval, tmr"):
+    with pytest.raises(ConfigError, match=r"^tnr: no such track; shipped are chicane, circuit, oval, tmr"):
         load_track("tnr")
 
 

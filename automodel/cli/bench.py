@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -14,8 +16,10 @@ from automodel.config import PIPELINES, CarConfig
 from automodel.sim.trajectory import STYLES
 
 TRACKS = ("tmr", "oval", "chicane")
-TABLES = ("windows-paper",)
+TABLES = ("windows-paper", "centerline-paper")
 LOOKS = ("clean", "competition", "varied")
+PAPERS_TRACKS = {"a": "A", "circuit": "A", "b": "B", "monza": "B"}  # of centerline-paper
+OF_CENTERLINE_PAPER = ("monza", "lights", "odometries", "stretches", "full")  # options for that table alone
 
 
 @click.group("bench")
@@ -35,7 +39,18 @@ def command() -> None:
 @click.option("--look", type=click.Choice(LOOKS), default="competition", show_default=True, help="Floor and light.")
 @click.option("--direction", type=click.Choice(["forward", "reverse"]), default="forward", show_default=True)
 @click.option("--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, default=1.0, show_default=True)
-@click.option("--table", type=click.Choice(TABLES), help="The tables of a pipeline's paper instead, on tmr.")
+@click.option("--table", type=click.Choice(TABLES), help="The tables of a pipeline's paper instead, on its tracks.")
+@click.option("--monza", type=FILE, help="centerline-paper: Monza.csv.  [default: in $AUTOMODEL_DATA/racetracks]")
+@click.option("--light", "lights", multiple=True, type=click.Choice(["dry", "wet"]), help="centerline-paper.  [all]")
+@click.option(
+    "--odometry",
+    "odometries",
+    multiple=True,
+    type=click.Choice(["encoder", "command", "none"]),
+    help="centerline-paper: where the car's motion comes from.  [encoder]",
+)
+@click.option("--stretches", type=click.IntRange(1), default=6, show_default=True, help="centerline-paper: a drive.")
+@click.option("--full", is_flag=True, help="centerline-paper: whole laps (20 minutes a drive on Monza).")
 @click.option("--plot", type=FILE, help="Estimate against truth over time, as PNG.")
 @click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
@@ -50,18 +65,24 @@ def accuracy(
     plot: Path | None,
     jobs: int | None,
     as_json: bool,
-    **drive: object,
+    **more: Any,
 ) -> int:
     """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
     from automodel.cli.accuracy import Case, measure
 
-    check_outputs({"--plot": plot}, {"--car": car_file})
+    circuits = {name: more.pop(name) for name in OF_CENTERLINE_PAPER}
+    check_outputs({"--plot": plot}, {"--car": car_file, "--monza": circuits["monza"]})
     car = car_of(car_file)
-    if table is not None:
-        _paper_tables(car, first_seed, drive, jobs, as_json)
+    if table == "centerline-paper":
+        circuits |= {"pipelines": pipelines, "tracks": tracks, "styles": styles, "seed": first_seed}
+        _circuit_tables(car, circuits, jobs, plot, as_json)
+        return 0
+    _refuse(OF_CENTERLINE_PAPER, "{} is for --table centerline-paper alone")
+    if table == "windows-paper":
+        _paper_tables(car, first_seed, more, jobs, as_json)
         return 0
     cases = [
-        Case(pipeline=pipeline, track=track, style=style, seed=seed, **drive)  # type: ignore[arg-type]
+        Case(pipeline=pipeline, track=track, style=style, seed=seed, **more)
         for pipeline in pipelines or PIPELINES
         for track in tracks or TRACKS
         for style in styles or STYLES
@@ -72,18 +93,48 @@ def accuracy(
     return 0
 
 
-def _paper_tables(car: CarConfig, seed: int, drive: dict[str, object], jobs: int | None, as_json: bool) -> None:
+def _refuse(names: Iterable[str], why: str) -> None:
+    """Refuse the first of these parameters that was given on the command line; `why` has a place for its option."""
+    context = click.get_current_context()
+    for name in names:
+        if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
+            option = next(p.opts[0] for p in context.command.params if p.name == name)
+            raise click.UsageError(why.format(option))
+
+
+def _circuit_tables(car: CarConfig, chosen: dict[str, Any], jobs: int | None, plot: Path | None, as_json: bool) -> None:
+    """Both circuits in the paper's styles, dry and wet; what has no meaning there is refused."""
+    from automodel.cli.centerline_paper import Wanted, show_tables
+
+    _refuse(("seeds", "look", "direction", "speed_mps"), "--table has its own drives: leave out {}")
+    if chosen["full"]:
+        _refuse(("stretches",), "--full drives whole laps: leave out {}")
+    letters = [PAPERS_TRACKS.get(name.lower()) for name in chosen["tracks"]]
+    if None in letters:
+        raise click.UsageError(f"--track {chosen['tracks'][letters.index(None)]}: this table has circuit and Monza")
+    wanted = Wanted(
+        tracks=tuple(letter for letter in letters if letter is not None),
+        styles=chosen["styles"],
+        lights=chosen["lights"],
+        monza=chosen["monza"],
+        stretches=None if chosen["full"] else chosen["stretches"],
+        seed=chosen["seed"],
+    )
+    odometries = dict.fromkeys(chosen["odometries"] or ("encoder",))
+    pipelines = dict.fromkeys(chosen["pipelines"] or (car.pipeline.name,))
+    seers = [(name, odometry) for name in pipelines for odometry in odometries]
+    show_tables(car, seers, wanted, jobs, plot, as_json)
+
+
+def _paper_tables(car: CarConfig, seed: int, drive: dict[str, Any], jobs: int | None, as_json: bool) -> None:
     """Both directions of tmr, centred; what would choose other drives is refused."""
     from automodel.cli.accuracy import Case
     from automodel.cli.windows_paper import show_tables
 
-    context = click.get_current_context()
-    for name in ("pipelines", "tracks", "styles", "seeds", "direction", "plot"):
-        if context.get_parameter_source(name) is not ParameterSource.DEFAULT:
-            option = next(p.opts[0] for p in context.command.params if p.name == name)
-            raise click.UsageError(f"--table has its own drives: leave out {option}")
+    names = ("pipelines", "tracks", "styles", "seeds", "direction", "plot")
+    _refuse(names, "--table has its own drives: leave out {}")
     cases = [
-        Case(pipeline="windows", track="tmr", style="centred", seed=seed, **{**drive, "direction": direction})  # type: ignore[arg-type]
+        Case(pipeline="windows", track="tmr", style="centred", seed=seed, **{**drive, "direction": direction})
         for direction in ("forward", "reverse")
     ]
     show_tables(car, cases, jobs, as_json)

@@ -93,7 +93,8 @@ class Appearance:
     def random(cls, seed: int, style: str = "competition") -> Appearance:
         """A plausible appearance of a style, each knob drawn from a seed of its own; ValueError for other styles.
 
-        "competition" is a black shiny floor under indoor lamps, "road" a real road outdoors, "varied" anything.
+        "competition" is a black shiny floor under indoor lamps, "road" a real road outdoors, "varied" anything,
+        "dry" and "wet" a circuit in the sun and in the rain.
         """
         _one_of("style", style, tuple(STYLES))
         drawn = {}

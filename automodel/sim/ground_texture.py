@@ -38,7 +38,7 @@ def periodic_noise(rng: np.random.Generator, size_px: float, power: float = 0.0)
 
 
 def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
-    """One period of a floor, `NEUTRAL` on average; see FLOORS of the appearance for the kinds."""
+    """One period of a floor, `NEUTRAL` on average; see FLOORS of the appearance for the kinds, and "grass"."""
     rng = np.random.default_rng(seed)
     relief = {
         "plain": lambda: 0.05 * periodic_noise(rng, 2.0, 0.6),
@@ -46,6 +46,7 @@ def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
         "tiles": lambda: 0.06 * periodic_noise(rng, 2.0, 1.0) + _joints(6, 6, 8, -0.4) + _patches(rng, 6, 6, 0.08),
         "wood": lambda: _wood(rng),
         "asphalt": lambda: 0.20 * periodic_noise(rng, 1.2) + 0.06 * periodic_noise(rng, 4.0, 1.2),
+        "grass": lambda: 0.22 * periodic_noise(rng, 2.0) + 0.12 * periodic_noise(rng, 12.0, 1.2),
         "concrete": lambda: 0.10 * periodic_noise(rng, 2.0, 1.4) + 0.05 * periodic_noise(rng, 1.0),
     }[kind]()
     relief -= relief.mean()

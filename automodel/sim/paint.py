@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.curves import Curve, OffsetCurve
+from automodel.sim.broken_lines import broken_spans
 from automodel.sim.crossings import RoadCrossing, distance_beside
 from automodel.sim.track_sections import LINES, Marking, StopLine, TrackFile, ZebraPattern
 
@@ -21,8 +22,9 @@ Span = tuple[float, float]
 class Paint:
     """One painted polygon (n, 2) [m] of the world frame.
 
-    `colour` is "white" or "yellow", `kind` is "line", "dash", "zebra" or "stop". No polygon is longer than about five
-    lane widths (2 m at scale, 20 m at most), so that a bounding box says well where it is.
+    `colour` is "white" or "yellow", `kind` is "line", "dash", "zebra" or "stop"; beside a circuit (roadside.py) also
+    "red" and "asphalt", "kerb" and "ground". No polygon is longer than about five lane widths (2 m at scale, 20 m at
+    most), so that a bounding box says well where it is.
     """
 
     polygon_m: FloatArray
@@ -157,10 +159,7 @@ def paint_road(
     # a line ends flush with the inner border of the edge line that it meets at a crossing
     inner_m = half_m - 0.5 * max(_painted_width_m(marked.left), _painted_width_m(marked.right))
     grain = Grain.of_lane(sections.lanes.width_m)
-    gaps: list[list[Span]] = [
-        [(on_line(line, gap.from_m), on_line(line, gap.to_m)) for gap in sections.gaps if name in gap.lines]
-        for name, line in zip(LINES, lines, strict=True)
-    ]
+    gaps = _missing(sections, lines)
     for own_and_other_s in passes(crossings):
         if sections.crossings.interrupt_lines:
             for line, mine in zip(lines, gaps, strict=True):
@@ -174,10 +173,26 @@ def paint_road(
                 yield from paint_zebra(road, start, zebra, inner_m, grain)
     for line, marking, mine in zip(lines, (marked.left, marked.centre, marked.right), gaps, strict=True):
         yield from paint_line(line, marking, mine, grain)
-    near_m = 0.5 * _painted_width_m(marked.centre) if sections.lanes.count == 2 else -inner_m
     for stop in sections.stop_lines:
-        between = (-inner_m, -near_m) if stop.direction == "forward" else (near_m, inner_m)
+        side_m = inner_m if not sections.widths else inner_m + _half_m(lines, stop.s_m) - half_m
+        near_m = 0.5 * _painted_width_m(marked.centre) if sections.lanes.count == 2 else -side_m
+        between = (-side_m, -near_m) if stop.direction == "forward" else (near_m, side_m)
         yield paint_stop_line(road, stop, between, grain)
+
+
+def _missing(sections: TrackFile, lines: tuple[Curve, Curve, Curve]) -> list[list[Span]]:
+    """For each line the spans of its own arc length that the file leaves out."""
+    broken = {} if sections.broken is None else broken_spans(lines[1].length_m, sections.broken)
+    missing = []
+    for name, line in zip(LINES, lines, strict=True):
+        spans = [(gap.from_m, gap.to_m) for gap in sections.gaps if name in gap.lines] + broken.get(name, [])
+        missing.append([(on_line(line, begin), on_line(line, end)) for begin, end in spans])
+    return missing
+
+
+def _half_m(lines: tuple[Curve, Curve, Curve], s_m: float) -> float:
+    """From the reference line to the left edge at arc length `s_m` of the reference line."""
+    return float(np.hypot(*(lines[0].position(on_line(lines[0], s_m)) - lines[1].position(s_m))))
 
 
 def _arms(lines: tuple[Curve, Curve, Curve], own_and_other_s: Span, half_m: float) -> Span:

@@ -16,7 +16,7 @@ from automodel.sim.ground_projection import GroundProjection
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
-COLOURS = ("white", "yellow")
+COLOURS = ("white", "yellow", "red", "asphalt")  # asphalt: bare ground, on which nothing is painted
 FAR_ROWS = 1.0  # markings are drawn as far as this many rows below the horizon
 STEP_PX = 2.0  # motion blur is an average over poses so far apart
 MOST_STEPS = 4

@@ -10,10 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from automodel.curves import OffsetCurve, ReversedCurve, SplineCurve
+from automodel.curves import SplineCurve
 from automodel.reading import ConfigError, read_text
-from automodel.sim.paint import Grain, paint_line
-from automodel.sim.track import Lane, Track
+from automodel.sim.broken_lines import broken_spans
+from automodel.sim.circuit_sections import BrokenLines, RoadsideSection
+from automodel.sim.paint import Grain, Paint, on_line, paint_line
+from automodel.sim.roadside import build_roadside
+from automodel.sim.track import Lane, Track, lane_between, reversed_lane
 from automodel.sim.track_sections import Marking
 
 FloatArray = NDArray[np.float64]
@@ -25,40 +28,46 @@ _SHARPEST = 0.85  # half a road's width, as a share of the bend's radius, at mos
 _TAPER = 3  # points over which a road becomes narrower
 
 
-def read_racetrack(path: str | Path) -> Track:
+def read_racetrack(
+    path: str | Path, broken: BrokenLines | None = None, roadside: RoadsideSection | None = None
+) -> Track:
     """The track in a CSV file; raises ConfigError with file and line.
 
     The file's line need not be in the middle between its edges; the lane's centerline is. There is one lane, driven
-    in both directions, with a solid white line at each edge.
+    in both directions, with a solid white line at each edge. `broken` takes stretches of the lines away, `roadside`
+    lays kerbs; without it the asphalt goes on to the floor's edge.
     """
     rows, numbers = _read_rows(read_text(path), str(path))
     try:
         middle, width_m = recentred(rows[:, :2], rows[:, 3], rows[:, 2])
         road = SplineCurve(middle, closed=True)
-        width = _periodic_width(road, width_m)
-        left = OffsetCurve(road, lambda s: 0.5 * width(s))
-        right = OffsetCurve(road, lambda s: -0.5 * width(s))
+        forward = lane_between(road, _periodic_width(road, width_m))
+        painted = _painted(forward, float(width_m.mean()), broken)
     except ValueError as error:
         raise ConfigError(f"{path}:{numbers[0]}: these points and widths make no road: {error}") from None
-    forward = Lane(centerline=road, left=left, right=right, width_m=width)
-    reverse = Lane(
-        centerline=ReversedCurve(road),
-        left=ReversedCurve(right),
-        right=ReversedCurve(left),
-        width_m=lambda s_m: width(road.length_m - np.asarray(s_m, dtype=np.float64)),
-    )
-    edges = np.vstack([line.position(np.linspace(0.0, line.length_m, 4 * len(rows))) for line in (left, right)])
-    low, high = edges.min(axis=0) - MARGIN_M, edges.max(axis=0) + MARGIN_M
-    grain = Grain.of_lane(float(width_m.mean()))
+    edges = (forward.left, forward.right)
+    outline = np.vstack([line.position(np.linspace(0.0, line.length_m, 4 * len(rows))) for line in edges])
+    low, high = outline.min(axis=0) - MARGIN_M, outline.max(axis=0) + MARGIN_M
     return Track(
         name=Path(path).stem,
         road=road,
         forward=forward,
-        reverse=reverse,
+        reverse=reversed_lane(forward),
         floor=(float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         start=forward.pose(0.0),
-        painted=tuple(paint for line in (left, right) for paint in paint_line(line, EDGE, (), grain)),
+        painted=painted,
+        roadside=() if roadside is None else build_roadside(road, forward.width_m, roadside, EDGE.width_m),
     )
+
+
+def _painted(lane: Lane, mean_width_m: float, broken: BrokenLines | None) -> tuple[Paint, ...]:
+    """Both edge lines, without their broken stretches."""
+    spans = {} if broken is None else broken_spans(lane.centerline.length_m, broken)
+    painted: list[Paint] = []
+    for name, line in (("left", lane.left), ("right", lane.right)):
+        gaps = [(on_line(line, begin), on_line(line, end)) for begin, end in spans.get(name, [])]
+        painted += paint_line(line, EDGE, gaps, Grain.of_lane(mean_width_m))
+    return tuple(painted)
 
 
 def recentred(points_m: FloatArray, left_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:

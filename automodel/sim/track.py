@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from automodel.curves import Curve, OffsetCurve, ReversedCurve
 from automodel.geometry import SE2
-from automodel.reading import ConfigError, read_text
+from automodel.reading import ConfigError, read_text, where
+from automodel.sim.circuit_sections import LaneWidth
 from automodel.sim.crossings import RoadCrossing, find_crossings
 from automodel.sim.paint import Paint, paint_road
+from automodel.sim.roadside import build_roadside
 from automodel.sim.track_reading import read_track
-from automodel.sim.track_sections import Box
+from automodel.sim.track_sections import Box, TrackFile
 
 FloatArray = NDArray[np.float64]
 
@@ -60,6 +62,7 @@ class Track:
 
     `road` is the reference line, the middle of the road; traffic keeps right, forward is its direction. `floor` is
     (x0, y0, x1, y1) [m]; `start` is the pose of the car's rear axle at the start, on the lane of `start_direction`.
+    `roadside` is the asphalt and the kerbs of a circuit; empty where the floor is one piece.
     """
 
     name: str
@@ -72,6 +75,7 @@ class Track:
     obstacles: tuple[Obstacle, ...] = ()
     crossings: tuple[RoadCrossing, ...] = ()
     painted: tuple[Paint, ...] = ()
+    roadside: tuple[Paint, ...] = ()
 
     @property
     def closed(self) -> bool:
@@ -123,16 +127,14 @@ def load_track(path_or_name: str | Path) -> Track:
 def parse_track(text: str, file: str) -> Track:
     """The track in the text of a track file; `file` is its name in errors. Raises ConfigError."""
     sections, road = read_track(text, file)
-    width_m, half_m = sections.lanes.width_m, sections.lanes.half_road_m
-    left, right = OffsetCurve(road, half_m), OffsetCurve(road, -half_m)
-    if sections.lanes.count == 2:
-        middle = (OffsetCurve(road, -0.5 * width_m), OffsetCurve(road, 0.5 * width_m))
-        forward = Lane(centerline=middle[0], left=road, right=right, width_m=constant(width_m))
-        reverse = _reversed(Lane(centerline=middle[1], left=left, right=road, width_m=constant(width_m)))
-    else:
-        forward = Lane(centerline=road, left=left, right=right, width_m=constant(width_m))
-        reverse = _reversed(forward)
-    crossings = find_crossings(road, 0.25 * half_m)
+    try:
+        forward, reverse, edges = _lanes(sections, road)
+        roadside = _roadside(sections, road, forward)
+        crossings = find_crossings(road, 0.25 * sections.lanes.half_road_m)
+        painted = tuple(paint_road(sections, (edges[0], road, edges[1]), crossings))
+    except ValueError as error:  # what only the whole road shows
+        key = "broken" if str(error).startswith("share") else "widths"
+        raise ConfigError(f"{where(text, file, (), key)}: {error}") from None
     start = sections.start
     lane = forward if start.direction == "forward" else reverse
     return Track(
@@ -145,8 +147,40 @@ def parse_track(text: str, file: str) -> Track:
         start_direction=start.direction,
         obstacles=tuple(_obstacle(box) for box in sections.obstacles),
         crossings=crossings,
-        painted=tuple(paint_road(sections, (left, road, right), crossings)),
+        painted=painted,
+        roadside=roadside,
     )
+
+
+def _lanes(sections: TrackFile, road: Curve) -> tuple[Lane, Lane, tuple[Curve, Curve]]:
+    """The forward and the reverse lane, and the road's left and right edge; ValueError where an edge folds back."""
+    width_m, half_m = sections.lanes.width_m, sections.lanes.half_road_m
+    if sections.widths:
+        width = LaneWidth(sections.widths, road.length_m, road.closed)
+        forward = lane_between(road, width)
+        return forward, reversed_lane(forward), (forward.left, forward.right)
+    left, right = OffsetCurve(road, half_m), OffsetCurve(road, -half_m)
+    if sections.lanes.count == 2:
+        middle = (OffsetCurve(road, -0.5 * width_m), OffsetCurve(road, 0.5 * width_m))
+        forward = Lane(centerline=middle[0], left=road, right=right, width_m=constant(width_m))
+        reverse = reversed_lane(Lane(centerline=middle[1], left=left, right=road, width_m=constant(width_m)))
+    else:
+        forward = Lane(centerline=road, left=left, right=right, width_m=constant(width_m))
+        reverse = reversed_lane(forward)
+    return forward, reverse, (left, right)
+
+
+def _roadside(sections: TrackFile, road: Curve, forward: Lane) -> tuple[Paint, ...]:
+    if sections.roadside is None:
+        return ()
+    width = forward.width_m if sections.lanes.count == 1 else constant(2.0 * sections.lanes.width_m)
+    return build_roadside(road, width, sections.roadside, sections.markings.left.width_m)
+
+
+def lane_between(road: Curve, width_m: Callable[[ArrayLike], FloatArray]) -> Lane:
+    """A lane around `road` whose width [m] is a function of the road's arc length; ValueError where it folds back."""
+    left, right = OffsetCurve(road, lambda s: 0.5 * width_m(s)), OffsetCurve(road, lambda s: -0.5 * width_m(s))
+    return Lane(centerline=road, left=left, right=right, width_m=width_m)
 
 
 def constant(width_m: float) -> Callable[[ArrayLike], FloatArray]:
@@ -154,13 +188,14 @@ def constant(width_m: float) -> Callable[[ArrayLike], FloatArray]:
     return lambda s_m: np.full(np.shape(s_m), width_m)
 
 
-def _reversed(lane: Lane) -> Lane:
-    """The same strip of ground driven the other way; its width must be the same everywhere."""
+def reversed_lane(lane: Lane) -> Lane:
+    """The same strip of ground driven the other way."""
+    length_m = lane.centerline.length_m
     return Lane(
         centerline=ReversedCurve(lane.centerline),
         left=ReversedCurve(lane.right),
         right=ReversedCurve(lane.left),
-        width_m=lane.width_m,
+        width_m=lambda s_m: lane.width_m(length_m - np.asarray(s_m, dtype=np.float64)),
     )
 
 

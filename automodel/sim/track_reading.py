@@ -11,11 +11,17 @@ import numpy as np
 
 from automodel.curves import Curve, JoinedCurve
 from automodel.reading import ConfigError, parse_toml, read_section, where
+from automodel.sim.circuit_sections import WidthAt
 from automodel.sim.track_sections import PIECES, ArcPiece, Box, Gap, LanesSection, Marking, Piece, StopLine, TrackFile
 
 CLOSING_GAP_M = 1e-3
 CLOSING_TURN_RAD = math.radians(0.1)
-_LISTS: dict[str, type[StopLine] | type[Gap] | type[Box]] = {"stop_lines": StopLine, "gaps": Gap, "obstacles": Box}
+_LISTS: dict[str, type[StopLine] | type[Gap] | type[Box] | type[WidthAt]] = {
+    "stop_lines": StopLine,
+    "gaps": Gap,
+    "obstacles": Box,
+    "widths": WidthAt,
+}
 
 
 def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
@@ -41,10 +47,12 @@ def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
     for name, cls in _LISTS.items():
         lists[name] = tuple(read_section(cls, entry, part, file, (name,)) for entry, part in raw[name])
         for item, (_, part) in zip(lists[name], raw[name], strict=True):
-            key = {"stop_lines": "s_m", "gaps": "from_m"}.get(name)
+            key = {"stop_lines": "s_m", "gaps": "from_m", "widths": "s_m"}.get(name)
             if key and not 0 <= getattr(item, key) <= road.length_m:
                 place = where(part, file, (name,), key)
                 raise ConfigError(f"{place}: {getattr(item, key)} is off the road, 0 .. {road.length_m:.3f} m")
+    if lists["widths"] and sections.lanes.count != 1:
+        raise ConfigError(f"{where(text, file, (), 'widths')}: a single lane alone has widths; leave them out")
     return dataclasses.replace(sections, **lists), road
 
 

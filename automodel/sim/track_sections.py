@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from automodel.curves import Curve, arc, clothoid, line
 from automodel.reading import not_negative, positive
+from automodel.sim.circuit_sections import BrokenLines, RoadsideSection, WidthAt
 
 STYLES = ("solid", "dashed", "none")
 COLOURS = ("white", "yellow")
@@ -258,6 +259,9 @@ class TrackFile:
     markings: MarkingsSection = field(default_factory=MarkingsSection)
     crossings: CrossingsSection = field(default_factory=CrossingsSection)
     start: StartSection = field(default_factory=StartSection)
+    broken: BrokenLines | None = None
+    roadside: RoadsideSection | None = None
+    widths: tuple[WidthAt, ...] = ()
     stop_lines: tuple[StopLine, ...] = ()
     gaps: tuple[Gap, ...] = ()
     obstacles: tuple[Box, ...] = ()

@@ -104,3 +104,27 @@ class Odometer:
             yaw_rate_radps=yaw_rate,
             source=MotionSource.MEASURED,
         )
+
+
+class CommandedMotion:
+    """What a car without encoder and gyro believes of a drive: its own command, seeded as `Odometer`.
+
+    The car does what it was told `LAG_S` later, at a speed that is wrong by some percent (battery, slope, load), its
+    wheels a little to one side; the yaw rate is that of the bicycle model on the commanded steering.
+    """
+
+    LAG_S = 0.2
+
+    def __init__(self, wheelbase_m: float, seed: int) -> None:
+        rng = np.random.default_rng([seed, 78])
+        self._wheelbase_m = wheelbase_m
+        self._scale = 1.0 + float(rng.normal(0.0, 0.04))
+        self._bias_rad = float(rng.normal(0.0, 0.005))
+
+    def motion(self, later: DrivenPose, t_ns: int) -> Motion:
+        """The believed motion at `t_ns`; `later` is where the car is `LAG_S` after that, as it is told now."""
+        bend = later.yaw_rate_radps / later.speed_mps if later.speed_mps else 0.0
+        steering = math.atan(self._wheelbase_m * bend) - self._bias_rad
+        speed = later.speed_mps / self._scale
+        yaw_rate = speed * math.tan(steering) / self._wheelbase_m
+        return Motion(t_ns=t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate, source=MotionSource.COMMAND)
