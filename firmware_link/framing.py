@@ -1,9 +1,15 @@
 """Frames on a serial line: bytes <-> (type, counter, payload); no I/O, no knowledge of what the payload means.
 
-On the wire: `00, COBS(type, counter, payload, crc low, crc high), 00`. Type and counter are a byte each; the payload's
-length is fixed by the type; type, counter and payload are 16 bytes at most. The CRC is CRC-16/DNP (polynomial 0x3D65,
-reflected, final XOR 0xFFFF), started from `seed` instead of 0: two programs with different message tables reject each
-other's frames. That polynomial has Hamming distance 6 up to 135 bits of data (P. Koopman, Best CRC Polynomials).
+On the wire: `00, COBS(type, counter, payload), check, 00`. Type and counter are a byte each; the payload's length is
+fixed by the type; type, counter and payload are 16 bytes at most. The check is CRC-16/DNP (polynomial 0x3D65,
+reflected, final XOR 0xFFFF) in three bytes: 0x40 and its lowest six bits, 0x40 and the next six, 0x40 and the highest
+four. It is started from `seed` instead of 0: two programs with different message tables reject each other's frames.
+
+The check is over the bytes as they are on the wire, after COBS, and is itself free of zeros. So the polynomial's
+Hamming distance of 6 up to 135 bits of data (P. Koopman, Best CRC Polynomials) is that of the wire: a wrong bit of a
+COBS code moves zeros about in what is decoded, but is one wrong bit to the check. The longest frames have 136 bits;
+COBS's first code is checked last, after all others, so that an error over all 136 bits would need another type, which
+has another length.
 
 The zero ahead of each frame closes whatever garbage came before it, so the first frame after garbage is not lost.
 
@@ -18,9 +24,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 MAX_BODY_BYTES = 16  # type, counter and payload
-_CRC_BYTES = 2
-_MIN_RAW_BYTES = 2 + _CRC_BYTES
-_MAX_ENCODED_BYTES = MAX_BODY_BYTES + _CRC_BYTES + 1
+_CHECK_BYTES = 3
+_HEADER_BYTES = 2
+_MAX_CHUNK_BYTES = MAX_BODY_BYTES + 1 + _CHECK_BYTES  # between two zeros
 _POLYNOMIAL_REFLECTED = 0xA6BC  # 0x3D65 with its bits reversed
 
 
@@ -99,7 +105,13 @@ def encode(frame_type: int, counter: int, payload: bytes, seed: int) -> bytes:
     body = bytes((frame_type, counter)) + payload
     if len(body) > MAX_BODY_BYTES:
         raise ValueError(f"frame type {frame_type}: {len(body)} bytes where {MAX_BODY_BYTES} are the most")
-    return b"\0" + cobs_encode(body + crc16_dnp(body, seed).to_bytes(2, "little")) + b"\0"
+    stuffed = cobs_encode(body)
+    return b"\0" + stuffed + _check(stuffed, seed) + b"\0"
+
+
+def _check(stuffed: bytes, seed: int) -> bytes:
+    crc = crc16_dnp(stuffed[1:] + stuffed[:1], seed)
+    return bytes((0x40 | crc & 0x3F, 0x40 | crc >> 6 & 0x3F, 0x40 | crc >> 12))
 
 
 class Decoder:
@@ -122,7 +134,7 @@ class Decoder:
         if not data:
             return []
         *chunks, tail = (self._tail + data).split(b"\0")
-        self._tail = tail[: _MAX_ENCODED_BYTES + 1]  # one more than fits: still known as too long at its end
+        self._tail = tail[: _MAX_CHUNK_BYTES + 1]  # one more than fits: still known as too long at its end
         frames = []
         for chunk in chunks:
             if chunk and (frame := self._decode(chunk)) is not None:
@@ -131,25 +143,25 @@ class Decoder:
 
     def _decode(self, chunk: bytes) -> RawFrame | None:
         errors = self.errors
-        if len(chunk) > _MAX_ENCODED_BYTES:
+        if len(chunk) > _MAX_CHUNK_BYTES:
             errors.length += 1
             return None
-        raw = cobs_decode(chunk)
-        if raw is None:
+        stuffed = chunk[:-_CHECK_BYTES]
+        body = cobs_decode(stuffed)
+        if body is None:
             errors.cobs += 1
             return None
-        if len(raw) < _MIN_RAW_BYTES:
+        if len(body) < _HEADER_BYTES:
             errors.length += 1
             return None
-        known = self._formats.get(raw[0])
+        known = self._formats.get(body[0])
         if known is None:
             errors.unknown_type += 1
             return None
-        if len(raw) != known.payload_bytes + _MIN_RAW_BYTES:
+        if len(body) != known.payload_bytes + _HEADER_BYTES:
             errors.length += 1
             return None
-        body = raw[:-_CRC_BYTES]
-        if crc16_dnp(body, known.seed) != raw[-2] | raw[-1] << 8:
+        if chunk[-_CHECK_BYTES:] != _check(stuffed, known.seed):
             errors.crc += 1
             return None
-        return RawFrame(raw[0], raw[1], raw[2:-_CRC_BYTES])
+        return RawFrame(body[0], body[1], body[_HEADER_BYTES:])

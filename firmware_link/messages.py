@@ -37,7 +37,8 @@ class StatusFlag(enum.IntFlag):
 class Fault(enum.IntFlag):
     """Bits of `Status.faults`.
 
-    `COMMAND_TIMEOUT` stays until the next arming; the others tell of the time since the last status.
+    `COMMAND_TIMEOUT` stays until the next arming, `GYRO_FAILED` as long as it lasts; the others tell of the time since
+    the last status.
     """
 
     COMMAND_TIMEOUT = 1 << 0  # the command timer ran out while armed: disarmed
@@ -49,6 +50,7 @@ class Fault(enum.IntFlag):
     TX_OVERFLOW = 1 << 6  # a message left out for want of room
     ARM_REFUSED = 1 << 7  # an Arm with another nonce or boot id
     LIMITS_REFUSED = 1 << 8  # Limits that contradict themselves, or came while armed
+    GYRO_FAILED = 1 << 9  # a gyro that was there gives no yaw rate; one that is not fitted is none
 
 
 class ResetCause(enum.IntEnum):

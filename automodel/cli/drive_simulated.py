@@ -27,7 +27,13 @@ def drive_simulated(car: CarConfig, text: str, options: Options) -> int:
     laps = 1 if options.laps is None and options.duration_s is None else options.laps
     if laps is not None and not lane.centerline.closed:
         raise ConfigError(f"{options.track}: the road is not closed, there are no laps; give --duration")
-    simulation = Simulation(track=options.track, direction=options.direction, seed=options.seed, style=options.style)
+    simulation = Simulation(
+        track=options.track,
+        direction=options.direction,
+        seed=options.seed,
+        style=options.style,
+        link=options.link,
+    )
     total_m = laps * lane.centerline.length_m if laps else None
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:

@@ -10,7 +10,7 @@ import click
 from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.config import PIPELINES, ConfigError
 
-SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "realtime", "truth")
+SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "link", "realtime", "truth")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,6 +23,7 @@ class Options:
     direction: str
     seed: int
     style: str
+    link: str
     realtime: bool
     arm: bool
     record: Path | None
@@ -53,6 +54,13 @@ class Options:
     default="competition",
     show_default=True,
     help="Simulated: light and floor.",
+)
+@click.option(
+    "--link",
+    type=click.Choice(["emulated", "avr"]),
+    default="emulated",
+    show_default=True,
+    help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr).",
 )
 @click.option(
     "--realtime", is_flag=True, help="Simulated: against the real clock, camera and board in another process."

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +24,8 @@ from automodel.sim.truth import TruthFollower
 from automodel.sim.ultrasonic import UltrasonicRanges
 from automodel.sim.world import Scene, World
 from firmware_link.arduino import ArduinoLink
+from firmware_link.emulator.avr import AvrBoard
+from firmware_link.emulator.avr_build import AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport
@@ -31,12 +36,16 @@ LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the w
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Simulation:
-    """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor."""
+    """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor.
+
+    `link` is the board: "emulated", or "avr", the firmware itself on a simulated microcontroller.
+    """
 
     track: str = "tmr"
     direction: str = "forward"
     seed: int = 0
     style: str = "competition"
+    link: str = "emulated"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +65,8 @@ def appearance(style: str, seed: int) -> Appearance:
 
 def renderer(track: Track, car: CarConfig, look: Appearance) -> Renderer:
     """The camera of `car` over `track`."""
-    return Renderer(track.paint(), track.floor, track.obstacles, GroundCamera.from_config(car.camera), look)
+    eye = GroundCamera.from_config(car.camera)
+    return Renderer(track.paint(), track.floor, track.obstacles, eye, look, roadside=track.roadside)
 
 
 def build_world(car: CarConfig, simulation: Simulation) -> World:
@@ -90,28 +100,50 @@ def _straight_place(lane: Lane, from_s_m: float) -> float:
 
 def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Virtual time: the bytes go through memory, the board's timers run on the same clock."""
-    world = build_world(car, simulation)
-    board = EmulatedArduino(world, car.link.baud)
+    with contextlib.ExitStack() as leaving:
+        program = _program(car, simulation, leaving)
+        world = build_world(car, simulation)
+        board = _board(car, world, program)
+        if isinstance(board, AvrBoard):
+            leaving.callback(board.close)
 
-    def advance(t_ns: int) -> None:
-        board.advance(t_ns)
-        world.settle(t_ns)
+        def advance(t_ns: int) -> None:
+            board.advance(t_ns)
+            world.settle(t_ns)
 
-    clock = VirtualClock(0, advance)
-    source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
-    link = ArduinoLink(MemoryTransport(board, clock), car.link, car.vehicle)
-    return SimulatedCar(source=source, link=link, clock=clock, close=source.close)
+        clock = VirtualClock(0, advance)
+        source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
+        leaving.callback(source.close)
+        link = ArduinoLink(MemoryTransport(board, clock), car.link, car.vehicle)
+        return SimulatedCar(source=source, link=link, clock=clock, close=leaving.pop_all().close)
 
 
-def served_world(car: CarConfig, simulation: Simulation) -> tuple[World, PtyBoard]:
+def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | None = None) -> tuple[World, PtyBoard]:
     """World and board for a process of their own; the board answers on a pseudo terminal."""
     world = build_world(car, simulation)
-    return world, PtyBoard(EmulatedArduino(world, car.link.baud))
+    return world, PtyBoard(_board(car, world, program))
 
 
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Real time: camera and board live in another process, behind shared memory and a serial port."""
     shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
-    source = RealTimeWorld(served_world, (car, simulation), shape, car.camera.rate_hz, on_scene)
-    link = ArduinoLink(SerialTransport(source.port, car.link.baud), car.link, car.vehicle)
-    return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=source.close)
+    with contextlib.ExitStack() as leaving:
+        program = _program(car, simulation, leaving)
+        source = RealTimeWorld(served_world, (car, simulation, program), shape, car.camera.rate_hz, on_scene)
+        leaving.callback(source.close)
+        link = ArduinoLink(SerialTransport(source.port, car.link.baud), car.link, car.vehicle)
+        return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)
+
+
+def _program(car: CarConfig, simulation: Simulation, leaving: contextlib.ExitStack) -> AvrProgram | None:
+    """The firmware and its simulator, built into a folder that goes with `leaving`; None for the emulated board."""
+    if simulation.link != "avr":
+        return None
+    folder = leaving.enter_context(tempfile.TemporaryDirectory(prefix="avr-"))
+    return build_avr(Path(folder), car.link.baud)
+
+
+def _board(car: CarConfig, world: World, program: AvrProgram | None) -> EmulatedArduino | AvrBoard:
+    if program is None:
+        return EmulatedArduino(world, car.link.baud)
+    return AvrBoard(program, world, car.link.baud)

@@ -46,6 +46,8 @@ class _State(enum.Enum):
 class EmulatedArduino:
     """The board: UART, 1 ms main loop, 50 Hz servo pulses, watchdog. The real program behaves like this, too.
 
+    In BOOT only: a real board has no pulses at all while its bootloader runs, which `AvrBoard` shows.
+
     ===========  ==========================================  =====================================================
     state        event                                       becomes
     ===========  ==========================================  =====================================================

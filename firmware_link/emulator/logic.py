@@ -20,7 +20,7 @@ DEFAULT_LIMITS = Limits(
     servo_slew_us=200.0,
     motor_slew_us=100.0,
 )
-_NONCE_STEP = 0x9E37  # odd: all 65536 nonces come before one comes again
+NONCE_STEP = 0x9E37  # odd: all 65536 nonces come before one comes again
 
 
 def limits_fit(limits: Limits) -> bool:
@@ -71,7 +71,7 @@ class Arming:
     def disarm(self) -> None:
         """Disarm, and void every Arm that is under way."""
         self.armed = False
-        self.nonce = (self.nonce + _NONCE_STEP) & 0xFFFF
+        self.nonce = (self.nonce + NONCE_STEP) & 0xFFFF
 
 
 class CommandGate:

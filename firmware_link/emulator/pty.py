@@ -12,16 +12,25 @@ import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
-from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.transport import Board
 
 STEP_S = 0.001
 _READ_BYTES = 4096
 _UNREAD_BYTES = 4096  # kept for a host that does not read, beside what the kernel keeps
 
 
+class ServedBoard(Board, Protocol):
+    """A board that can say how much its line takes."""
+
+    def room(self, now_ns: int) -> int:
+        """How many bytes `receive` takes at `now_ns`."""
+        ...
+
+
 class PtyBoard:
-    """Serves an `EmulatedArduino` at `path`, a symbolic link that stays the same over `unplug` and `replug`.
+    """Serves a board at `path`, a symbolic link that stays the same over `unplug` and `replug`.
 
     `step` does everything once and never blocks; call it about each millisecond, or `start` a thread that does so
     against the monotonic clock. A call of `step` holds a lock, as `unplug`, `replug` and `call` do, so that the
@@ -36,7 +45,7 @@ class PtyBoard:
     """
 
     def __init__(
-        self, board: EmulatedArduino, *, path: str | Path | None = None, clock: Callable[[], int] = time.monotonic_ns
+        self, board: ServedBoard, *, path: str | Path | None = None, clock: Callable[[], int] = time.monotonic_ns
     ) -> None:
         self.board = board
         self._clock = clock
@@ -75,6 +84,7 @@ class PtyBoard:
             if there and not self._host_there:
                 self._unread = b""
                 self.board.reset(now_ns)
+                self.board.transmit(now_ns)  # what it said before is not for this host, as a tty's buffer is flushed
             self._host_there = there
             if there:
                 self._take_in(self._master, now_ns)

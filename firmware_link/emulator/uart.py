@@ -22,11 +22,12 @@ class UartLine:
         self._bursts: deque[tuple[int, bytes]] = deque()  # start of the first byte, bytes back to back
         self._gone = 0  # bytes of the first burst that were taken
 
-    def put(self, data: bytes, now_ns: int) -> None:
-        """Hand over `data`."""
+    def put(self, data: bytes, now_ns: int) -> int:
+        """Hand over `data`; when its first bit leaves."""
         start_ns = max(now_ns, self._free_ns)
         self._free_ns = start_ns + len(data) * _BITS_NS // self._baud
         self._bursts.append((start_ns, data))
+        return start_ns
 
     def room(self, now_ns: int) -> int:
         """How many bytes may be handed over at `now_ns`."""

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
+from avr_board import HeardAvr
+from compiled_board import load
+from firmware_build import host_library
 
 from automodel.config import LinkConfig, MotorConfig, ServoConfig, VehicleConfig
 from automodel.signals import Command, VehicleState
@@ -33,10 +39,13 @@ class Rig:
 
     def __init__(self, options: BoardOptions | None = None) -> None:
         self.peripherals = BenchPeripherals()
-        self.board = EmulatedArduino(self.peripherals, CONFIG.baud, options)
+        self.board: Any = self.make_board(options)
         self.t_ns = 1_000_000 * MS
         self.cable = self.transport()
         self.link = ArduinoLink(self.cable, CONFIG, VehicleConfig())
+
+    def make_board(self, options: BoardOptions | None) -> Any:
+        return EmulatedArduino(self.peripherals, CONFIG.baud, options)
 
     def transport(self) -> MemoryTransport | SerialTransport:
         return MemoryTransport(self.board, self)
@@ -133,7 +142,32 @@ class PtyRig(Rig):
         self.pty.close()
 
 
-RIGS = [pytest.param(Rig, id="memory"), pytest.param(PtyRig, id="pty", marks=pytest.mark.realtime)]
+class AvrRig(Rig):
+    """A link and the firmware on a simulated chip, in virtual time."""
+
+    def make_board(self, options: BoardOptions | None) -> Any:
+        if options is not None:
+            pytest.skip("the firmware's own message table is the only one it has")
+        return HeardAvr(self.peripherals, boot_ns=300 * MS)
+
+    def close(self) -> None:
+        super().close()
+        self.board.close()
+
+
+RIGS = [
+    pytest.param(Rig, id="memory"),
+    pytest.param(PtyRig, id="pty", marks=pytest.mark.realtime),
+    pytest.param(AvrRig, id="avr"),
+]
+
+
+@pytest.fixture
+def avr() -> Iterator[HeardAvr]:
+    """The firmware on a simulated chip with bench sensors, without a bootloader."""
+    board = HeardAvr(BenchPeripherals(), boot_ns=0)
+    yield board
+    board.close()
 
 
 @pytest.fixture(params=RIGS)
@@ -220,3 +254,10 @@ class Bench:
 @pytest.fixture
 def make_bench() -> Callable[..., Bench]:
     return Bench
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The board's C++ decisions; built elsewhere (with sanitizers, counting lines) where $FIRMWARE_LIBRARY says so."""
+    path = os.environ.get("FIRMWARE_LIBRARY")
+    return load(Path(path) if path else host_library(tmp_path_factory.mktemp("firmware")))

@@ -95,24 +95,43 @@ def test_every_error_of_one_to_three_bits_of_a_command_on_the_wire_is_rejected(c
     assert decoder.errors.total >= len(wrong) + len(triples) - 8 * len(chunk)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_error_of_one_to_five_bits_before_stuffing_changes_the_crc(command: messages.Command) -> None:
+def syndromes(stuffed: bytes) -> list[int]:
+    """What each single wrong bit does to the check: of the stuffed bytes, then of the check's own 16 bits."""
+    right = checked(stuffed)
+    number = int.from_bytes(stuffed, "little")
+    flipped = [(number ^ 1 << bit).to_bytes(len(stuffed), "little") for bit in range(8 * len(stuffed))]
+    return [checked(wrong) ^ right for wrong in flipped] + [1 << bit for bit in range(16)]
+
+
+def checked(stuffed: bytes) -> int:
+    return crc16_dnp(stuffed[1:] + stuffed[:1], messages.TABLE_HASH)
+
+
+@pytest.mark.parametrize("length", range(3, 17))
+def test_every_error_of_one_to_five_bits_on_the_wire_changes_the_check(length: int) -> None:
     """Hamming distance 6: by the CRC's linearity it is enough that no sum of 1 .. 5 single-bit syndromes is zero."""
-    frame = messages.decoder(on_board=True).feed(messages.encode(command, 9))[0]
-    body = bytes((frame.type, frame.counter)) + frame.payload
-    right = crc16_dnp(body, messages.TABLE_HASH)
-    number = int.from_bytes(body, "little")
-    syndromes = [
-        crc16_dnp((number ^ 1 << bit).to_bytes(len(body), "little"), messages.TABLE_HASH) ^ right
-        for bit in range(8 * len(body))
-    ] + [1 << bit for bit in range(16)]
-    assert len(set(syndromes)) == len(syndromes)
-    assert 0 not in syndromes
-    pairs = {a ^ b for a, b in itertools.combinations(syndromes, 2)}
-    assert not pairs & set(syndromes)  # no three
-    assert len(pairs) == len(syndromes) * (len(syndromes) - 1) // 2  # no four
-    triples = {a ^ b ^ c for a, b, c in itertools.combinations(syndromes, 3)}
-    assert not triples & pairs  # no five
+    singles = syndromes(bytes(range(1, length + 1)))
+    assert no_sum_of_one_to_five_is_zero(singles)
+
+
+def test_the_same_for_the_longest_frames_but_for_errors_that_make_another_type() -> None:
+    singles = syndromes(bytes(range(1, framing.MAX_BODY_BYTES + 2)))
+    assert not no_sum_of_one_to_five_is_zero(singles)  # 136 bits are one too many
+    lowest_of_type = 8  # the first bit that the check takes in
+    assert no_sum_of_one_to_five_is_zero(singles[:lowest_of_type] + singles[lowest_of_type + 1 :])
+    lengths = {entry.type_id: entry.codec.payload_bytes for entry in messages.TABLE}
+    longest = [type_id for type_id, length in lengths.items() if length == framing.MAX_BODY_BYTES - 2]
+    assert longest
+    assert all(lengths.get(type_id ^ 1) != framing.MAX_BODY_BYTES - 2 for type_id in longest)
+
+
+def no_sum_of_one_to_five_is_zero(singles: list[int]) -> bool:
+    if len(set(singles)) < len(singles) or 0 in singles:
+        return False
+    pairs = {a ^ b for a, b in itertools.combinations(singles, 2)}
+    if pairs & set(singles) or len(pairs) < len(singles) * (len(singles) - 1) // 2:  # three; four
+        return False
+    return not {a ^ b ^ c for a, b, c in itertools.combinations(singles, 3)} & pairs  # five
 
 
 def test_frame_right_after_garbage_is_accepted() -> None:
@@ -141,9 +160,9 @@ def test_errors_are_counted_by_kind() -> None:
     assert (decoder.errors.unknown_type, decoder.errors.total) == (1, 2)
     assert decoder.feed(encode(0x01, 1, b"123456", SEED)) == []
     assert (decoder.errors.length, decoder.errors.total) == (1, 3)
-    assert decoder.feed(b"\x01\x01\x01\0") == []  # decodes to two bytes
+    assert decoder.feed(b"\x01\x40\x40\x40\0") == []  # decodes to one byte
     assert (decoder.errors.length, decoder.errors.total) == (2, 4)
-    assert decoder.feed(b"\x09\x01\0") == []  # the code points beyond the end
+    assert decoder.feed(b"\x09\x01\x40\x40\x40\0") == []  # the code points beyond the end
     assert (decoder.errors.cobs, decoder.errors.total) == (1, 5)
     assert decoder.feed(b"x" * 1000 + b"\0") == []
     assert (decoder.errors.length, decoder.errors.total) == (3, 6)
@@ -154,7 +173,7 @@ def test_memory_is_bounded_and_the_frame_after_an_endless_one_is_taken() -> None
     decoder = Decoder(FORMATS)
     for _ in range(1000):
         assert decoder.feed(b"x" * 50) == []
-        assert len(decoder._tail) <= framing.MAX_BODY_BYTES + 4
+        assert len(decoder._tail) <= framing.MAX_BODY_BYTES + 5
     assert len(decoder.feed(encode(0x05, 1, b"", SEED))) == 1
     assert decoder.errors.length == 1
 

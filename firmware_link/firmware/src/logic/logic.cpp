@@ -1,0 +1,95 @@
+#include "logic.h"
+
+namespace {
+
+constexpr uint8_t kMaxCounterStep = 127;  // what is further ahead is behind
+
+bool is_pulse(uint16_t pulse_us) {
+  return protocol::kPulseMin <= pulse_us && pulse_us <= protocol::kPulseMax;
+}
+
+}  // namespace
+
+void CommandTimer::feed(uint32_t t_ms) {
+  fed_ms_ = t_ms;
+  running_ = true;
+}
+
+bool CommandTimer::expired(uint32_t t_ms) const {
+  return running_ && t_ms - fed_ms_ >= protocol::kCommandTimeoutMs;
+}
+
+bool Arming::arm(const protocol::Arm& message) {
+  if (message.nonce != nonce_ || message.boot_id != boot_id_) return false;
+  armed_ = true;
+  return true;
+}
+
+void Arming::disarm() {
+  armed_ = false;
+  nonce_ += protocol::kNonceStep;
+}
+
+uint16_t CommandGate::fault_of(const protocol::Command& command, uint8_t counter, uint32_t t_ms) {
+  if (!is_pulse(command.servo_us) || !is_pulse(command.motor_us)) return protocol::fault::kCommandRefused;
+  if (command.flags & ~protocol::command_flag::kFresh) return protocol::fault::kCommandRefused;
+  const uint8_t step = counter - counter_;
+  if (step == 0 || step > kMaxCounterStep) return protocol::fault::kCommandRepeated;
+  const uint16_t ahead_ms = command.deadline_ms - static_cast<uint16_t>(t_ms);
+  const bool fresh = command.flags & protocol::command_flag::kFresh;
+  if (fresh && ahead_ms > protocol::kMaxDeadlineMs) return protocol::fault::kCommandLate;
+  counter_ = counter;
+  return 0;
+}
+
+void Logic::on_command(const protocol::Command& command, uint8_t counter, uint32_t t_ms) {
+  command_counter_ = counter;
+  if (!arming_.armed()) return;
+  const uint16_t fault = gate_.fault_of(command, counter, t_ms);
+  if (fault) {
+    event(fault);
+  } else if (command.flags & protocol::command_flag::kFresh) {
+    timer_.feed(t_ms);
+    pulses_.want(command.servo_us, command.motor_us);
+  } else {
+    pulses_.straighten();
+  }
+}
+
+void Logic::on_arm(const protocol::Arm& message, uint8_t counter, uint32_t t_ms) {
+  if (arming_.armed()) return;
+  if (!arming_.arm(message)) {
+    event(protocol::fault::kArmRefused);
+    return;
+  }
+  timed_out_ = false;
+  gate_.start(counter);
+  timer_.feed(t_ms);
+}
+
+void Logic::on_disarm() {
+  arming_.disarm();
+  timer_.stop();
+  pulses_.straighten();
+}
+
+bool Logic::on_limits(const protocol::Limits& limits) {
+  if (arming_.armed() || !limits_fit(limits)) {
+    event(protocol::fault::kLimitsRefused);
+    return false;
+  }
+  pulses_ = Pulses(limits);
+  return true;
+}
+
+void Logic::tick(uint32_t t_ms) {
+  if (!timer_.expired(t_ms)) return;
+  on_disarm();
+  timed_out_ = true;
+}
+
+uint16_t Logic::take_faults() {
+  const uint16_t events = events_;
+  events_ = 0;
+  return events | (timed_out_ ? protocol::fault::kCommandTimeout : 0);
+}

@@ -1,0 +1,94 @@
+// The state machine between the messages and the pulses. The table of its states is in the docstring of
+// firmware_link.emulator.board.EmulatedArduino; this and firmware_link/emulator/logic.py do the same to the bit.
+// Time is the board's own: milliseconds since the program started, modulo 2^32.
+#pragma once
+
+#include <stdint.h>
+
+#include "protocol.h"
+#include "pulses.h"
+
+// Runs out 100 ms after it was last fed; stands still until it is fed first.
+class CommandTimer {
+ public:
+  void feed(uint32_t t_ms);
+  void stop() { running_ = false; }
+  bool expired(uint32_t t_ms) const;
+
+ private:
+  uint32_t fed_ms_ = 0;
+  bool running_ = false;
+};
+
+// Armed or not. Each arming needs the nonce of its own: an Arm from before a Disarm or restart is worth nothing.
+class Arming {
+ public:
+  explicit Arming(uint16_t boot_id) : boot_id_(boot_id), nonce_(boot_id) {}
+
+  // Arms, if nonce and boot id are right; whether they were.
+  bool arm(const protocol::Arm& message);
+
+  // Disarms, and voids every Arm that is under way.
+  void disarm();
+
+  bool armed() const { return armed_; }
+  uint16_t nonce() const { return nonce_; }
+
+ private:
+  uint16_t boot_id_;
+  uint16_t nonce_;
+  bool armed_ = false;
+};
+
+// Tells a fresh, possible command from others.
+class CommandGate {
+ public:
+  // Counts from `counter` on.
+  void start(uint8_t counter) { counter_ = counter; }
+
+  // What is wrong with the command: its values, its counter (must be 1 .. 127 ahead) or its deadline; 0 where it is
+  // good.
+  uint16_t fault_of(const protocol::Command& command, uint8_t counter, uint32_t t_ms);
+
+ private:
+  uint8_t counter_ = 0;
+};
+
+class Logic {
+ public:
+  Logic(uint16_t boot_id, const protocol::Limits& limits) : arming_(boot_id), pulses_(limits) {}
+
+  // Follows a good command while armed; only a fresh one feeds the timer.
+  void on_command(const protocol::Command& command, uint8_t counter, uint32_t t_ms);
+
+  // Disarmed to armed; the first fresh command must follow within the timer's 100 ms.
+  void on_arm(const protocol::Arm& message, uint8_t counter, uint32_t t_ms);
+
+  // Any state to disarmed.
+  void on_disarm();
+
+  // Takes other limits over while disarmed; whether they were.
+  bool on_limits(const protocol::Limits& limits);
+
+  // After the messages: armed to disarmed when the timer has run out.
+  void tick(uint32_t t_ms);
+
+  // Notes a fault for the next status.
+  void event(uint16_t fault) { events_ |= fault; }
+
+  // The faults for a status; what it has told is forgotten, but for the timeout, which stays until the next arming.
+  uint16_t take_faults();
+
+  const Arming& arming() const { return arming_; }
+  Pulses& pulses() { return pulses_; }
+  uint8_t command_counter() const { return command_counter_; }
+
+ private:
+  Arming arming_;
+  Pulses pulses_;
+  CommandTimer timer_;
+  CommandGate gate_;
+  uint16_t events_ = 0;
+  uint8_t command_counter_ = 0;
+  bool timed_out_ = false;
+};

@@ -1,0 +1,48 @@
+#include "pulses.h"
+
+namespace {
+
+constexpr uint8_t kStepsPerSlew = 8;  // 4 us over 0.5 us
+
+bool in_order(uint16_t low, uint16_t middle, uint16_t high) {
+  return protocol::kPulseMin <= low && low <= middle && middle <= high && high <= protocol::kPulseMax;
+}
+
+int16_t clamped(int16_t value, int16_t low, int16_t high) {
+  if (value < low) return low;
+  return value > high ? high : value;
+}
+
+}  // namespace
+
+bool limits_fit(const protocol::Limits& limits) {
+  return in_order(limits.servo_min_us, limits.servo_straight_us, limits.servo_max_us) &&
+         in_order(limits.motor_min_us, limits.motor_neutral_us, limits.motor_max_us) && limits.servo_slew_us > 0 &&
+         limits.motor_slew_us > 0;
+}
+
+Pulses::Pulses(const protocol::Limits& limits) : limits_(limits) {
+  straighten();
+}
+
+void Pulses::want(uint16_t servo_us, uint16_t motor_us) {
+  servo_want_us_ = clamped(servo_us, limits_.servo_min_us, limits_.servo_max_us);
+  motor_want_us_ = clamped(motor_us, limits_.motor_min_us, limits_.motor_max_us);
+}
+
+void Pulses::straighten() {
+  servo_us_ = servo_want_us_ = limits_.servo_straight_us;
+  motor_us_ = motor_want_us_ = limits_.motor_neutral_us;
+}
+
+void Pulses::frame() {
+  const int16_t slew = limits_.servo_slew_us * kStepsPerSlew;
+  servo_us_ = clamped(servo_want_us_, servo_us_ - slew, servo_us_ + slew);
+  const int16_t neutral = limits_.motor_neutral_us;
+  const int16_t now = motor_us_ - neutral;
+  const int16_t want = motor_want_us_ - neutral;
+  int16_t reach = limits_.motor_slew_us * kStepsPerSlew;
+  if (now > 0 && want > 0) reach += now;
+  if (now < 0 && want < 0) reach -= now;
+  motor_us_ = neutral + clamped(want, -reach, reach);
+}

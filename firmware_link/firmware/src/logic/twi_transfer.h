@@ -1,0 +1,51 @@
+// A register of a device on the two-wire bus, written or read step by step: the bus's status codes in, what the bus is
+// to do next out.
+#pragma once
+
+#include <stdint.h>
+
+enum class Twi : uint8_t {
+  kNothing,
+  kStart,
+  kSend,
+  kReceive,  // and acknowledge: more are wanted
+  kReceiveLast,  // and do not
+  kStop,
+  kOff,  // let go of both wires
+  kClockLow,  // pull the clock down by hand, with the bus off
+  kClockHigh,
+};
+
+struct TwiAction {
+  Twi what;
+  uint8_t data;
+};
+
+class TwiTransfer {
+ public:
+  enum State : uint8_t { kIdle, kBusy, kDone, kFailed };
+  static constexpr uint8_t kMaxBytes = 2;
+
+  // Begin; what to do first.
+  TwiAction write(uint8_t device, uint8_t reg, uint8_t value);
+  TwiAction read(uint8_t device, uint8_t reg, uint8_t count);
+
+  // The bus has done what it was told.
+  TwiAction on_status(uint8_t status, uint8_t received);
+
+  // Forget it.
+  void abandon() { state_ = kIdle; }
+
+  State state() const { return state_; }
+  uint8_t byte(uint8_t index) const { return bytes_[index]; }
+
+ private:
+  TwiAction acknowledged();
+  TwiAction end(State state);
+
+  State state_ = kIdle;
+  uint8_t device_ = 0, reg_ = 0, value_ = 0;
+  uint8_t to_read_ = 0;  // 0: a write
+  uint8_t step_ = 0;  // bytes that were acknowledged, or have come
+  uint8_t bytes_[kMaxBytes] = {};
+};

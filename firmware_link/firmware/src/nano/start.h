@@ -1,0 +1,11 @@
+// How the program starts: the reset's cause is saved before anything else runs, and the watchdog stopped.
+#pragma once
+
+#include <stdint.h>
+
+namespace start {
+
+// As protocol::reset_cause.
+uint8_t reset_cause();
+
+}  // namespace start
