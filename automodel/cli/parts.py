@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 
+from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
 from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
@@ -63,8 +64,12 @@ def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:
 def make_loop(car: CarConfig) -> Loop:
     """Pipeline, controller and limits of a car; OpenCV is kept to one thread: handing so little over costs more."""
     cv2.setNumThreads(1)
+    pipeline = make_pipeline(car.pipeline.name, car)
+    told = getattr(pipeline, "told", "")
+    if told:
+        say(told)
     return Loop(
-        make_pipeline(car.pipeline.name, car),
+        pipeline,
         LaneController(car),
         Limits(car.safety, car.vehicle),
         validity_s=car.safety.command_validity_s,

@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from automodel.curves import Curve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
+from automodel.curves.deferred import DeferredCurve
 from automodel.geometry import SE2
 
 FloatArray = NDArray[np.float64]
@@ -203,8 +205,17 @@ class ThetaLine:
 
     def table(self, s_from_m: float, s_to_m: float, count: int = 33) -> TabulatedCurve:
         """The line from one s to another as samples: good to a fifth of a millimetre, and made faster than `curve`."""
+        return TabulatedCurve(*self._samples(s_from_m, s_to_m, count))
+
+    def deferred(self, s_from_m: float, s_to_m: float, count: int = 33) -> DeferredCurve:
+        """The same as `table`, computed when it is first used."""
+        return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count))
+
+    def _samples(
+        self, s_from_m: float, s_to_m: float, count: int
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         s = np.linspace(s_from_m, s_to_m, count)
-        return TabulatedCurve(s - s_from_m, self.points(s), self.heading(s), self.curvature(s))
+        return s - s_from_m, self.points(s), self.heading(s), self.curvature(s)
 
     def _piece(self, low: float, high: float) -> Curve:
         x, y = self.point_at(low)

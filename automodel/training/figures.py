@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.training.shapes import UNKNOWN
+
 Image = NDArray[np.uint8]
 
 HALF = 128  # probability and coverage of one half
@@ -36,7 +38,7 @@ def measured(network: Callable[[Image], Image], pictures: Iterable[Image]) -> Fi
     """The figures of a network (grey picture to mask) on pictures (2, h, w), grey and truth."""
     counts = np.zeros(6)
     for grey, truth in pictures:
-        marked, labelled = network(grey) >= HALF, truth >= HALF
+        marked, labelled = (network(grey) >= HALF) & (truth != UNKNOWN), truth >= HALF
         near_label = _widened(truth >= FAINT)
         counts += (
             np.count_nonzero(marked & labelled),

@@ -86,7 +86,7 @@ def _polygons(camera: GroundCamera, outlines: Points) -> Pixels:
     steps = np.linspace(0.0, 1.0, 5, endpoint=False)[:, None]
     after = np.roll(outlines, -1, axis=1)
     edges = outlines[:, :, None, :] * (1.0 - steps) + after[:, :, None, :] * steps
-    pixels = camera.body_to_px(edges.reshape(len(outlines), -1, 3))
+    pixels = camera.body_to_px(edges.reshape(len(outlines), 5 * outlines.shape[1], 3))
     seen: NDArray[np.bool_] = np.asarray(np.isfinite(pixels).all(axis=-1))
     whole = np.rint(np.clip(np.nan_to_num(pixels), -4000, 4000) * 16.0).astype(np.int32)
     return [p[s] if s.sum() >= 3 else np.empty((0, 2), dtype=np.int32) for p, s in zip(whole, seen, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -41,9 +42,14 @@ class Canvas:
             return
         alpha = drawn.alpha * stripe.strength
         _fill(self._layer(stripe.ink), drawn.edges(0.0), alpha)
-        if stripe.marking:
-            known = drawn.shown * np.clip(4.0 * alpha, 0.0, 1.0)
-            _fill(self._label, drawn.edges(_LABEL_PX), known)
+        if not stripe.marking:
+            return
+        if stripe.label_pattern is not None:
+            drawn = _Drawn.of(replace(stripe, pattern=stripe.label_pattern), self)
+            if drawn is None:
+                return
+        known = drawn.shown * np.clip(4.0 * drawn.alpha * stripe.strength, 0.0, 1.0)
+        _fill(self._label, drawn.edges(_LABEL_PX), known)
 
     def patch(self, patch: Patch) -> None:
         """Fills outlines."""

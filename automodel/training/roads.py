@@ -40,6 +40,7 @@ class LineStyle:
     ink: Ink
     patterns: tuple[tuple[float, ...], ...]  # one a stripe; () is solid
     spacing: float = 0.0  # between the middles of a double line's stripes
+    label: tuple[float, ...] | None = None  # the pattern that is to be found, where it is not that of the paint
 
 
 def random_ribbon(
@@ -119,6 +120,8 @@ def inner_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
     half = _half_width(rng, kind)
     draw = rng.random()
     ink = Ink.SECOND_PAINT if rng.random() < 0.35 else Ink.PAINT
+    if kind is Kind.ROAD and rng.random() < 0.25:
+        return _studs(rng, ink)
     if draw < 0.7:
         return LineStyle(half_width=half, ink=ink, patterns=(_dashes(rng, kind),))
     if draw < 0.8:
@@ -159,6 +162,16 @@ def _dots(rng: np.random.Generator, half: float) -> tuple[float, ...]:
     return (*dots[:-1], gap + rng.uniform(0.0, 2.0))
 
 
+def _studs(rng: np.random.Generator, ink: Ink) -> LineStyle:
+    """Raised dots of a hand's breadth instead of paint: a long row, or groups of some dots where a dash would be."""
+    size, gap = rng.uniform(0.025, 0.05), rng.uniform(0.15, 0.4)
+    if rng.random() < 0.35:
+        return LineStyle(half_width=0.5 * size, ink=ink, patterns=((size, gap),), label=())
+    count, space = int(rng.integers(2, 6)), rng.uniform(0.8, 2.6)
+    pattern = ((size, gap) * count)[:-1]
+    return LineStyle(half_width=0.5 * size, ink=ink, patterns=((*pattern, space),), label=(sum(pattern), space))
+
+
 def painted(rng: np.random.Generator, style: LineStyle, points: FloatArray) -> list[Stripe]:
     """The stripes of one line along a polyline (n, 2)."""
     stripes = []
@@ -179,6 +192,7 @@ def painted(rng: np.random.Generator, style: LineStyle, points: FloatArray) -> l
                 pattern=pattern,
                 phase=rng.uniform(0.0, sum(pattern)) if pattern else 0.0,
                 marking=True,
+                label_pattern=style.label,
             )
         )
     return stripes

@@ -27,7 +27,7 @@ from automodel.training.layouts import random_road
 from automodel.training.objects import draw_objects
 from automodel.training.painting import Canvas, worn
 from automodel.training.roads import Road
-from automodel.training.shapes import Ink, Patch, Stripe
+from automodel.training.shapes import UNKNOWN, Ink, Patch, Stripe
 from automodel.training.textures import floor_tile, roadside_tile
 
 Rng = np.random.Generator
@@ -35,12 +35,16 @@ Grey = NDArray[np.uint8]
 FloatImage = NDArray[np.float32]
 _TILES = 160  # different floors; each is seen at many sizes, turns and tones
 _FAINT = 2.2  # grey levels that paint must add to be seen,
+_SURE = 40  # of 255: a mask's value from which on a pixel is marking
 _ROUGH_SHARE = 0.6  # and as a share of the unevenness of what is around
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """A picture (h, w) uint8 grey, and its mask (h, w) uint8: 0..255, how much of the pixel is lane-line marking."""
+    """A picture (h, w) uint8 grey, and its mask (h, w) uint8: 0..255, how much of the pixel is lane-line marking.
+
+    `UNKNOWN` in the mask: a marking is there that nobody can see.
+    """
 
     image: Grey
     mask: Grey
@@ -62,7 +66,7 @@ def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
 
 
 def photographed(layers: tuple[Grey, Grey, FloatImage, FloatImage], damage_seed: int) -> Sample:
-    """The picture as the camera delivers it, and the mask without the markings that nobody could see in it.
+    """The picture as the camera delivers it, and the mask, `UNKNOWN` where nobody could see the marking that is there.
 
     The same damage is done to the picture with whole paint and with none: where both look alike, nothing can be learnt.
     """
@@ -77,7 +81,9 @@ def photographed(layers: tuple[Grey, Grey, FloatImage, FloatImage], damage_seed:
     rough = cv2.blur(cv2.absdiff(without, cv2.blur(without, (7, 7))), (21, 21)).astype(np.float32)
     needed = _FAINT + np.float32(_ROUGH_SHARE) * rough
     known = _stands_out(painted, without, needed, 9) * _stands_out(image, without, needed, 31)
-    return Sample(image=image, mask=np.round(mask * known).astype(np.uint8))
+    shown = np.round(mask * known).astype(np.uint8)
+    shown[(mask > _SURE) & (shown < _SURE)] = UNKNOWN
+    return Sample(image=image, mask=shown)
 
 
 def _stands_out(picture: Grey, without: Grey, needed: FloatImage, around_px: int) -> FloatImage:
@@ -205,7 +211,7 @@ def _wear(rng: Rng, view: GroundView) -> FloatImage:
     """How much of the paint is left at each pixel (h, w)."""
     if rng.random() < 0.5:
         return np.ones(view.share.shape, dtype=np.float32)
-    lost = float(rng.beta(1.0, 2.2)) * 0.95
+    lost = float(rng.beta(1.0, 2.2)) * 0.95 if rng.random() < 0.75 else rng.uniform(0.6, 0.95)
     grain = noise.fractal(float(rng.choice([0.8, 1.1, 1.4])), noise.variant(rng))[:512, :512]
     tile = atlas(worn(grain, lost, rng.uniform(8.0, 60.0)))
     turn, shift = rng.uniform(0.0, math.pi), tuple(rng.uniform(0.0, 1.0, 2))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+UNKNOWN = 1  # in a mask: a marking is there, but the picture does not show it; neither answer is wrong
 
 
 class Ink(IntEnum):
@@ -27,7 +28,8 @@ class Stripe:
     """A stripe along a polyline (n, 2) of the body frame.
 
     `half_width` is a number or one a point (n,); `pattern` alternates lengths of paint and of gap, empty for a solid
-    stripe; `phase` is where in the pattern the first point lies. A `marking` is to be found, the rest is not.
+    stripe; `phase` is where in the pattern the first point lies. A `marking` is to be found, the rest is not;
+    `label_pattern` is where, when that is not where the paint is (None).
     """
 
     points: FloatArray
@@ -37,6 +39,7 @@ class Stripe:
     phase: float = 0.0
     marking: bool = False
     strength: float = 1.0
+    label_pattern: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -23,6 +23,7 @@ from automodel.perception.unet import open_session, run_network
 from automodel.reading import ConfigError, positive
 from automodel.training.export import onnx_bytes
 from automodel.training.figures import Figures, measured
+from automodel.training.shapes import UNKNOWN
 from automodel.training.unet import MarkingNet
 
 Image = NDArray[np.uint8]
@@ -185,8 +186,9 @@ def loss(logits: Tensor, coverage: Tensor) -> Tensor:
     Cross-entropy weighted by the error (focal loss for soft labels: Li et al. 2020, eq. (4)), an amount per marked
     pixel, plus the soft Dice loss of the batch, which looks at the marks as a whole (Milletari et al. 2016).
     """
-    probability = torch.sigmoid(logits)
-    entropy = functional.binary_cross_entropy_with_logits(logits, coverage, reduction="none")
+    known = (255.0 * coverage - UNKNOWN).abs() > 0.5  # a marking that nobody can see: either answer is right
+    probability = torch.sigmoid(logits) * known
+    entropy = known * functional.binary_cross_entropy_with_logits(logits, coverage, reduction="none")
     labelled = coverage.sum()
     focal = ((probability - coverage).abs().pow(FOCUS) * entropy).sum() / (labelled + 1e-3 * coverage.numel())
     overlap = 2.0 * (probability * coverage).sum() + 1.0

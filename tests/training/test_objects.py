@@ -7,6 +7,7 @@ import pytest
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.training import objects, solids, vehicles
+from automodel.training.cameras import Kind, random_camera
 from automodel.training.objects import draw_objects
 
 FOCAL, HEIGHT = 300.0, 0.5
@@ -133,3 +134,8 @@ def test_walls_beside_the_camera_are_cut_where_it_stops_seeing():
         wall = solids.wall(np.random.default_rng(seed), -3.0, 0.9, 0.0, 30.0)
         objects._paint(picture, mask, camera(0.1), wall, np.random.default_rng(seed))
         assert (mask[:, 256:] == 255).all()  # all of it is to the left
+
+
+def test_a_solid_without_faces_has_no_polygons() -> None:
+    camera = random_camera(np.random.default_rng(0), Kind.SCALE, 512, 256)
+    assert objects._polygons(camera, np.empty((0, 4, 3))) == []

@@ -14,7 +14,7 @@ from automodel.training.layouts import random_road
 from automodel.training.painting import Canvas, worn
 from automodel.training.roads import Road, random_ribbon
 from automodel.training.scenes import Sample, lit_ground, make_sample, photographed
-from automodel.training.shapes import Ink, Patch, Ribbon, Stripe, box
+from automodel.training.shapes import UNKNOWN, Ink, Patch, Ribbon, Stripe, box
 
 WIDTH, HEIGHT = 512, 256
 FOCAL, CX, CY, CAMERA_Z = 300.0, 255.5, 90.0, 0.5
@@ -97,7 +97,7 @@ def test_marking_is_brighter_than_what_is_beside_it_in_most_pictures(samples: li
             beside = (cv2.dilate(sample.mask, np.ones((15, 15), np.uint8)) > 0) & (sample.mask == 0)
             brighter.append(sample.image[core].mean() > sample.image[beside].mean())
     assert len(brighter) > 15
-    assert np.mean(brighter) > 0.9
+    assert np.mean(brighter) > 0.85
 
 
 @pytest.mark.parametrize("x", [1.2, 2.0, 4.0, 8.0])
@@ -194,7 +194,8 @@ def test_worn_paint_keeps_its_label_and_paint_that_is_gone_loses_it(monkeypatch:
     near = np.s_[int(CY) + 30 :]
     assert (whole[near] > 250).sum() > 1000
     assert (scuffed[near] > 127).sum() > 0.95 * (whole[near] > 127).sum()
-    assert not gone.any()
+    assert gone.max() == UNKNOWN
+    assert (gone[whole > 127] == UNKNOWN).all()
 
 
 def test_wear_takes_the_share_of_paint_that_it_is_asked_to() -> None:
