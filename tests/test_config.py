@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 import tomlkit
 
-from automodel.config import CarConfig, ConfigError, load_car, parse_car
+from automodel.config import PIPELINES, CarConfig, ConfigError, load_car, parse_car
 
 CARS = Path(__file__).parent / "cars"
 
@@ -40,7 +40,9 @@ REFUSED = {
     "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: 0.0 where a positive number is wanted",
     "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: -0.1 where a number >= 0 is wanted",
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
-    '[pipeline]\nname = "window"': "car.toml:2: [pipeline] name: 'window' is none of windows; did you mean 'windows'?",
+    '[pipeline]\nname = "window"': (
+        f"car.toml:2: [pipeline] name: 'window' is none of {', '.join(PIPELINES)}; did you mean 'windows'?"
+    ),
     "[pipeline.windows]\nmarking_px = 0": "car.toml:2: [pipeline.windows] marking_px: 0.0 where a positive number "
     "is wanted",
     '[control]\ncontroller = "pid"': "car.toml:2: [control] controller: 'pid' is none of stanley, pure_pursuit",
@@ -118,9 +120,10 @@ def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value
 
 def test_units_are_in_every_name() -> None:
     """A number without a unit is a count, a share, a level or a name's number, and listed here."""
-    units = ("_m", "_rad", "_s", "_hz", "_px", "_us", "_mps", "_mps2", "_mps3", "_radps", "_per_m", "_per_s")
+    units = ("_m", "_rad", "_s", "_hz", "_px", "_us", "_mps", "_mps2", "_mps3", "_radps", "_per_m", "_per_s", "_lanes")
     plain = {"device", "distortion", "baud", "jpeg_quality", "contrast", "view_ahead_lanes", "view_half_lanes"}
     plain |= {"one_line_speed", "coasting_speed"}
+    plain |= {"providers", "threads", "threshold", "nodes"}
     for path, value in leaves(CarConfig()):
         if isinstance(value, float | int | tuple) and not isinstance(value, bool):
             assert path[-1].endswith(units) or path[-1] in plain, ".".join(path)

@@ -66,7 +66,7 @@ def make_loop(car: CarConfig) -> Loop:
     cv2.setNumThreads(1)
     pipeline = make_pipeline(car.pipeline.name, car)
     told = getattr(pipeline, "told", "")
-    if told:
+    if told:  # of a network that runs on something else than expected
         say(told)
     return Loop(
         pipeline,

@@ -95,17 +95,24 @@ class TrackedLane:
 
         Points (n, 2) [m], headings (n,) [rad], and the arc length from the first of them up to which it is no guess.
         """
-        tracked = self.left if side > 0 else self.right
-        own = tracked.line if alone and tracked.unseen_m < self.OWN_LANES * self.unit else None
+        own = self._own(side) if alone else None
         model = own or self.middle
         first = -0.5 * self.unit
-        s = np.linspace(first, ahead_m, 36)
+        s = np.linspace(first, ahead_m, 30)
         theta, points = model.heading(s), model.points(s)
         if own is None:
             aside = 0.5 * side * self.pose.width_m
             points[:, 0] -= aside * np.sin(theta)
             points[:, 1] += aside * np.cos(theta)
         return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
+
+    def stands_alone(self, side: float) -> bool:
+        """Whether the line on `side` is expected by its own model."""
+        return self._own(side) is not None
+
+    def _own(self, side: float) -> ThetaLine | None:
+        tracked = self.left if side > 0 else self.right
+        return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
         enough = 1 if tracked.line is not None else self.FIRST_POINTS

@@ -43,8 +43,8 @@ class TrackedLine:
 
     The points that come nearest to the car are kept and moved along by the odometry, so that the line is supported
     where the car is, though the camera sees the ground only ahead of it, and are dropped some way behind it. `line` is
-    None until `update` has made one; `unseen_m` is the way since an update. `lateral_doubt_m`, `heading_doubt_rad`: what
-    an unseen bend may hide where no points lie beside the car.
+    None until `update` has made one; `unseen_m` is the way since an update. `lateral_doubt_m`, `heading_doubt_rad`:
+    what an unseen bend may hide where no points lie beside the car.
     """
 
     KEEP_EVERY_LANES = 0.08  # way between two rounds of remembering

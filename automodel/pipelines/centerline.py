@@ -13,13 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.config import CarConfig
+from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.tracked_lane import TrackedLane
 from automodel.estimation.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2, GroundCamera, View
 from automodel.perception.feature_points import FeaturePoints
 from automodel.perception.line_following import ExpectedLine, FollowedLine, LineFollowing
 from automodel.perception.ridge import RidgeMarkings
+from automodel.perception.standing_out import standing_out
 from automodel.perception.unet import MarkingNetwork, UnetConfig
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
@@ -83,7 +84,7 @@ class Centerline:
         self._markings = make_markings(car) if markings is None else markings
         self._features = FeaturePoints(car.camera, self.view, lane.marking_width_m, options.threshold)
         self._following = LineFollowing(self.view, lane.width_m, marking, self._features.visible, self._reference_x_m)
-        self.told: str = getattr(self._markings, "told", "")  # which provider runs the network, and why
+        self.told = _worth_telling(self._markings, options)
         self.stages = StageClock()
         self.reset()
 
@@ -104,6 +105,8 @@ class Centerline:
         grey = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
         mask = self._markings.step(np.asarray(grey, dtype=np.uint8))
         self.stages.lap("markings")
+        if isinstance(self._markings, MarkingNetwork):
+            mask = standing_out(mask)
         features = self._features.step(mask)
         self.stages.lap("birdseye")
         if self._lane is None:
@@ -158,7 +161,7 @@ class Centerline:
     def _follow(self, features: Image, lane: TrackedLane, side: float) -> SeenLine:
         """A line's points from where it is expected; where its own model soon loses it, the centerline's may not."""
         seen = self._guided(features, lane, side, True)
-        if len(seen.points_m) < self.SHORT_POINTS:
+        if len(seen.points_m) < self.SHORT_POINTS and lane.stands_alone(side):
             other = self._guided(features, lane, side, False)
             if len(other.points_m) > len(seen.points_m) + self.START_POINTS:
                 return other
@@ -289,6 +292,14 @@ class Centerline:
 
     def _lost(self, frame: Frame) -> LaneEstimate:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
+
+
+def _worth_telling(markings: Markings, options: CenterlineConfig) -> str:
+    """Which provider runs the network and why, where that was chosen; nothing on a computer that has only the CPU."""
+    chosen = options.providers != CenterlineConfig().providers
+    if not isinstance(markings, MarkingNetwork) or (markings.provider == "cpu" and not chosen):
+        return ""
+    return markings.told
 
 
 def _cut(line: SeenLine, count: int) -> SeenLine:

@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.config import PIPELINES
+
 CARS = Path(__file__).resolve().parents[1] / "cars"
 TEXTS = {
     "typo.toml": "[camera]\nwidht_px = 640\n",
@@ -43,7 +45,7 @@ CASES = {  # arguments -> the line on stderr
     "run --car binary.toml": "automodel: binary.toml: cannot be read: not a text file in UTF-8",
     "run --car folder": "automodel: folder: cannot be read: Is a directory",
     "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: 'window' is none of "
-    "windows; did you mean 'windows'?",
+    f"{', '.join(PIPELINES)}; did you mean 'windows'?",
     "run --car half.toml": 'automodel: half.toml: [camera] source and [link] port: either both are "sim" or neither is',
     "run --car tub.toml": "automodel: tub.toml: [camera] source 'a/tub': a car is driven by csi or usb; see replay",
     "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",

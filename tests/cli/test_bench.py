@@ -17,7 +17,7 @@ ACCURACY_KEYS = [
     "offset_mae_pct", "offset_p99_m", "availability_pct", "false_lane_pct",
 ]  # fmt: skip
 SPEED_KEYS = ["pipeline", "stage", "width_px", "height_px", "p50_ms", "p99_ms", "threads"]
-QUICK = ["bench", "accuracy", "--track", "oval", "--style", "centred", "--speed", "5"]
+QUICK = ["bench", "accuracy", "--track", "oval", "--style", "centred", "--speed", "5", "--pipeline", "windows"]
 
 
 def test_accuracy_has_its_keys_and_a_picture(tmp_path: Path, cli) -> None:

@@ -11,7 +11,7 @@ import click
 import pytest
 
 from automodel.cli.main import cli as commands
-from automodel.config import parse_car
+from automodel.config import CarConfig, parse_car
 from automodel.recording.poses_csv import COLUMNS
 from automodel.sources.motion_csv import read_motion_csv
 
@@ -71,7 +71,8 @@ def test_the_quick_start_drives_a_lap_of_tmr(cli) -> None:
 
 
 def test_the_car_file_is_one() -> None:
-    (text,) = blocks("toml")
+    text, pipeline = blocks("toml")
+    assert parse_car(pipeline, "README.md").pipeline == CarConfig().pipeline
     car = parse_car(text, "README.md")
     assert (car.camera.source, car.link.port) == ("usb", "/dev/ttyUSB0")
 

@@ -170,7 +170,7 @@ def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
 def test_driving_imports_nothing_heavy() -> None:
     program = (
         "import sys\nfrom automodel.cli.main import run\n"
-        "assert run(['run', '--track', 'oval', '--duration', '0.1']) == 0\n"
+        "assert run(['run', '--track', 'oval', '--duration', '0.1', '--pipeline', 'windows']) == 0\n"
         "heavy = ['scipy', 'onnxruntime', 'matplotlib', 'can', 'cantools', 'filterpy']\n"
         "loaded = [name for name in heavy if name in sys.modules]\nassert not loaded, loaded\n"
     )
