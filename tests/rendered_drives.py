@@ -85,11 +85,12 @@ class RenderedDrive:
     speed_mps: float = 1.0
     swing: float = 0.08  # of the lane's width
     source: MotionSource = MotionSource.MEASURED
+    pipeline: Pipeline | None = None  # None: `windows`
 
     def __post_init__(self) -> None:
         self.lane: Lane = self.track.lane(self.direction)
         self.renderer = renderer(self.track, self.car, self.look)
-        self.pipeline: Pipeline = make_pipeline("windows", self.car)
+        self.estimator: Pipeline = self.pipeline or make_pipeline("windows", self.car)
         self.follower = TruthFollower(self.lane, self.car.vehicle.reference_x_m)
 
     def pose(self, s_m: float) -> SE2:
@@ -117,7 +118,7 @@ class RenderedDrive:
             image = self.renderer.render(pose.x_m, pose.y_m, pose.yaw_rad, self.speed_mps, turn / period_s, index)
             frame = Frame(t_ns=t_ns, index=index, image=image)
             truth = self.follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
-            seen.append(Seen(frame=frame, motion=motion, estimate=self.pipeline.step(frame, motion), truth=truth))
+            seen.append(Seen(frame=frame, motion=motion, estimate=self.estimator.step(frame, motion), truth=truth))
         return seen
 
 

@@ -211,11 +211,21 @@ class ThetaLine:
         """The same as `table`, computed when it is first used."""
         return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count))
 
+    def beside(self, aside_m: float, s_from_m: float, s_to_m: float, count: int = 33) -> DeferredCurve:
+        """The curve `aside_m` to the left, from the perpendicular at one s to that at another."""
+        return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count, aside_m))
+
     def _samples(
-        self, s_from_m: float, s_to_m: float, count: int
+        self, s_from_m: float, s_to_m: float, count: int, aside_m: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         s = np.linspace(s_from_m, s_to_m, count)
-        return s - s_from_m, self.points(s), self.heading(s), self.curvature(s)
+        points, theta, kappa = self.points(s), self.heading(s), self.curvature(s)
+        if aside_m == 0.0:
+            return s - s_from_m, points, theta, kappa
+        points += aside_m * np.column_stack((-np.sin(theta), np.cos(theta)))
+        stretch = np.maximum(1.0 - kappa * aside_m, 0.05)
+        steps = 0.5 * (stretch[1:] + stretch[:-1]) * (s[1:] - s[:-1])
+        return np.concatenate(([0.0], np.cumsum(steps))), points, theta, kappa / stretch
 
     def _piece(self, low: float, high: float) -> Curve:
         x, y = self.point_at(low)

@@ -52,6 +52,7 @@ class Centerline:
 
     name = "centerline"
     MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
+    MAX_WAY_LANES, MAX_TURN_RAD = 6.0, 1.5  # between two frames; more is no motion of a car
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     LEAST_MARKING_LANES = 0.03  # a mask shows no thinner lines: far out its pixels are broader than a marking
     SEEN_POINTS = 2  # that make a line seen
@@ -140,9 +141,11 @@ class Centerline:
             self._lane = None
             return
         dt_s = dt_ns * 1e-9
-        way_m = motion.speed_mps * dt_s if motion.known else 0.0
-        turn = motion.yaw_rate_radps * dt_s if motion.known else 0.0
-        self._lane.move(SE2.arc(way_m, turn).inverse(), way_m, dt_s, motion.known)
+        way_m, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
+        known = motion.known and abs(way_m) < self.MAX_WAY_LANES * self._unit and abs(turn) < self.MAX_TURN_RAD
+        if not known:  # nor is what no car can have done between two frames, or is not finite
+            way_m = turn = 0.0
+        self._lane.move(SE2.arc(way_m, turn).inverse(), way_m, dt_s, known)
 
     def _find(self, features: Image) -> tuple[TrackedLane, SeenLine, SeenLine] | None:
         """A lane from this frame alone: a pair of lines, or one."""
@@ -277,8 +280,10 @@ class Centerline:
 
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:
         """A line's own curve, or the lane's edge where it is not kept."""
-        model = tracked.line or lane.middle
-        curve = model.deferred(0.0, self._ahead_m)
+        if tracked.line is not None:
+            curve = tracked.line.deferred(0.0, self._ahead_m)
+        else:
+            curve = lane.middle.beside(side * lane.pose.width_m, 0.0, self._ahead_m)
         return LaneLine(curve=curve, points_m=line.points_m if seen else NO_POINTS, seen=seen)
 
     def _plausible(self, lane: TrackedLane) -> bool:
