@@ -20,9 +20,7 @@ def standing_out(probability: Image) -> Image:
     a low one far and wide.
     """
     scale = probability.shape[1] / 512.0
-    around = tuple(2 * round(0.5 * (side * scale - 1.0)) + 1 for side in AROUND_PX)
-    above = cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (around[0], around[1])))
-    faint = cv2.bitwise_and(cv2.compare(above, ABOVE, cv2.CMP_GT), cv2.compare(probability, LEAST, cv2.CMP_GT))
-    counts = cv2.bitwise_or(faint, cv2.compare(probability, SURE, cv2.CMP_GT))
-    low, high = cv2.min(probability, 127), cv2.max(probability, 128)
-    return np.asarray(cv2.copyTo(high, counts, low), dtype=np.uint8)
+    width, height = (2 * round(0.5 * (side * scale - 1.0)) + 1 for side in AROUND_PX)
+    above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (width, height))))
+    counts = ((above > ABOVE) & (probability > LEAST)) | (probability > SURE)
+    return np.where(counts, np.maximum(probability, 128), np.minimum(probability, 127)).astype(np.uint8)
