@@ -30,6 +30,11 @@ class CameraModel:
         """The camera of car.toml."""
         return cls(camera.intrinsics, camera.width_px, camera.height_px)
 
+    @property
+    def max_radius(self) -> float:
+        """The normalised radius beyond which the lens model folds back, infinite where it does not."""
+        return self._max_radius
+
     def project(self, points_cam: ArrayLike) -> FloatArray:
         """Points (..., 3) [m] -> pixels (..., 2); NaN behind the camera and beyond where the lens model folds back."""
         points = np.asarray(points_cam, dtype=np.float64)

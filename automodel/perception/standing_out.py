@@ -23,4 +23,5 @@ def standing_out(probability: Image) -> Image:
     width, height = (2 * round(0.5 * (side * scale - 1.0)) + 1 for side in AROUND_PX)
     above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (width, height))))
     counts = ((above > ABOVE) & (probability > LEAST)) | (probability > SURE)
-    return np.where(counts, np.maximum(probability, 128), np.minimum(probability, 127)).astype(np.uint8)
+    raised = np.maximum(probability, 128) * counts.view(np.uint8)
+    return np.maximum(np.minimum(probability, 127), raised)
