@@ -164,38 +164,12 @@ class CenterlineConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ContourConfig:
-    """`contour` (seed 004). Lengths are multiples of the lane's width, so that they hold at any scale."""
-
-    look_ahead_lanes: float = 2.5  # how far ahead of the first visible ground the lines are followed
-    nodes: int = 14  # places at which a line is looked for
-    piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
-    radius_lanes: float = 1.1  # radius of the tightest bend; some 50 on a highway
-    contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
-    colour: str = "grey"  # what is read of a colour picture: "blue", "green", "red", or their weighted sum "grey"
-    update: str = "gauss_newton"  # or "gradient_descent", as in the thesis
-    precision: str = "double"  # or "single", for boards that have no fast doubles
-    coast_lanes: float = 6.0  # way that the lane is carried on without any line, at most
-    coast_s: float = 2.5  # and for how long at most
-
-    def __post_init__(self) -> None:
-        _one_of("colour", self.colour, ("grey", "blue", "green", "red"))
-        _one_of("update", self.update, ("gauss_newton", "gradient_descent"))
-        _one_of("precision", self.precision, ("double", "single"))
-        positive(self, "look_ahead_lanes", "piece_lanes", "radius_lanes", "contrast")
-        not_negative(self, "coast_lanes", "coast_s")
-        if not 4 <= self.nodes <= 100:
-            raise ValueError(f"nodes: {self.nodes} where 4 .. 100 are wanted")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineConfig:
     """Which paper sees the lane, and each one's own keys."""
 
     name: str = "centerline"
     centerline: CenterlineConfig = field(default_factory=CenterlineConfig)
     windows: WindowsConfig = field(default_factory=WindowsConfig)
-    contour: ContourConfig = field(default_factory=ContourConfig)
 
     def __post_init__(self) -> None:
         _one_of("name", self.name, PIPELINES)
