@@ -71,7 +71,7 @@ def test_the_quick_start_drives_a_lap_of_tmr(cli) -> None:
 
 
 def test_the_car_file_is_one() -> None:
-    text, pipeline = blocks("toml")
+    pipeline, text = blocks("toml")
     assert parse_car(pipeline, "README.md").pipeline == CarConfig().pipeline
     car = parse_car(text, "README.md")
     assert (car.camera.source, car.link.port) == ("usb", "/dev/ttyUSB0")

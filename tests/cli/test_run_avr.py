@@ -40,7 +40,8 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit(toolchain: None, cli, 
 
 def test_what_the_firmware_says_is_recorded(toolchain: None, cli, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
-    assert cli("run", "--track", "oval", "--duration", "2", "--link", "avr", "--record", recording).code == 0
+    run = ["run", "--track", "oval", "--pipeline", "windows", "--duration", "2", "--link", "avr"]
+    assert cli(*run, "--record", recording).code == 0
     states = [m.value for m in Recording(recording) if isinstance(m.value, VehicleState)]
     assert states[-1].armed
     assert states[-1].faults == ()
