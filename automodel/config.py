@@ -144,7 +144,7 @@ class CenterlineConfig:
     network: str = "512x256"  # size of the network's picture: 512x256, or 256x128 for a small board
     model: str = ""  # an ONNX file; empty: the weights that are shipped
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in this order
-    threads: int = 2  # of the network on the CPU
+    threads: int = 0  # of the network on the CPU; 0: half of the cores
     threshold: float = 0.5  # probability from which a pixel is a marking
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
     view_half_lanes: float = 1.8  # half the bird's-eye view's breadth
@@ -157,8 +157,8 @@ class CenterlineConfig:
         _one_of("network", self.network, ("512x256", "256x128"))
         for name in self.providers:
             _one_of("providers", name, ("tensorrt", "cuda", "cpu"))
-        positive(self, "threads", "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")
-        not_negative(self, "coast_lanes", "coast_s")
+        positive(self, "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")
+        not_negative(self, "threads", "coast_lanes", "coast_s")
         if self.threshold >= 1.0:
             raise ValueError(f"threshold: {self.threshold} where a probability below 1 is wanted")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from automodel.perception.onnx_check import INPUT, OUTPUT, check_onnx
 from automodel.perception.self_test import self_test
-from automodel.reading import ConfigError, positive
+from automodel.reading import ConfigError, not_negative
 
 Image = NDArray[np.uint8]
 
@@ -35,11 +36,11 @@ class UnetConfig:
     model: str = ""  # an ONNX file; empty: the one that ships for this size
     size: str = "512x256"  # the network's picture; "256x128" is for small boards
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order tensorrt, cuda, cpu
-    threads: int = 2  # on the CPU
+    threads: int = 0  # on the CPU; 0: half of the cores
     engine_cache: str = ""  # folder for TensorRT's compiled engines; empty: compiled at each start, which takes minutes
 
     def __post_init__(self) -> None:
-        positive(self, "threads")
+        not_negative(self, "threads")
         if self.size not in SIZES:
             raise ValueError(f"size: {self.size!r} is none of {', '.join(SIZES)}")
         if not self.providers or not set(self.providers) <= set(PROVIDERS):
@@ -92,9 +93,7 @@ class MarkingNetwork:
 
     def _started(self, config: UnetConfig, name: str, data: bytes) -> tuple[str, Any, str]:
         """(provider, session, what to tell) of the first provider on which the network passes its test."""
-        import onnxruntime
-
-        there, passed_over = onnxruntime.get_available_providers(), []
+        there, passed_over = _runtime().get_available_providers(), []
         for provider in (p for p in PROVIDERS if p in config.providers):
             if PROVIDERS[provider] not in there:
                 passed_over.append(f"{provider}: not in this onnxruntime")
@@ -130,13 +129,15 @@ def read_network(config: UnetConfig) -> tuple[str, bytes]:
 
 
 def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "") -> Any:
-    """An onnxruntime session of checked bytes on one of PROVIDERS; raises one of `session_errors()`."""
-    import onnxruntime
+    """An onnxruntime session of checked bytes on one of PROVIDERS; raises one of `session_errors()`.
 
-    onnxruntime.disable_telemetry_events()
+    `threads` 0 is half of the cores: camera, recorder and link need the others, and a thread that must wait for a core
+    holds all of them up.
+    """
+    onnxruntime = _runtime()
     onnxruntime.set_default_logger_severity(_ERRORS)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
+    options.intra_op_num_threads, options.inter_op_num_threads = threads or max(1, _cores() // 2), 1
     options.log_severity_level = _ERRORS
     options.add_session_config_entry("session.load_model_format", "ONNX")
     options.add_session_config_entry("session.force_spinning_stop", "1")  # between pictures its cores are others'
@@ -160,7 +161,20 @@ def run_network(session: Any, grey: Image) -> Image:
 
 def session_errors() -> tuple[type[Exception], ...]:
     """What onnxruntime raises on a network that it cannot run; its own errors have no common base."""
-    from onnxruntime.capi import onnxruntime_pybind11_state as state
-
+    state = _runtime().capi.onnxruntime_pybind11_state
     own = [error for error in vars(state).values() if isinstance(error, type) and issubclass(error, Exception)]
     return (RuntimeError, ValueError, TypeError, MemoryError, *own)
+
+
+def _runtime() -> Any:
+    """onnxruntime, which takes its time to import, and without its reports to its makers."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # counts only before the first import
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    return onnxruntime
+
+
+def _cores() -> int:
+    """Those that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

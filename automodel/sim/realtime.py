@@ -77,14 +77,20 @@ class RealTimeWorld:
             raise
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when none came in time; raises SourceError when the world's process died."""
+        """The newest frame, None when none came in time; raises SourceError when the world's process died.
+
+        Frames that nobody fetched are gone, as a camera's are: the ring would have been written over under them.
+        """
         try:
             if not self._pipe.poll(timeout_s):
                 return None
-            slot, scene = self._pipe.recv()
+            while True:
+                slot, scene = self._pipe.recv()
+                self._on_scene(scene)
+                if not self._pipe.poll(0):
+                    break
         except (EOFError, OSError) as error:
             raise SourceError("the simulated world's process has ended") from error
-        self._on_scene(scene)
         return Frame(t_ns=scene.t_ns, index=scene.index, image=self._slots[slot].copy())
 
     def close(self) -> None:

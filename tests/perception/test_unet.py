@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import types
@@ -263,7 +264,7 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
         ({"size": "100x100"}, "size: '100x100' is none of 512x256, 256x128"),
         ({"providers": ()}, "providers: "),
         ({"providers": ("cpu", "tpu")}, "providers: "),
-        ({"threads": 0}, "threads: 0"),
+        ({"threads": -1}, "threads: -1"),
     ],
 )
 def test_a_wrong_configuration_is_refused(keys: dict[str, Any], said: str) -> None:
@@ -292,3 +293,12 @@ def test_the_networks_that_ship_are_described() -> None:
     card = (Path(unet.__file__).parent / "weights" / "MODEL_CARD.md").read_text(encoding="utf-8")
     for size in SIZES:
         assert f"## marking_{size}.onnx" in card
+
+
+def test_a_network_in_use_reports_to_nobody(tmp_path) -> None:
+    """onnxruntime by itself sends reports to its makers, and keeps the machine's number in the temporary folder."""
+    code = "from automodel.perception.unet import MarkingNetwork as N, UnetConfig as C; N(C(providers=('cpu',)))"
+    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
+    environment |= {"TMPDIR": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    assert subprocess.run([sys.executable, "-c", code], check=False, env=environment).returncode == 0
+    assert list(tmp_path.iterdir()) == []

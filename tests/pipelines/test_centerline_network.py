@@ -113,7 +113,7 @@ def test_wrong_keys_are_refused_by_name() -> None:
         ("markings", "'unot'", "did you mean 'unet'"),
         ("network", "'1024x512'", "512x256"),
         ("providers", "['tpu']", "cuda"),
-        ("threads", "0", "threads"),
+        ("threads", "-1", "threads"),
         ("threshold", "1.5", "below 1"),
         ("modell", "'x'", "model"),
     ):
