@@ -1,7 +1,7 @@
 """The car's pose in the lane by an extended Kalman filter, on filterpy's (Cudrano et al. 2020, eq. (22)-(25)).
 
-Beyond the paper: the car's motion as control input, a gate for each measurement, one line alone, and the direction of
-the centerline as a measurement of its own. State, motion and measurement are those of `pose_model`.
+Beyond the paper: the car's motion as control input, a gate for each measurement, one line alone, and the centerline's
+direction as a measurement of its own. State, motion and measurement are those of `pose_model`.
 """
 
 from __future__ import annotations
@@ -103,6 +103,7 @@ class LanePoseFilter:
 
     _CURVATURE_LIMIT = 0.9  # of 1 / half width: a centerline turns no tighter about the car
     _FLOOR = 1e-3  # [lane widths] no point is known better
+    _UNSURE = 0.05  # [lane widths] a width of more sigma is hardly known
     _OPENED = (0.25, 0.2, 0.15)  # heading [rad], offset and width [lane widths] of a filter that knows little
 
     def __init__(self, config: PoseFilterConfig) -> None:
@@ -197,8 +198,9 @@ class LanePoseFilter:
         """Take in what was measured of this frame's lines; what is None, not finite or past its gate is left out.
 
         `theta`: the centerline's direction [rad], eq. (20), and its variance, as a measurement of its own beside the
-        paper's four: for lines that are seen in a single point each, or only one line. With one line alone the width
-        stays as it is, and what is not known of it goes into the offset's variance.
+        paper's four: for lines that are seen in a single point each, or only one line. With one line alone a width
+        that is known stays as it is, and what is not known of it goes into the offset's variance; one that is hardly
+        known may still learn from the two lines seen one after the other.
         """
         if max(self._refused) >= self.config.patience:
             self._ekf.P = self._ekf.P + self._spread(self._OPENED)
@@ -216,12 +218,13 @@ class LanePoseFilter:
         used = {which for which, *_ in good}
         if not good:
             return PoseUpdate(left=False, right=False, heading=False, nis=0.0, dimensions=0)
+        unsure = (self._UNSURE * self.config.lane_width_m) ** 2
         _, rows, innovations, noises = zip(*good, strict=True)
         nis = self._correct(
             np.concatenate(innovations),
             np.concatenate([jacobian[block] for block in rows]),
             _diagonal(noises),
-            both=used >= {0, 1},
+            free=used >= {0, 1} or self._ekf.P[State.WIDTH, State.WIDTH] > unsure,
         )
         return PoseUpdate(left=0 in used, right=1 in used, heading=2 in used, nis=nis, dimensions=sum(map(len, noises)))
 
@@ -242,10 +245,10 @@ class LanePoseFilter:
         self._refused[which] = 0 if good else self._refused[which] + 1
         return good
 
-    def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray, both: bool) -> float:
-        """The filter's update; gives the normalised innovation squared."""
+    def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray, free: bool) -> float:
+        """The filter's update, the width's too where it is `free`; gives the normalised innovation squared."""
         ekf = self._ekf
-        if both:  # the innovation itself is handed over, since directions wrap
+        if free:  # the innovation itself is handed over, since directions wrap
             ekf.update(innovation, lambda _: jacobian, lambda _: 0.0, R=noise)
             nis = float(innovation @ ekf.SI @ innovation)
         else:

@@ -9,7 +9,7 @@ cubic runs away where no point holds it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -193,6 +193,11 @@ class ThetaLine:
             arc_ahead_m=self.arc_ahead_m,
         )
         return line, foot.s_m
+
+    def ending(self, last_m: float, arc_ahead_m: float) -> ThetaLine:
+        """The same line, where `arc_ahead_m` is finite an arc from `last_m` on and straight beyond that."""
+        last = self.s_max_m if math.isinf(arc_ahead_m) else max(min(last_m, self.s_max_m), self.s_min_m)
+        return replace(self, s_max_m=last, arc_ahead_m=arc_ahead_m)
 
     def curve(self, s_from_m: float, s_to_m: float) -> Curve:
         """The line from one s to another as an exact curve: the cubic, and an arc where it goes beyond the ends."""

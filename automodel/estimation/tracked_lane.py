@@ -29,6 +29,7 @@ class TrackedLane:
     OWN_LANES = 0.5  # and after which it is expected beside the centerline
     FIRST_POINTS = 4  # of a line that was not there
     GUESS_LANES = 0.3  # a line may go its own way so far beyond what is known of it
+    FAR_LANES, FAR_POINTS = 0.6, 3  # points beyond a gap so long must be so many
     REACH_LANES = 1.6  # behind the reference point
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
@@ -76,8 +77,10 @@ class TrackedLane:
         seen = self._take(self.left, left), self._take(self.right, right)
         if not any(seen):
             return seen
-        rls = [tracked.rls if there else None for tracked, there in zip((self.left, self.right), seen, strict=True)]
-        self._centerline.update(rls[0], rls[1], self.pose.width_m, float(self.pose.covariance[2, 2]))
+        for tracked in (self.left, self.right):
+            if tracked.unseen_m > self.KEPT_LANES * self.unit:
+                tracked.forget()
+        self._centerline.update(self.left.rls, self.right.rls, self.pose.width_m, float(self.pose.covariance[2, 2]))
         self._correct(seen)
         self.blind_m = 0.0
         return seen
@@ -115,18 +118,29 @@ class TrackedLane:
         return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
+        seen = self._held(tracked, seen)
         enough = 1 if tracked.line is not None else self.FIRST_POINTS
-        taken = len(seen.points_m) >= enough and tracked.update(seen)
-        if not taken and tracked.unseen_m > self.KEPT_LANES * self.unit:
-            tracked.forget()
-        return taken
+        return len(seen.points_m) >= enough and tracked.update(seen)
+
+    def _held(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
+        """The points up to a far gap beyond which there are too few to tell what they belong to."""
+        points = seen.points_m
+        if tracked.line is None or not len(points):
+            return seen
+        begin = math.hypot(*(points[0] - tracked.line.reference_m)) - max(tracked.line.s_max_m, 0.0)
+        gaps = np.concatenate(([begin], np.hypot(*(points[1:] - points[:-1]).T)))
+        far = np.flatnonzero(gaps > self.FAR_LANES * self.unit)
+        if not len(far) or len(points) - far[-1] >= self.FAR_POINTS:
+            return seen
+        return SeenLine(points_m=points[: far[-1]], sigma_m=seen.sigma_m[: far[-1]], ended=seen.ended)
 
     def _correct(self, seen: tuple[bool, bool]) -> None:
         """The pose from where the lines that were seen meet the perpendicular, eq. (22)-(25), and their direction."""
         lines = [tracked if there else None for tracked, there in zip((self.left, self.right), seen, strict=True)]
         there = [tracked for tracked in lines if tracked is not None and tracked.line is not None]
         arc = max((t.line.arc_ahead_m for t in there if t.line is not None), default=math.inf)
-        self._centerline.rls.line = replace(self.middle, arc_ahead_m=arc)
+        last = max((t.line.s_max_m for t in there if t.line is not None), default=math.inf)
+        self._centerline.rls.line = self.middle.ending(last, arc)
         theta = self.middle.heading_at(0.0)
         doubt = min((tracked.heading_doubt_rad for tracked in there), default=0.0)
         variance = self._centerline.rls.heading_variance_here() + doubt * doubt

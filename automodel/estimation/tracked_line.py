@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ class TrackedLine:
     KEEP_POINTS = 4  # of a round: the nearest, which leave the picture next
     BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # how far behind the reference point they are kept; the last few longer
     LAST_POINTS = 12  # so many
-    ARC_LANES = 0.2  # a line that ended goes on so far as it went, and then straight
+    ARC_LANES = 0.1  # a line that ended goes on so far as it went, and then straight
     HIDDEN_BEND_LANES = 0.25  # curvature, in 1 / lane, that may go unseen where there are no points
     DRIFT = 0.015  # growth of a remembered point's sigma with the way driven since
     STEP_LANES, KNOT_LANES = 0.12, 0.6  # of the spline's samples and knots
@@ -110,7 +110,7 @@ class TrackedLine:
         if sampled is None:
             return False
         self.rls.take(sampled)
-        self.end(seen.ended)
+        self.end(seen.ended, float(s.max()))
         self._doubt(s)
         self.unseen_m = 0.0
         if self._since_kept_m >= self.KEEP_EVERY_LANES * unit:
@@ -119,10 +119,11 @@ class TrackedLine:
             self._since_kept_m = 0.0
         return True
 
-    def end(self, ended: bool) -> None:
-        """Say whether the line was seen to end where its points end."""
-        if self.rls.line is not None:
-            self.rls.line = replace(self.rls.line, arc_ahead_m=self.ARC_LANES * self.unit if ended else math.inf)
+    def end(self, ended: bool, last_m: float = math.inf) -> None:
+        """Say whether the line was seen to end, and the arc length up to which its points went."""
+        if self.rls.line is None:
+            return
+        self.rls.line = self.rls.line.ending(last_m, self.ARC_LANES * self.unit if ended else math.inf)
 
     def _doubt(self, s_m: FloatArray) -> None:
         """What an unseen bend may hide between the points and the car."""

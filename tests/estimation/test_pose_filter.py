@@ -37,21 +37,38 @@ def test_both_lines_give_the_pose(offset_m: float, heading_rad: float, width_m: 
 def test_one_line_leaves_the_width_alone(side: int) -> None:
     """The lane is wider than the filter believes: the line's distance is right, and the width stays as it was."""
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.0, 0.1, 0.38, sigma=(0.05, 0.1, 0.1))
-    truth = pose_state(0.03, 0.05, 0.42)
+    tracker.begin(0.0, 0.1, 0.38, sigma=(0.05, 0.1, 0.045))
+    truth = pose_state(0.03, 0.05, 0.40)
     rng = np.random.default_rng(1)
-    for _ in range(300):
+    for _ in range(30):
         tracker.predict(SE2(), 0.0, 0.01)
         measured = point(truth, side, rng)
         tracker.update(*((measured, None) if side > 0 else (None, measured)))
     assert tracker.width_m == 0.38
     beside = 0.5 * tracker.width_m - side * tracker.offset_m
-    assert beside == pytest.approx(0.5 * 0.42 - side * 0.03, abs=0.002)
+    assert beside == pytest.approx(0.5 * 0.40 - side * 0.03, abs=0.002)
     assert tracker.heading_rad == pytest.approx(0.05, abs=0.012)
     # what is not known of the width is not known of the offset
     offset, _, width = np.sqrt(np.diag(tracker.covariance))
     assert offset == pytest.approx(0.5 * width, rel=0.1)
     assert abs(tracker.offset_m - 0.03) < 2.0 * offset
+
+
+def test_one_line_after_the_other_teaches_a_width_that_is_hardly_known() -> None:
+    """Neither says anything of it alone; a car that stands still sees first the left one and then the right one."""
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.05, 0.0, 0.40, sigma=(0.05, 0.2, 0.15))
+    truth = pose_state(0.03, 0.0, 0.34)
+    rng = np.random.default_rng(2)
+    for side in (+1, -1):
+        for _ in range(20):
+            tracker.predict(SE2(), 0.0, 0.005)
+            measured = point(truth, side, rng)
+            tracker.update(*((measured, None) if side > 0 else (None, measured)))
+        if side > 0:
+            assert abs(tracker.width_m - 0.34) > 0.02
+    assert tracker.width_m == pytest.approx(0.34, abs=0.01)
+    assert tracker.offset_m == pytest.approx(0.03, abs=0.01)
 
 
 def driven(

@@ -83,15 +83,6 @@ BENDS = {
 }
 
 
-# A bend that begins while nothing is seen: the lane is taken to go on more straightly than it does.
-LATE = {(1.9, "left"), (1.9, "tight left"), (1.9, "tight right"), (2.8, "tight left"), (2.8, "tight right"),
-        (3.4, "tight left")}  # fmt: skip
-
-
-def allowed_m(from_m: float, ahead: str) -> float:
-    return 0.25 if (from_m, ahead) in LATE else 0.04
-
-
 @pytest.mark.parametrize("ahead", BENDS)
 @pytest.mark.parametrize("from_m", [1.9, 2.5, 3.5])
 def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
@@ -103,7 +94,7 @@ def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
     hidden = seen[31:44]
     assert {s.estimate.status for s in hidden} == {LaneStatus.COASTING}
     assert found.available == 1.0
-    assert found.offset_max_m <= allowed_m(from_m, ahead)
+    assert found.offset_max_m < 0.01  # 0.04 is asked for
     assert [s.estimate.frame_age_ns for s in hidden] == sorted(s.estimate.frame_age_ns for s in hidden)
     assert seen[48].estimate.frame_age_ns == 0
 
@@ -115,7 +106,7 @@ def test_both_lines_gone_on_half_a_metre(ahead: str, from_m: float) -> None:
     drive = MaskedDrive(track=road(BENDS[ahead], gap(from_m, from_m + 0.5, "left", "right")))
     found = errors(drive.run(1.0, 5.2), skip=10)
     assert found.available == 1.0
-    assert found.offset_max_m <= allowed_m(from_m, ahead)
+    assert found.offset_max_m <= 0.06
 
 
 CROSSINGS = {  # where on the contest's floor a lane passes them [m]

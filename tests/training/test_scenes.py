@@ -12,7 +12,7 @@ from automodel.training.cameras import Kind, WideLens, random_camera
 from automodel.training.ground_view import GroundView, atlas
 from automodel.training.layouts import random_road
 from automodel.training.painting import Canvas, worn
-from automodel.training.roads import Road, random_ribbon
+from automodel.training.roads import Road, edge_style, painted, random_ribbon
 from automodel.training.scenes import Sample, lit_ground, make_sample, photographed
 from automodel.training.shapes import UNKNOWN, Ink, Patch, Ribbon, Stripe, box
 
@@ -298,3 +298,9 @@ def test_most_roads_have_lines_and_a_few_have_none(kind: Kind) -> None:
         for stripe in road.stripes:
             assert stripe.marking
             assert np.isfinite(stripe.points).all()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_line_of_which_hardly_anything_is_left_is_not_painted(count: int) -> None:
+    rng = np.random.default_rng(0)
+    assert painted(rng, edge_style(rng, Kind.ROAD), np.zeros((count, 2))) == []
