@@ -66,6 +66,7 @@ class Centerline:
     END_LANES = 0.8  # a line that is not seen so far on, where it should be in the picture, has ended
     RIVAL_LANES = 0.4  # blind way from which another lane may take over
     RIVAL_FRAMES = 3  # running in which it must be seen
+    RIVAL_ALONE = 0.2, 0.2  # how far off [lane widths, rad] a lane of which one line is seen may be
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
@@ -216,7 +217,7 @@ class Centerline:
     def _challenged(
         self, features: Image, left: SeenLine, right: SeenLine, seen: tuple[bool, bool]
     ) -> tuple[SeenLine, SeenLine, tuple[bool, bool]]:
-        """A pair of lines that was seen several frames running beside a lane that nothing supports takes over."""
+        """Lines that were seen several frames running beside a lane that nothing supports take over."""
         lane = self._lane
         if lane is None or any(seen) or lane.blind_m < self.RIVAL_LANES * self._unit:
             self._rivals = 0
@@ -230,16 +231,16 @@ class Centerline:
             return left, right, seen
         self._rivals = 0
         self._lane, left, right = found
-        return left, right, (True, True)
+        return left, right, (len(left.points_m) > 0, len(right.points_m) > 0)
 
     def _rivals_with(self, other: TrackedLane, lane: TrackedLane) -> bool:
-        """Whether a pair may be the lane elsewhere: what dead reckoning cannot have got so wrong is another lane."""
-        if other.left.line is None or other.right.line is None:
-            return False
+        """Whether what was found may be the lane: what dead reckoning cannot have got so wrong is another lane."""
         blind = lane.blind_m / self._unit
         aside = abs(other.pose.offset_m - lane.pose.offset_m) / self._unit
         turned = abs(other.pose.heading_rad - lane.pose.heading_rad)
-        return aside < min(0.15 + 0.2 * blind, 0.45) and turned < 0.2 + 0.15 * blind
+        if other.left.line is None or other.right.line is None:
+            return aside < self.RIVAL_ALONE[0] and turned < self.RIVAL_ALONE[1]
+        return aside < min(0.15 + 0.1 * blind, 0.3) and turned < 0.25
 
     def _estimate(
         self, frame: Frame, lane: TrackedLane, lines: tuple[SeenLine, SeenLine], taken: tuple[bool, bool]

@@ -120,7 +120,7 @@ def inner_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
     half = _half_width(rng, kind)
     draw = rng.random()
     ink = Ink.SECOND_PAINT if rng.random() < 0.35 else Ink.PAINT
-    if kind is Kind.ROAD and rng.random() < 0.4:
+    if kind is Kind.ROAD and rng.random() < 0.25:
         return _studs(rng, ink)
     if draw < 0.7:
         return LineStyle(half_width=half, ink=ink, patterns=(_dashes(rng, kind),))
@@ -167,7 +167,7 @@ def _studs(rng: np.random.Generator, ink: Ink) -> LineStyle:
     size, gap = rng.uniform(0.025, 0.05), rng.uniform(0.15, 0.4)
     if rng.random() < 0.35:
         return LineStyle(half_width=0.5 * size, ink=ink, patterns=((size, gap),), label=())
-    count, space = int(rng.integers(2, 6)), rng.uniform(0.8, 3.4)
+    count, space = int(rng.integers(2, 6)), rng.uniform(0.8, 2.6)
     pattern = ((size, gap) * count)[:-1]
     return LineStyle(half_width=0.5 * size, ink=ink, patterns=((*pattern, space),), label=(sum(pattern), space))
 

@@ -94,19 +94,19 @@ def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
     hidden = seen[31:44]
     assert {s.estimate.status for s in hidden} == {LaneStatus.COASTING}
     assert found.available == 1.0
-    assert found.offset_max_m < 0.01  # 0.04 is asked for
+    assert found.offset_max_m < 0.03  # 0.04 is asked for
     assert [s.estimate.frame_age_ns for s in hidden] == sorted(s.estimate.frame_age_ns for s in hidden)
     assert seen[48].estimate.frame_age_ns == 0
 
 
-@pytest.mark.parametrize("ahead", [name for name in BENDS if name != "tight left"])  # there it is lost
+@pytest.mark.parametrize("ahead", BENDS)
 @pytest.mark.parametrize("from_m", [2.8, 3.4])
 def test_both_lines_gone_on_half_a_metre(ahead: str, from_m: float) -> None:
     """Half a second at 1 m/s over which nothing is painted."""
     drive = MaskedDrive(track=road(BENDS[ahead], gap(from_m, from_m + 0.5, "left", "right")))
     found = errors(drive.run(1.0, 5.2), skip=10)
     assert found.available == 1.0
-    assert found.offset_max_m <= 0.06
+    assert found.offset_max_m < 0.08
 
 
 CROSSINGS = {  # where on the contest's floor a lane passes them [m]
