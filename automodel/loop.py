@@ -19,6 +19,7 @@ from automodel.interfaces import Controller, Pipeline
 from automodel.signals import Command, Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 
 STAGES = ("pipeline", "controller", "limits")
+FAILURES = 4  # in a row, after which a pipeline begins anew: finding a lane in a bend takes longer than a car is held
 
 
 class Limited(Protocol):
@@ -47,14 +48,30 @@ class Limits(Protocol):
         ...
 
 
+class Checks(Protocol):
+    """Whether the inputs can be true; texts of what cannot."""
+
+    def misfit(self, frame: Frame | StereoFrame) -> str | None:
+        """Why nothing can be made of the frame, None where it can be looked at."""
+        ...
+
+    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+        """What is wrong with a frame that fits."""
+        ...
+
+    def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
+        """What is wrong with the lane, or with how the car moves."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tick:
     """What one frame gave.
 
     `motion` is the one that the pipeline was given, unknown in place of one that was not finite.
     `wanted` is the controller's command, `command` the one after the limits, with `limited_by` naming those. `faults`
-    are texts of what was not finite, each already replaced by something safe. `stages_ns` are durations [ns] in the
-    order of `STAGES`, zero without a stopwatch.
+    are texts of what was not finite, each already replaced by something safe, and of what cannot be true. `stages_ns`
+    are durations [ns] in the order of `STAGES`, zero without a stopwatch.
     """
 
     estimate: LaneEstimate
@@ -74,7 +91,8 @@ class Loop:
     """Pipeline, controller and limits in a row.
 
     `validity_s` is the time after a frame's capture for which its command may be obeyed; `stopwatch` gives integer
-    nanoseconds (`time.perf_counter_ns`) and is only read for the durations.
+    nanoseconds (`time.perf_counter_ns`) and is only read for the durations. `checks` look at what comes in where a car
+    is driven; they change nothing but `Tick.faults`, and keep a frame that does not fit away from the pipeline.
     """
 
     def __init__(
@@ -85,6 +103,7 @@ class Loop:
         *,
         validity_s: float,
         stopwatch: Callable[[], int] = _no_stopwatch,
+        checks: Checks | None = None,
     ) -> None:
         if not validity_s > 0:
             raise ValueError(f"validity_s: {validity_s} where a positive number is wanted")
@@ -93,6 +112,8 @@ class Loop:
         self._limits = limits
         self._validity_ns = round(validity_s * NS_PER_S)
         self._stopwatch = stopwatch
+        self._checks = checks
+        self._failures = 0  # of the pipeline, in a row
 
     def tick(self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None, t_ns: int) -> Tick:
         """The chain for one frame; `motion` is the car's since the frame before, `t_ns` the time of the command.
@@ -105,7 +126,7 @@ class Loop:
         faults = motion_faults(motion)
         if faults:
             motion = Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-        estimate, wrong = self._see(frame, motion)
+        estimate, wrong = self._see(frame, motion, state)
         faults += wrong
         seen = self._stopwatch()
         wanted = self._controller.step(estimate, motion, state, t_ns)
@@ -131,13 +152,22 @@ class Loop:
             stages_ns=(seen - start, steered - seen, self._stopwatch() - steered),
         )
 
-    def _see(self, frame: Frame | StereoFrame, motion: Motion) -> tuple[LaneEstimate, tuple[str, ...]]:
+    def _see(
+        self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None
+    ) -> tuple[LaneEstimate, tuple[str, ...]]:
+        checks = self._checks
+        lost = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
+        misfit = None if checks is None else checks.misfit(frame)
+        if misfit is not None:
+            return lost, (misfit,)
+        doubts = () if checks is None else checks.of_frame(frame)
         estimate = self._pipeline.step(_picture(frame), motion)
         faults = estimate_faults(estimate)
         if faults:
-            estimate = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
-            self._pipeline.reset()
-        return estimate, faults
+            self.failed()
+            return lost, doubts + faults
+        self._failures = 0
+        return estimate, doubts if checks is None else doubts + checks.of_estimate(estimate, motion, state)
 
     def overruled(self, sent: Command | None) -> None:
         """The last command was not sent, but `sent` was (None: nothing): controller and limits go on from there.
@@ -147,8 +177,15 @@ class Loop:
         self._controller.reset()
         self._limits.reset(sent)
 
+    def failed(self) -> None:
+        """The last tick raised: a pipeline that goes on failing must forget what it knows, which may be spoilt."""
+        self._failures += 1
+        if self._failures % FAILURES == 0:
+            self._pipeline.reset()
+
     def reset(self) -> None:
         """Forget everything but the configuration."""
+        self._failures = 0
         self._pipeline.reset()
         self._controller.reset()
         self._limits.reset()

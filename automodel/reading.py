@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import datetime
 import difflib
 import math
 import re
@@ -119,6 +120,9 @@ def _value(hint: Any, raw: Any, text: str, file: str, path: tuple[str, ...]) -> 
         if not isinstance(raw, int | float) or isinstance(raw, bool) or not math.isfinite(raw):
             raise wrong("a finite number")
         return float(raw)
+    elif hint is datetime.date:
+        if not isinstance(raw, datetime.date) or isinstance(raw, datetime.datetime):
+            raise wrong("a date (2026-01-31, without quotes)")
     elif hint is str and not isinstance(raw, str):
         raise wrong("a string")
     return raw

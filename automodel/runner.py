@@ -244,7 +244,7 @@ class Runner:
         """What could wait until the command was out: clean the chain up after a fault, and tell of it."""
         error, self._error = self._error, None
         if error is not None:
-            self._loop.reset()
+            self._loop.failed()
             if self._traceback is None:
                 self._traceback = "".join(traceback.format_exception(type(error), error, error.__traceback__))
         if record.decision.action is not Action.PASS or (record.tick is not None and record.sent is None):

@@ -1,7 +1,8 @@
 """Whether the car may drive: a pure state machine, time passed in.
 
 *Unwell* (may pass by itself): no frame yet, the newest older than `frame_timeout_s`, its time not after the one
-before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain.
+before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
+that cannot be true (`automodel.checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
 should not), a command stale before it was sent, a loop that stood still for longer than a command lives, a clock that
 went back. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop,
@@ -37,7 +38,7 @@ from automodel.config import SafetyConfig
 from automodel.signals import Event, LaneStatus, VehicleState
 
 FUTURE_S = 0.05  # a frame further ahead of the clock than this carries a wrong time
-LINK_SILENCE_S = 0.25  # a vehicle that has said nothing for so long is gone; boards report every 10 to 50 ms
+LINK_SILENCE_S = 0.1  # a vehicle that has said nothing for so long is gone: of 150 ms for a stop 45 are left then
 ARM_TIMEOUT_S = 1.0  # the vehicle's time to say that it is armed
 REPEAT_S = 0.1  # arm and disarm are asked for again so often while the vehicle does not follow: a wire may lose bytes
 

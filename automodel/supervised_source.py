@@ -16,7 +16,8 @@ REOPEN_S = 0.2  # between two tries to open a source that failed
 class SupervisedSource:
     """Wraps a `Source`; `reopen` gives a new one in its place or raises OSError, None where there is no other.
 
-    Only EndOfSource is passed on.
+    A ValueError is a picture that is none, of a device that gives what it never gave before. Only EndOfSource is passed
+    on.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class SupervisedSource:
             self._replace()
         try:
             frame = self._source.read(timeout_s)
-        except OSError as error:
+        except (OSError, ValueError) as error:
             self._failed = True
             self._journal.tell("source-failed", str(error), self._clock.now_ns())
             self._clock.sleep(timeout_s)  # a broken source fails at once

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from automodel.config import LinkConfig, VehicleConfig
 from automodel.signals import Command, VehicleState
 from firmware_link import messages
+from firmware_link.battery import BatteryMeter
 from firmware_link.errors import HandshakeError, LinkError, PortLost
 from firmware_link.framing import FrameErrors
 from firmware_link.messages import CommandFlag, Fault, StatusFlag
@@ -38,7 +39,8 @@ class _Session:
     status_ns: int = 0
     faults: int = 0
     odometry: messages.Odometry | None = None
-    ranges: messages.Ranges | None = None
+    ranges: messages.Ranges | None = None  # heard since the last status
+    told_ranges: messages.Ranges | None = None  # of that status: no state tells of a reading that another has told
     speed_mps: float | None = None
     limits_known: bool = False  # the board has said that ours are in force
     setup_ns: int | None = None  # when Limits were sent last
@@ -94,6 +96,7 @@ class ArduinoLink:
         self._limits_crc = messages.limits_crc(self._limits)
         self._decoder = messages.decoder(on_board=False)
         self._speed = SpeedMeter(vehicle_config.ticks_per_m)
+        self._battery = BatteryMeter(vehicle_config.battery_low_v)
         self._session: _Session | None = None
         self._counter = 0
 
@@ -113,6 +116,7 @@ class ArduinoLink:
         self._transport.open()
         self._decoder.reset()
         self._speed.reset()
+        self._battery.reset()
         self._session = _Session()
 
     def poll(self, now_ns: int) -> VehicleState | None:
@@ -130,6 +134,7 @@ class ArduinoLink:
                 self._take_odometry(session, message, now_ns)
             elif isinstance(message, messages.Ranges):
                 session.ranges = message
+                self._battery.step(message.battery_v, now_ns)
             elif isinstance(message, messages.Hello):
                 self._take_hello(session, message)
         if faults is not None:
@@ -207,6 +212,7 @@ class ArduinoLink:
     def _take_status(self, session: _Session, status: messages.Status, now_ns: int) -> None:
         self._board_time(session, status.time_us, now_ns)
         session.status, session.status_ns = status, now_ns
+        session.told_ranges, session.ranges = session.ranges, None
         if not status.flags & StatusFlag.ARMED:
             if session.armed_nonce is not None:
                 _end_arming(session)
@@ -264,19 +270,21 @@ class ArduinoLink:
             self._write(messages.Arm(nonce=status.nonce, boot_id=hello.boot_id))
 
     def _state(self, session: _Session) -> VehicleState:
-        status, odometry, ranges = session.status, session.odometry, session.ranges
+        status, odometry, ranges = session.status, session.odometry, session.told_ranges
         faults = [name for bit, name in _FAULT_NAMES if session.faults & bit] if session.faults else []
         if session.restarted:
             faults.append("board_restarted")
         if session.silent:
             faults.append("link_silent")
+        if self._battery.low:
+            faults.append("battery_low")
         return VehicleState(
             t_ns=session.status_ns,
             speed_mps=session.speed_mps,
             yaw_rate_radps=None if odometry is None else odometry.yaw_rate_radps,
             steering_rad=None if status is None else self._servo.value(status.servo_us),
             ranges_m=() if ranges is None else (ranges.left_m, ranges.centre_m, ranges.right_m),
-            battery_v=None if ranges is None else ranges.battery_v,
+            battery_v=self._battery.voltage_v,
             armed=session.armed_nonce is not None,
             faults=tuple(faults),
             boot_id=None if session.hello is None else session.hello.boot_id,

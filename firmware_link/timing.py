@@ -1,4 +1,4 @@
-"""The board's time seen from the host, and the speed by the board's time."""
+"""The board's time seen from the host, and the speed by the board's time or by its rhythm."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ _WRAP_US = 1 << 32
 _BUCKET_NS = 500_000_000
 _WINDOW_NS = 50_000_000
 _GAP_NS = 500_000_000
+_RHYTHM_NS = 1_000_000_000
+_RHYTHM_MIN_NS = 200_000_000
 
 
 class BoardClock:
@@ -81,3 +83,37 @@ class SpeedMeter:
         if first_ns == board_ns:
             return None
         return (ticks - first_ticks) / self._ticks_per_m / ((board_ns - first_ns) * 1e-9)
+
+
+class LineSpeedMeter:
+    """Speed [m/s] from wheel ticks that come in an even rhythm without saying when.
+
+    A host that looks now and then sees their times only roughly. So their mean distance is taken from the last second,
+    and the speed is the way of the last 50 ms over the number of readings in it times that distance.
+    """
+
+    def __init__(self, ticks_per_m: float) -> None:
+        self._ticks_per_m = ticks_per_m
+        self._readings: deque[tuple[int, int, int]] = deque()
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        self._readings.clear()
+
+    def step(self, count: int, ticks: int, now_ns: int) -> float | None:
+        """Take in the newest reading, the `count`-th, at `now_ns`; the speed, or None in the first 200 ms."""
+        readings = self._readings
+        if readings and now_ns - readings[-1][0] > _GAP_NS:
+            readings.clear()
+        readings.append((now_ns, count, ticks))
+        while now_ns - readings[1 if len(readings) > 1 else 0][0] >= _RHYTHM_NS:
+            readings.popleft()
+        first_ns, first_count, _ = readings[0]
+        if now_ns - first_ns < _RHYTHM_MIN_NS or count == first_count:
+            return None
+        period_ns = (now_ns - first_ns) / (count - first_count)
+        for _, before, ticks_before in reversed(readings):
+            way_ns = (count - before) * period_ns
+            if way_ns >= _WINDOW_NS:
+                return (ticks - ticks_before) / self._ticks_per_m / (way_ns * 1e-9)
+        return None

@@ -49,7 +49,8 @@ REFUSED = {
     "[control]\nspeed_mps = -1": "car.toml:2: [control] speed_mps: -1.0 where a number >= 0 is wanted",
     "[control]\nobstacle_stop_m = 0.4\nobstacle_go_m = 0.3": "car.toml:3: [control] obstacle_go_m: 0.3 is less than "
     "obstacle_stop_m",
-    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: 'ardiuno' is none of arduino; did you mean 'arduino'?",
+    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: 'ardiuno' is none of arduino, autonomos; "
+    "did you mean 'arduino'?",
     "[link]\nbaud = 0": "car.toml:2: [link] baud: 0 where a positive number is wanted",
     "[link.servo]\npulse_us = [1500, 1400, 1300]": "car.toml:2: [link.servo] pulse_us: must rise from entry to entry",
     "[link.servo]\npulse_us = [100, 1500, 2000]": "car.toml:2: [link.servo] pulse_us: servo pulses lie between "
@@ -120,7 +121,22 @@ def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value
 
 def test_units_are_in_every_name() -> None:
     """A number without a unit is a count, a share, a level or a name's number, and listed here."""
-    units = ("_m", "_rad", "_s", "_hz", "_px", "_us", "_mps", "_mps2", "_mps3", "_radps", "_per_m", "_per_s", "_lanes")
+    units = (
+        "_m",
+        "_rad",
+        "_s",
+        "_hz",
+        "_px",
+        "_us",
+        "_v",
+        "_mps",
+        "_mps2",
+        "_mps3",
+        "_radps",
+        "_per_m",
+        "_per_s",
+        "_lanes",
+    )
     plain = {"device", "distortion", "baud", "jpeg_quality", "contrast", "view_ahead_lanes", "view_half_lanes"}
     plain |= {"one_line_speed", "coasting_speed"}
     plain |= {"providers", "threads", "threshold", "nodes"}

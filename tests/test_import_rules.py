@@ -28,12 +28,21 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.recording": GROUND | {"automodel.interfaces", "automodel.sources", "automodel.viewer", "automodel"},
     "automodel.viewer": GROUND,
     "automodel.sim": GROUND | {"automodel.clocks", "automodel.interrupts", "automodel.sources"},
+    "automodel.checks": {"automodel.signals", "automodel.config"},
+    "automodel.faults": {
+        "automodel.signals",
+        "automodel.curves",
+        "automodel.interfaces",
+        "automodel.clocks",
+        "automodel.sources.errors",
+    },
     "automodel.evaluation": GROUND | {"automodel.estimation", "automodel.interfaces"},
     "automodel.training": GROUND | {"automodel.perception"},
+    "automodel.doctor": GROUND,
     "automodel.safety": {"automodel.signals", "automodel.config", "automodel.clocks"},
     "automodel.loop": {"automodel.signals", "automodel.config", "automodel.clocks", "automodel.interfaces"},
     "firmware_link": {"automodel.signals", "automodel.config", "automodel.geometry"},
-    "calibration": {"automodel.signals", "automodel.config", "automodel.geometry"},
+    "calibration": {"automodel.signals", "automodel.config", "automodel.geometry", "automodel.reading"},
 }
 RUNNER_LAYER = {  # one thing in several files: its modules know each other, and what they drive by interface only
     "automodel.runner",
@@ -135,6 +144,9 @@ def test_the_layers_exist() -> None:
         ("automodel.loop", "automodel.run_values"),
         ("firmware_link.arduino", "automodel.runner"),
         ("automodel.sources.usb", "automodel.cli.main"),
+        ("automodel.checks.picture", "automodel.loop"),
+        ("automodel.faults.plan", "automodel.sim.track"),
+        ("automodel.faults.wire", "firmware_link.messages"),
     ],
 )
 def test_the_rule_can_fail(module: str, imported: str) -> None:

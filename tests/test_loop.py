@@ -78,14 +78,27 @@ def test_an_exception_of_a_stage_goes_up() -> None:
         loop.tick(frame(0.0), MOTION, None, 0)
 
 
-def test_an_estimate_that_is_not_finite_is_lost_and_the_pipeline_begins_anew() -> None:
+def test_an_estimate_that_is_not_finite_is_lost() -> None:
     loop, pipeline, *_ = make(FakePipeline({0: math.nan}))
     tick = loop.tick(frame(7.0), MOTION, None, 8 * MS)
     assert (tick.estimate.status, tick.estimate.t_ns, tick.estimate.pose) == (LaneStatus.LOST, 7 * MS, None)
     assert tick.faults == ("the estimate's pose is not finite",)
     assert tick.command.speed_mps == 0.0
-    assert pipeline.resets == 1
+    assert pipeline.resets == 0  # it still knows the lane
     assert loop.tick(frame(20.0, 1), MOTION, None, 21 * MS).faults == ()
+
+
+def test_a_pipeline_that_fails_four_times_in_a_row_begins_anew() -> None:
+    failing = dict.fromkeys((0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 11), math.nan)
+    loop, pipeline, *_ = make(FakePipeline(failing))
+    resets = []
+    for index in range(13):
+        loop.tick(frame(16.0 * index, index), MOTION, None, 16 * index * MS)
+        resets.append(pipeline.resets)
+    assert resets == [0] * 7 + [1] * 4 + [2] * 2
+    for _ in range(4):
+        loop.failed()  # by an exception: it is the same
+    assert pipeline.resets == 3
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

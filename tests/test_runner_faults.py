@@ -38,13 +38,15 @@ def test_an_exception_of_the_chain_holds_at_once_and_is_told_after() -> None:
     assert fault.text.startswith("RuntimeError: boom and more at runner_fakes.py:")
     assert result.traceback is not None
     assert "in step" in result.traceback
-    assert car.pipeline.resets == 1
+    assert car.pipeline.resets == 0  # it still knows the lane
+    assert car.limits.told[-1] == record.sent
     assert len(car.recorder.of("frame")) == len(car.recorder.of("estimate")) == 120
 
 
 def test_a_chain_that_always_fails_stops_and_is_told_once_a_second() -> None:
     car = Car(at=dict.fromkeys(range(60, 250), ValueError("no")), items=frames(250))
     car.run()
+    assert car.pipeline.resets == 190 // 4
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, STOPPED]
     assert car.kinds().count("fault") == math.ceil(190 * 0.016)
 
@@ -166,8 +168,9 @@ def test_everything_is_closed_even_when_closing_fails() -> None:
     assert_parked(car)
 
 
-def test_a_source_that_fails_stops_the_car_and_ends_the_run() -> None:
-    car = Car(items=[*frames(60), *((1000 * MS, OSError("camera: gone")) for _ in range(200))])
+@pytest.mark.parametrize("error", [OSError("camera: gone"), ValueError("Frame.image: uint8 wanted, not uint16")])
+def test_a_source_that_fails_stops_the_car_and_ends_the_run(error: Exception) -> None:
+    car = Car(items=[*frames(60), *((1000 * MS, error) for _ in range(200))])
     result = car.run()
     assert result.end is RunEnd.SOURCE_FAILED
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, STOPPED]

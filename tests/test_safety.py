@@ -171,9 +171,9 @@ def test_a_board_that_restarts_or_disarms_stops(mode: SafetyMode, change: dict[s
 
 def test_a_silent_vehicle_stops() -> None:
     rig = Rig().drive()
-    assert rig.turns(25, silent=True).mode is SafetyMode.DRIVING
+    assert rig.turns(10, silent=True).mode is SafetyMode.DRIVING
     assert rig.turn(silent=True).mode is SafetyMode.STOPPED
-    assert rig.events[-1] == ("stop", "the vehicle has said nothing for 0.260 s")
+    assert rig.events[-1] == ("stop", "the vehicle has said nothing for 0.110 s")
 
 
 def test_a_vehicle_that_speaks_from_the_future_stops() -> None:

@@ -1,4 +1,4 @@
-"""`automodel bench`: accuracy against the simulator's truth, and speed by stage."""
+"""`automodel bench`: accuracy against the simulator's truth, speed by stage, and faults."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from click.core import ParameterSource
 from automodel.cli.figures import show
 from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.cli.parts import car_of
-from automodel.config import PIPELINES, CarConfig
+from automodel.config import PIPELINES, CarConfig, ConfigError
 from automodel.sim.trajectory import STYLES
 
 TRACKS = ("tmr", "oval", "chicane")
@@ -154,3 +154,87 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
     rows = [row for name in pipelines or PIPELINES for row in measure_speed(car, name, frames, threads)]
     show("bench speed", rows, as_json)
     return 0
+
+
+@command.command("latency")
+@click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
+@click.option("--pipeline", type=click.Choice(PIPELINES), help="Which paper sees the lane.")
+@click.option(
+    "--link",
+    type=click.Choice(["emulated", "avr"]),
+    default="emulated",
+    show_default=True,
+    help="The board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr).",
+)
+@click.option("--frames", type=click.IntRange(10), default=300, show_default=True)
+@click.option("--commands", type=click.IntRange(10), default=200, show_default=True)
+@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
+def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int, commands: int, as_json: bool) -> int:
+    """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse."""
+    from automodel.cli.latency import measure_latency
+
+    car = car_of(car_file, pipeline)
+    if car.link.kind != "arduino":
+        raise ConfigError(f"{car_file}: [link] kind {car.link.kind!r}: only a board with our firmware can be measured")
+    show("bench latency", measure_latency(car, link, frames, commands), as_json)
+    return 0
+
+
+@command.command("tusimple")
+@click.option("--root", type=FILE, required=True, help="Folder with label_data.json and clips/.")
+@click.option("--car", "car_file", type=FILE, help="car.toml of the camera.  [default: found in the pictures]")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--predictions", type=FILE, help="Write what was found here, in TuSimple's form (per pipeline).")
+@click.option(
+    "--figures", type=FILE, help="Write the pictures with labels and predictions here, as PNG (per pipeline)."
+)
+@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
+def tusimple(
+    root: Path,
+    car_file: Path | None,
+    pipelines: tuple[str, ...],
+    predictions: Path | None,
+    figures: Path | None,
+    as_json: bool,
+) -> int:
+    """Labelled highway pictures (TuSimple): its metric for the ego lines and for all, and the error of the middle."""
+    from automodel.cli.tusimple import LABELS, bench
+
+    inputs = {"--car": car_file, "the labels": root / LABELS}
+    check_outputs({"--predictions": predictions, "--figures": figures}, inputs)
+    car = car_of(car_file) if car_file is not None else None
+    names = tuple(dict.fromkeys(pipelines)) or PIPELINES
+    bench(root, car, names, (predictions, figures), as_json)
+    return 0
+
+
+@command.command("faults")
+@click.option("--only", "names", multiple=True, metavar="FAULT", help="This one; may be given several times.  [all]")
+@click.option("--runs", type=click.IntRange(1), default=300, show_default=True, help="In all, shared out evenly.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option(
+    "--pipeline",
+    type=click.Choice([*PIPELINES, "truth"]),
+    default="windows",
+    show_default=True,
+    help="What sees the lane; truth reads it from the simulator, without pictures.",
+)
+@click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
+@click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")
+@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
+def faults(
+    names: tuple[str, ...], runs: int, seed: int, pipeline: str, jobs: int | None, listed: bool, as_json: bool
+) -> int:
+    """Faults of every part, built into runs of the simulated car at random times: does it stop, and only then?
+
+    On virtual time: the same seed gives the same figures. Exit code 1 where the car did not do what it must.
+    """
+    from automodel.cli.faults import chosen_faults, list_faults, measure_faults
+
+    wanted = chosen_faults(names)
+    if listed:
+        list_faults(wanted, as_json)
+        return 0
+    rows, violations = measure_faults(wanted, runs, seed, pipeline, jobs)
+    show("bench faults", rows, as_json)
+    return 1 if violations else 0

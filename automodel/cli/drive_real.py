@@ -6,10 +6,11 @@ import contextlib
 import datetime
 from pathlib import Path
 
+from automodel.checks.inputs import InputChecks
 from automodel.cli.driving import Watcher, drive, run_config
 from automodel.cli.figures import show
 from automodel.cli.keys import ArmKey
-from automodel.cli.parts import make_camera, make_loop, make_recorder
+from automodel.cli.parts import make_camera, make_link, make_loop, make_recorder
 from automodel.cli.progress import progress
 from automodel.cli.run import Options
 from automodel.cli.telling import EventTeller, say
@@ -21,9 +22,8 @@ from automodel.run_values import RunEnd, RunParts, RunResult
 from automodel.runner import Runner
 from automodel.safety import Safety
 from automodel.sources.capture import CaptureThread
-from firmware_link.arduino import ArduinoLink
 from firmware_link.errors import LinkError, PortNotFound
-from firmware_link.transport import SerialTransport, likely_ports
+from firmware_link.transport import likely_ports
 
 QUIET = frozenset({"end"})
 COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms")
@@ -41,10 +41,10 @@ def drive_real(car: CarConfig, text: str, options: Options) -> int:
         watcher = Watcher(None, leaving.enter_context(progress("run", None)))
         parts = RunParts(
             source=camera,
-            link=ArduinoLink(SerialTransport(car.link.port, car.link.baud), car.link, car.vehicle),
+            link=make_link(car),
             recorder=recorder,
             motion=MotionEstimator(car.vehicle),
-            loop=make_loop(car),
+            loop=make_loop(car, checks=InputChecks(car)),
             safety=Safety(car.safety, auto_arm=options.arm),
             clock=MonotonicClock(),
         )

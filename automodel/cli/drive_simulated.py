@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 
+from automodel.checks.inputs import InputChecks
 from automodel.cli.driving import Stopwatch, TimedLink, TimedSource, Watcher, drive, run_config
 from automodel.cli.figures import show
 from automodel.cli.parts import make_loop, make_recorder
@@ -32,8 +33,9 @@ def drive_simulated(car: CarConfig, text: str, options: Options) -> int:
         direction=options.direction,
         seed=options.seed,
         style=options.style,
-        link=options.link,
+        link=options.link or ("autonomos" if car.link.kind == "autonomos" else "emulated"),
     )
+    checks = InputChecks(car, noiseless=options.style == "clean")
     total_m = laps * lane.centerline.length_m if laps else None
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
@@ -46,7 +48,7 @@ def drive_simulated(car: CarConfig, text: str, options: Options) -> int:
             link=simulated.link if options.realtime else TimedLink(simulated.link, watch),
             recorder=recorder,
             motion=MotionEstimator(car.vehicle),
-            loop=make_loop(car),
+            loop=make_loop(car, checks=checks),
             safety=Safety(car.safety, auto_arm=True),
             clock=simulated.clock,
         )

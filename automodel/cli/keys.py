@@ -9,14 +9,20 @@ import types
 from automodel.cli.telling import say
 
 
-class ArmKey:
-    """`pressed` tells, once, that Enter was pressed; as a context it says so first. Without a terminal: never."""
+def has_terminal() -> bool:
+    """Whether a person may type."""
+    return sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty()
 
-    def __init__(self) -> None:
-        self._terminal = sys.stdin if sys.stdin is not None and not sys.stdin.closed and sys.stdin.isatty() else None
+
+class ArmKey:
+    """`pressed` tells, once, that Enter was pressed; as a context it says first what that does. No terminal: never."""
+
+    def __init__(self, says: str = "press Enter to arm, Ctrl-C to stop") -> None:
+        self._says = says
+        self._terminal = sys.stdin if has_terminal() else None
 
     def __enter__(self) -> ArmKey:
-        say("press Enter to arm, Ctrl-C to stop" if self._terminal else "no terminal to arm from; Ctrl-C stops")
+        say(self._says if self._terminal else "no terminal to arm from; Ctrl-C stops")
         return self
 
     def __exit__(

@@ -12,11 +12,14 @@ from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
 from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
-from automodel.interfaces import Source
-from automodel.loop import Loop
+from automodel.interfaces import Pipeline, Source, VehicleLink
+from automodel.loop import Checks, Loop
 from automodel.pipelines import make_pipeline
 from automodel.reading import read_text
 from automodel.recording.writer import McapRecorder
+from firmware_link.arduino import ArduinoLink
+from firmware_link.autonomos import AutonomosLink
+from firmware_link.transport import SerialTransport
 
 
 def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
@@ -61,10 +64,13 @@ def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:
     return McapRecorder(path, text, car.recording)
 
 
-def make_loop(car: CarConfig) -> Loop:
-    """Pipeline, controller and limits of a car; OpenCV is kept to one thread: handing so little over costs more."""
+def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Checks | None = None) -> Loop:
+    """Pipeline, controller and limits of a car; `pipeline` instead of the one that car.toml names.
+
+    OpenCV is kept to one thread: handing so little over costs more. `checks` are for a car that drives.
+    """
     cv2.setNumThreads(1)
-    pipeline = make_pipeline(car.pipeline.name, car)
+    pipeline = make_pipeline(car.pipeline.name, car) if pipeline is None else pipeline
     told = getattr(pipeline, "told", "")
     if told:  # of a network that runs on something else than expected
         say(told)
@@ -74,6 +80,7 @@ def make_loop(car: CarConfig) -> Loop:
         Limits(car.safety, car.vehicle),
         validity_s=car.safety.command_validity_s,
         stopwatch=time.perf_counter_ns,
+        checks=checks,
     )
 
 
@@ -90,3 +97,14 @@ def make_camera(car: CarConfig) -> Source:
 
         return UsbSource(car.camera)
     return open_source(Path(car.camera.source), car, car.camera.rate_hz)
+
+
+def make_link(car: CarConfig) -> VehicleLink:
+    """The vehicle behind the serial ports that car.toml names, in the language that its [link] kind says."""
+    names = [car.link.port]
+    if car.link.kind == "autonomos" and car.link.autonomos.motor_port:
+        names.append(car.link.autonomos.motor_port)
+    ports = [SerialTransport(name, car.link.baud) for name in names]
+    if car.link.kind == "autonomos":
+        return AutonomosLink(ports, car.link, car.vehicle)
+    return ArduinoLink(ports[0], car.link, car.vehicle)

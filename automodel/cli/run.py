@@ -23,7 +23,7 @@ class Options:
     direction: str
     seed: int
     style: str
-    link: str
+    link: str | None
     realtime: bool
     arm: bool
     record: Path | None
@@ -57,10 +57,9 @@ class Options:
 )
 @click.option(
     "--link",
-    type=click.Choice(["emulated", "avr"]),
-    default="emulated",
-    show_default=True,
-    help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr).",
+    type=click.Choice(["emulated", "avr", "autonomos"]),
+    help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr), autonomos "
+    "that of an AutoNOMOS car.  [default: emulated, or autonomos where [link] kind says so]",
 )
 @click.option(
     "--realtime", is_flag=True, help="Simulated: against the real clock, camera and board in another process."

@@ -24,11 +24,13 @@ from automodel.sim.truth import TruthFollower
 from automodel.sim.ultrasonic import UltrasonicRanges
 from automodel.sim.world import Scene, World
 from firmware_link.arduino import ArduinoLink
+from firmware_link.autonomos import AutonomosLink
+from firmware_link.emulator.autonomos import EmulatedAutonomos
 from firmware_link.emulator.avr import AvrBoard
 from firmware_link.emulator.avr_build import AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import PtyBoard
-from firmware_link.transport import MemoryTransport, SerialTransport
+from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 
 STYLES = ("clean", "competition", "varied")
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
@@ -38,7 +40,8 @@ LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the w
 class Simulation:
     """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor.
 
-    `link` is the board: "emulated", or "avr", the firmware itself on a simulated microcontroller.
+    `link` is the board: "emulated"; "avr", the firmware itself on a simulated microcontroller; "autonomos", that of an
+    AutoNOMOS car.
     """
 
     track: str = "tmr"
@@ -103,7 +106,7 @@ def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
     with contextlib.ExitStack() as leaving:
         program = _program(car, simulation, leaving)
         world = build_world(car, simulation)
-        board = _board(car, world, program)
+        board = _board(car, simulation, world, program)
         if isinstance(board, AvrBoard):
             leaving.callback(board.close)
 
@@ -114,14 +117,14 @@ def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
         clock = VirtualClock(0, advance)
         source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
         leaving.callback(source.close)
-        link = ArduinoLink(MemoryTransport(board, clock), car.link, car.vehicle)
+        link = _link(car, simulation, MemoryTransport(board, clock))
         return SimulatedCar(source=source, link=link, clock=clock, close=leaving.pop_all().close)
 
 
 def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | None = None) -> tuple[World, PtyBoard]:
     """World and board for a process of their own; the board answers on a pseudo terminal."""
     world = build_world(car, simulation)
-    return world, PtyBoard(_board(car, world, program))
+    return world, PtyBoard(_board(car, simulation, world, program))
 
 
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
@@ -131,7 +134,7 @@ def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
         program = _program(car, simulation, leaving)
         source = RealTimeWorld(served_world, (car, simulation, program), shape, car.camera.rate_hz, on_scene)
         leaving.callback(source.close)
-        link = ArduinoLink(SerialTransport(source.port, car.link.baud), car.link, car.vehicle)
+        link = _link(car, simulation, SerialTransport(source.port, car.link.baud))
         return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)
 
 
@@ -143,7 +146,16 @@ def _program(car: CarConfig, simulation: Simulation, leaving: contextlib.ExitSta
     return build_avr(Path(folder), car.link.baud)
 
 
-def _board(car: CarConfig, world: World, program: AvrProgram | None) -> EmulatedArduino | AvrBoard:
-    if program is None:
-        return EmulatedArduino(world, car.link.baud)
-    return AvrBoard(program, world, car.link.baud)
+def _board(
+    car: CarConfig, simulation: Simulation, world: World, program: AvrProgram | None
+) -> EmulatedArduino | EmulatedAutonomos | AvrBoard:
+    if program is not None:
+        return AvrBoard(program, world, car.link.baud)
+    board = EmulatedAutonomos if simulation.link == "autonomos" else EmulatedArduino
+    return board(world, car.link.baud)
+
+
+def _link(car: CarConfig, simulation: Simulation, transport: Transport) -> VehicleLink:
+    if simulation.link == "autonomos":
+        return AutonomosLink([transport], car.link, car.vehicle)
+    return ArduinoLink(transport, car.link, car.vehicle)

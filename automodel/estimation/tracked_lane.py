@@ -28,12 +28,13 @@ class TrackedLane:
     KEPT_LANES = 1.0  # way without a sight of it after which a line is no longer kept on its own
     OWN_LANES = 0.5  # and after which it is expected beside the centerline
     FIRST_POINTS = 4  # of a line that was not there
+    NEW_LANES, NEW_POINTS = 2.0, 8  # and of one that begins so far from the car
     GUESS_LANES = 0.3  # a line may go its own way so far beyond what is known of it
     FAR_LANES, FAR_POINTS = 0.6, 3  # points beyond a gap so long must be so many
     REACH_LANES = 1.6  # behind the reference point
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
-        self.unit = lane_width_m
+        self.unit, self.reference_x_m = lane_width_m, reference_x_m
         config = ThetaRlsConfig(
             lane_width_m=lane_width_m, reference_x_m=reference_x_m, memory_lanes=0.2, sight_lanes=0.6
         )
@@ -119,8 +120,15 @@ class TrackedLane:
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
         seen = self._held(tracked, seen)
-        enough = 1 if tracked.line is not None else self.FIRST_POINTS
+        enough = 1 if tracked.line is not None else self._first_points(seen)
         return len(seen.points_m) >= enough and tracked.update(seen)
+
+    def _first_points(self, seen: SeenLine) -> int:
+        """How many points make a line that was not there: more where it has to be carried far back to the car."""
+        if not len(seen.points_m):
+            return self.FIRST_POINTS
+        away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
+        return self.FIRST_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
     def _held(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
         """The points up to a far gap beyond which there are too few to tell what they belong to."""

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from automodel.config import PIPELINES, CarConfig, ConfigError
 from automodel.interfaces import Pipeline
 from automodel.pipelines.centerline import Centerline
+from automodel.pipelines.contour import Contour
 from automodel.pipelines.windows import Windows
 
-MAKERS: dict[str, Callable[[CarConfig], Pipeline]] = {"centerline": Centerline, "windows": Windows}
+MAKERS: dict[str, Callable[[CarConfig], Pipeline]] = {"centerline": Centerline, "contour": Contour, "windows": Windows}
 
 
 def make_pipeline(name: str, car: CarConfig) -> Pipeline:

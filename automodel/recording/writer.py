@@ -24,14 +24,15 @@ class McapRecorder:
     Calls append to a queue and return. When the disk is too slow, new frames are dropped first and counted, other
     values only far later. An error while writing (the disk is full) ends the recording, never the run: `error` says
     it. A value that cannot be written is left out; `refused` counts those, `refusal` says the first one's reason.
+    `file` is what writes to the disk.
     Raises ConfigError when the file cannot be made.
     """
 
-    def __init__(self, path: str | Path, car_text: str, config: RecordingConfig) -> None:
+    def __init__(self, path: str | Path, car_text: str, config: RecordingConfig, file: type[RunFile] = RunFile) -> None:
         self.error: str | None = None
         self.refusal: str | None = None
         self.written = self.frames = self.dropped_frames = self.dropped_values = self.refused = 0
-        self._file = RunFile(path, car_text, config)
+        self._file = file(path, car_text, config)
         self.path = self._file.path
         self._waiting: deque[tuple[int, Frame | StereoFrame | Value]] = deque()
         self._bytes_in = self._bytes_out = 0  # each is written by one thread only

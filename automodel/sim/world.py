@@ -8,7 +8,6 @@ from typing import Protocol
 
 from automodel.signals import BoardSensors, Image
 from automodel.sim.plant import CarState, Plant
-from automodel.sim.renderer import Renderer
 from automodel.sim.truth import Truth, TruthFollower
 
 
@@ -30,7 +29,7 @@ class World:
     can be rendered ahead of its time and be exact (`capture` with a time in the near future).
     """
 
-    def __init__(self, plant: Plant, renderer: Renderer, follower: TruthFollower, reach: Reach) -> None:
+    def __init__(self, plant: Plant, renderer: Eye, follower: TruthFollower, reach: Reach) -> None:
         self.plant, self.renderer, self.follower, self._reach = plant, renderer, follower, reach
         self._lock = threading.Lock()
 
@@ -57,6 +56,16 @@ class World:
         """Let the plant's time pass up to `t_ns`, beyond what the board made of it."""
         with self._lock:
             self.plant.advance(t_ns)
+
+
+class Eye(Protocol):
+    """What gives pictures; a `Renderer` is one."""
+
+    def render(
+        self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
+    ) -> Image:
+        """The picture from a pose of the body frame."""
+        ...
 
 
 class Reach(Protocol):

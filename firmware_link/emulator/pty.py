@@ -86,8 +86,7 @@ class PtyBoard:
                 self.board.reset(now_ns)
                 self.board.transmit(now_ns)  # what it said before is not for this host, as a tty's buffer is flushed
             self._host_there = there
-            if there:
-                self._take_in(self._master, now_ns)
+            self._take_in(self._master, now_ns)  # also the last words of a host that has just closed
             self.board.advance(now_ns)
             self._give_out(self._master, self.board.transmit(now_ns))
 
@@ -152,7 +151,7 @@ class PtyBoard:
     def _take_in(self, master: int, now_ns: int) -> None:
         room = min(self.board.room(now_ns), _READ_BYTES)
         if room:
-            with contextlib.suppress(OSError):  # nothing there, or the host has just closed
+            with contextlib.suppress(OSError):  # nothing there, or nobody
                 self.board.receive(os.read(master, room), now_ns)
 
     def _give_out(self, master: int, data: bytes) -> None:

@@ -1,9 +1,8 @@
-"""A link and a board: over memory in virtual time, over a pty in real time; and a board alone on the bench."""
+"""Rigs, and a board alone on the bench."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,153 +11,20 @@ import pytest
 from avr_board import HeardAvr
 from compiled_board import load
 from firmware_build import host_library
+from link_rigs import MS, AutonomosOf2015Rig, AutonomosPtyRig, AutonomosRig, AvrRig, PtyRig, Rig
 
-from automodel.config import LinkConfig, MotorConfig, ServoConfig, VehicleConfig
-from automodel.signals import Command, VehicleState
 from firmware_link import messages
-from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
-from firmware_link.transport import MemoryTransport, SerialTransport
-
-MS = 1_000_000
-PERIOD_NS = 16_666_667
-CONFIG = LinkConfig(
-    servo=ServoConfig(pulse_us=(1100.0, 1520.0, 1900.0), steering_rad=(0.4, 0.0, -0.5)),
-    motor=MotorConfig(pulse_us=(1200.0, 1500.0, 1800.0), speed_mps=(-3.0, 0.0, 3.0)),
-)
-
-
-class Rig:
-    """A link and the board behind it, in virtual time."""
-
-    realtime = False
-    config = CONFIG
-
-    def __init__(self, options: BoardOptions | None = None) -> None:
-        self.peripherals = BenchPeripherals()
-        self.board: Any = self.make_board(options)
-        self.t_ns = 1_000_000 * MS
-        self.cable = self.transport()
-        self.link = ArduinoLink(self.cable, CONFIG, VehicleConfig())
-
-    def make_board(self, options: BoardOptions | None) -> Any:
-        return EmulatedArduino(self.peripherals, CONFIG.baud, options)
-
-    def transport(self) -> MemoryTransport | SerialTransport:
-        return MemoryTransport(self.board, self)
-
-    def now_ns(self) -> int:
-        return self.t_ns
-
-    def wait(self, period_ns: int = PERIOD_NS) -> None:
-        self.t_ns += period_ns
-
-    def do(self, function: Callable[[], None]) -> None:
-        function()
-
-    def unplug(self) -> None:
-        self.cable.unplug()
-
-    def replug(self) -> None:
-        self.cable.replug()
-
-    def close(self) -> None:
-        self.link.close()
-
-    def command(self, steering_rad: float, speed_mps: float) -> Command:
-        now_ns = self.now_ns()
-        return Command(t_ns=now_ns, steering_rad=steering_rad, speed_mps=speed_mps, valid_until_ns=now_ns + 100 * MS)
-
-    def until(
-        self,
-        wanted: Callable[[VehicleState | None], bool],
-        drive: tuple[float, float] | None = None,
-        limit_ns: int = 10_000 * MS,
-    ) -> VehicleState | None:
-        """Poll, and send where `drive` is given, until the state is as wanted."""
-        end_ns = self.now_ns() + limit_ns
-        while self.now_ns() < end_ns:
-            state = self.link.poll(self.now_ns())
-            if wanted(state):
-                return state
-            if drive is not None:
-                self.link.send(self.command(*drive), self.now_ns())
-            self.wait()
-        raise AssertionError(f"never came to be: {state}")
-
-    def ready(self) -> VehicleState:
-        state = self.until(lambda s: s is not None)
-        assert state is not None
-        return state
-
-    def drive(self, steering_rad: float, speed_mps: float, pulses: tuple[float, float]) -> None:
-        self.driving((steering_rad, speed_mps), lambda s: s.armed and self.peripherals.at_pins == pulses)
-
-    def driving(self, drive: tuple[float, float], wanted: Callable[[VehicleState], bool]) -> VehicleState:
-        """Arm and drive until the state is as wanted; in real time a machine that was held up may try again."""
-        for tries_left in reversed(range(10 if self.realtime else 1)):
-            self.link.arm(self.now_ns())
-            try:
-                state = self.until(lambda s: s is not None and wanted(s), drive, 1_000 * MS)
-            except AssertionError:
-                if not tries_left:
-                    raise
-            else:
-                assert state is not None
-                return state
-        raise AssertionError
-
-
-class PtyRig(Rig):
-    """The same over a pty, against the real clock."""
-
-    realtime = True
-
-    def transport(self) -> MemoryTransport | SerialTransport:
-        self.pty = PtyBoard(self.board)
-        self.pty.start()
-        return SerialTransport(self.pty.path, CONFIG.baud)
-
-    def now_ns(self) -> int:
-        return time.monotonic_ns()
-
-    def wait(self, period_ns: int = PERIOD_NS) -> None:
-        time.sleep(period_ns * 1e-9)
-
-    def do(self, function: Callable[[], None]) -> None:
-        self.pty.call(function)
-
-    def unplug(self) -> None:
-        self.pty.unplug()
-
-    def replug(self) -> None:
-        self.pty.replug()
-
-    def close(self) -> None:
-        self.link.close()
-        self.pty.close()
-
-
-class AvrRig(Rig):
-    """A link and the firmware on a simulated chip, in virtual time."""
-
-    def make_board(self, options: BoardOptions | None) -> Any:
-        if options is not None:
-            pytest.skip("the firmware's own message table is the only one it has")
-        return HeardAvr(self.peripherals, boot_ns=300 * MS)
-
-    def close(self) -> None:
-        super().close()
-        self.board.close()
-
 
 RIGS = [
     pytest.param(Rig, id="memory"),
     pytest.param(PtyRig, id="pty", marks=pytest.mark.realtime),
     pytest.param(AvrRig, id="avr"),
+    pytest.param(AutonomosRig, id="autonomos"),
+    pytest.param(AutonomosPtyRig, id="autonomos-pty", marks=pytest.mark.realtime),
+    pytest.param(AutonomosOf2015Rig, id="autonomos-2015"),
 ]
 
 
@@ -183,6 +49,32 @@ def virtual() -> Rig:
     rig.link.open()
     rig.ready()
     return rig
+
+
+@pytest.fixture(params=[AutonomosRig, AutonomosOf2015Rig], ids=["2017", "2015"])
+def autonomos(request: pytest.FixtureRequest) -> Iterator[Rig]:
+    """An AutoNOMOS car of either kind in virtual time, ready."""
+    rig = ready(request.param())
+    yield rig
+    rig.close()
+
+
+def ready(rig: Rig) -> Rig:
+    rig.link.open()
+    rig.ready()
+    return rig
+
+
+@pytest.fixture
+def make_autonomos() -> Callable[[], Rig]:
+    """AutoNOMOS cars of 2017 in virtual time, ready."""
+    return lambda: ready(AutonomosRig())
+
+
+@pytest.fixture
+def make_autonomos_of_2015() -> Callable[[], Rig]:
+    """AutoNOMOS cars of 2015 in virtual time, ready."""
+    return lambda: ready(AutonomosOf2015Rig())
 
 
 @pytest.fixture

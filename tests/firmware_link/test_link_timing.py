@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from firmware_link.emulator.uart import UartLine
 from firmware_link.pulses import PulseTable
-from firmware_link.timing import BoardClock, SpeedMeter
+from firmware_link.timing import BoardClock, LineSpeedMeter, SpeedMeter
 
 MS = 1_000_000
 
@@ -79,6 +79,42 @@ def test_speed_starts_anew_after_a_gap_or_a_restart() -> None:
     assert meter.step(20 * MS, 0) is None
     meter.reset()
     assert meter.step(40 * MS, 0) is None
+
+
+@pytest.mark.parametrize("period_ms", [5, 10, 20])
+def test_speed_by_the_rhythm_of_lines_does_not_need_their_times(period_ms: int) -> None:
+    """Constant speed, 400 ticks a metre; the host looks at uneven times and sees only the newest line."""
+    meter, speeds = LineSpeedMeter(400.0), []
+    now_ms = 1000.0
+    for turn in range(300):
+        now_ms += (7.0, 19.0, 31.0)[turn % 3]
+        lines = int(now_ms // period_ms)
+        speed = meter.step(lines, -int(1.5 * 400.0 * lines * period_ms * 1e-3), round(now_ms * MS))
+        if now_ms < 1200:
+            assert speed is None
+        elif turn > 60:
+            assert speed is not None
+            speeds.append(speed)
+    one_tick_mps = 1 / 400.0 / 0.05
+    assert all(abs(speed + 1.5) <= one_tick_mps + 0.03 * 1.5 for speed in speeds)
+    assert np.mean(speeds) == pytest.approx(-1.5, rel=0.01)
+
+
+def test_speed_by_the_rhythm_starts_anew_after_a_gap_and_a_reset() -> None:
+    meter = LineSpeedMeter(400.0)
+    for turn in range(30):
+        meter.step(turn, 0, turn * 10 * MS)
+    assert meter.step(30, 0, 300 * MS) == 0.0
+    assert meter.step(31, 0, 900 * MS) is None
+    for turn in range(30):
+        meter.step(turn, 0, (1000 + turn * 10) * MS)
+    meter.reset()
+    assert meter.step(30, 0, 1300 * MS) is None
+
+
+def test_speed_by_the_rhythm_is_none_while_no_line_comes() -> None:
+    meter = LineSpeedMeter(400.0)
+    assert {meter.step(7, 3, turn * 10 * MS) for turn in range(200)} == {None}
 
 
 TABLES = st.lists(st.integers(1000, 5000), min_size=2, max_size=6, unique=True).flatmap(

@@ -109,10 +109,21 @@ def test_none_must_be_an_end_of_the_range() -> None:
 
 
 def test_readme_has_the_current_tables() -> None:
-    readme = Path(__file__).parents[2] / "firmware_link" / "README.md"
-    text = readme.read_text(encoding="utf-8")
-    assert protocol_tables.current(text) == text
+    text = protocol_tables.README.read_text(encoding="utf-8")
+    assert protocol_tables.current(text) == text, "make them anew: python -m firmware_link.protocol_tables"
     assert f"{messages.TABLE_HASH:#06x}" in text
+
+
+def test_tables_are_written_between_the_markers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{protocol_tables.BEGIN}\nold\n{protocol_tables.END}\nafter\n")
+    monkeypatch.setattr(protocol_tables, "README", readme)
+    protocol_tables.main()
+    text = readme.read_text()
+    assert (
+        text
+        == f"before\n{protocol_tables.BEGIN}\n\n{protocol_tables.protocol_tables()}\n{protocol_tables.END}\nafter\n"
+    )
 
 
 def test_readme_without_markers_is_refused() -> None:

@@ -1,0 +1,167 @@
+"""car.toml -> frozen configuration, one class per section.
+
+Every key has a default or is demanded by name. An unknown key, a wrong type or an impossible value raises
+`ConfigError` with file, line, key and what to do. Writing back (calibration) goes through tomlkit and keeps comments.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from automodel.config.calibration import CalibrationRecord, CalibrationRecords
+from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
+from automodel.config.choices import one_of
+from automodel.config.link import LINKS, AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
+from automodel.config.pipelines import PIPELINES, CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
+from automodel.reading import ConfigError, not_negative, parse_toml, positive, read_section, read_text
+
+__all__ = [
+    "LINKS",
+    "PIPELINES",
+    "AutonomosConfig",
+    "CalibrationRecord",
+    "CalibrationRecords",
+    "CameraConfig",
+    "CarConfig",
+    "CenterlineConfig",
+    "ConfigError",
+    "ContourConfig",
+    "ControlConfig",
+    "Extrinsics",
+    "Intrinsics",
+    "LaneConfig",
+    "LinkConfig",
+    "MotorConfig",
+    "PipelineConfig",
+    "RecordingConfig",
+    "SafetyConfig",
+    "SecondCamera",
+    "ServoConfig",
+    "VehicleConfig",
+    "WindowsConfig",
+    "load_car",
+    "parse_car",
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VehicleConfig:
+    """The car's measures. `reference_x_m` is the point whose pose is reported, ahead of the rear axle."""
+
+    wheelbase_m: float = 0.26
+    reference_x_m: float = 0.13
+    width_m: float = 0.20
+    front_overhang_m: float = 0.07  # from the front axle to the bumper
+    rear_overhang_m: float = 0.07
+    ticks_per_m: float = 200.0  # wheel ticks a metre of the rear axle's way
+    battery_low_v: float = 6.4  # below this the battery is told to be low; 0: never
+
+    def __post_init__(self) -> None:
+        positive(self, "wheelbase_m", "width_m", "ticks_per_m")
+        not_negative(self, "front_overhang_m", "rear_overhang_m", "battery_low_v")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneConfig:
+    """The lane as it is expected: the width is a start value, the pipelines estimate it."""
+
+    width_m: float = 0.40
+    marking_width_m: float = 0.03
+    dark_markings: bool = False  # True: dark lines on a bright floor
+
+    def __post_init__(self) -> None:
+        positive(self, "width_m", "marking_width_m")
+        if self.marking_width_m > 0.5 * self.width_m:
+            raise ValueError(f"marking_width_m: {self.marking_width_m} is more than half the lane's width")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlConfig:
+    """How the car is steered and how fast it goes."""
+
+    controller: str = "pure_pursuit"
+    speed_mps: float = 1.0
+    lateral_accel_mps2: float = 1.5  # speed in a bend is chosen to stay below this
+    accel_mps2: float = 1.5  # rate at which the wanted speed rises
+    decel_mps2: float = 3.0  # and falls
+    lookahead_s: float = 0.35  # pure pursuit: time ahead of the target point
+    lookahead_min_m: float = 0.28
+    stanley_gain_per_s: float = 2.5
+    stanley_softening_mps: float = 0.3
+    feed_forward: bool = True  # steer for the centerline's curvature
+    actuator_delay_s: float = 0.07  # frame to wheels: loop, wire, servo frame, dead time, lag; made good by prediction
+    obstacle_stop_m: float = 0.35  # stop when the ultrasonic range ahead is below this
+    obstacle_go_m: float = 0.45  # and go on above this
+    one_line_speed: float = 1.0  # share of the speed with one line seen
+    coasting_speed: float = 0.7  # share of the speed while coasting
+
+    def __post_init__(self) -> None:
+        one_of("controller", self.controller, ("stanley", "pure_pursuit"))
+        positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
+        positive(self, "stanley_gain_per_s", "stanley_softening_mps", "one_line_speed", "coasting_speed")
+        not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
+        if self.obstacle_go_m < self.obstacle_stop_m:
+            raise ValueError(f"obstacle_go_m: {self.obstacle_go_m} is less than obstacle_stop_m")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyConfig:
+    """The limits applied last before the wire, and the times of the freshness chain.
+
+    The defaults are those of full scale (3 m/s^2, 5 m/s^3) carried to a 1:10 car at equal Froude number: the
+    acceleration stays, the jerk grows by sqrt(10).
+    """
+
+    steering_max_rad: float = 0.45
+    steering_rate_max_radps: float = 6.0
+    speed_max_mps: float = 2.0
+    lateral_accel_max_mps2: float = 3.0
+    lateral_jerk_max_mps3: float = 16.0
+    frame_timeout_s: float = 0.06  # no frame for so long: hold the steering, neutral throttle
+    command_validity_s: float = 0.10  # a command lives so long after the frame that it came from
+    hold_s: float = 0.3  # in HOLD for so long: stop, latched
+    rearm_s: float = 0.5  # healthy input for so long before arming
+
+    def __post_init__(self) -> None:
+        positive(self, *(f.name for f in dataclasses.fields(self)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingConfig:
+    """How runs are recorded: PNG keeps every bit, so that a replay gives the same estimates; JPEG is smaller."""
+
+    directory: str = "recordings"
+    image: str = "png"
+    jpeg_quality: int = 90
+
+    def __post_init__(self) -> None:
+        one_of("image", self.image, ("png", "jpeg"))
+        if not 1 <= self.jpeg_quality <= 100:
+            raise ValueError(f"jpeg_quality: {self.jpeg_quality} where 1 .. 100 is wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CarConfig:
+    """The whole of car.toml; the defaults are the simulated car."""
+
+    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    lane: LaneConfig = field(default_factory=LaneConfig)
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
+    link: LinkConfig = field(default_factory=LinkConfig)
+    safety: SafetyConfig = field(default_factory=SafetyConfig)
+    recording: RecordingConfig = field(default_factory=RecordingConfig)
+    calibration: CalibrationRecords = field(default_factory=CalibrationRecords)
+
+
+def load_car(path: str | Path) -> CarConfig:
+    """Read car.toml; raises ConfigError (also for a file that is not there)."""
+    return parse_car(read_text(path), str(path))
+
+
+def parse_car(text: str, file: str) -> CarConfig:
+    """The configuration in `text`; `file` is its name in errors."""
+    return read_section(CarConfig, parse_toml(text, file), text, file)

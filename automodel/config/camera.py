@@ -1,0 +1,70 @@
+"""[camera]: where frames come from, the lens, and where the camera sits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from automodel.reading import not_negative, positive
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Intrinsics:
+    """OpenCV's pinhole + Brown model; distortion is k1 k2 p1 p2 k3."""
+
+    fx_px: float = 480.0
+    fy_px: float = 480.0
+    cx_px: float = 319.5
+    cy_px: float = 179.5
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        positive(self, "fx_px", "fy_px")
+        if len(self.distortion) != 5:
+            raise ValueError(f"distortion: {len(self.distortion)} numbers where k1 k2 p1 p2 k3 are wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extrinsics:
+    """The camera's optical centre and attitude in the body frame.
+
+    Positive pitch looks down, positive yaw looks left, positive roll leans the right side down.
+    """
+
+    x_m: float = 0.20
+    y_m: float = 0.0
+    z_m: float = 0.18
+    pitch_rad: float = 0.26
+    yaw_rad: float = 0.0
+    roll_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        positive(self, "z_m")
+        if not -1.5 < self.pitch_rad < 1.5:
+            raise ValueError(f"pitch_rad: {self.pitch_rad} where -1.5 .. 1.5 is wanted (radians, positive looks down)")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SecondCamera:
+    """The right camera of a stereo pair."""
+
+    intrinsics: Intrinsics = field(default_factory=Intrinsics)
+    extrinsics: Extrinsics = field(default_factory=Extrinsics)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraConfig:
+    """The camera: `source` is "sim", "csi", "usb" or a path."""
+
+    source: str = "sim"
+    device: int = 0  # the number N of /dev/videoN, or the CSI sensor's id
+    width_px: int = 640
+    height_px: int = 360
+    rate_hz: float = 60.0
+    colour: bool = False  # False: frames come grey, which every pipeline is content with
+    intrinsics: Intrinsics = field(default_factory=Intrinsics)
+    extrinsics: Extrinsics = field(default_factory=Extrinsics)
+    right: SecondCamera | None = None
+
+    def __post_init__(self) -> None:
+        positive(self, "width_px", "height_px", "rate_hz")
+        not_negative(self, "device")

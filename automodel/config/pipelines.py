@@ -1,0 +1,91 @@
+"""[pipeline]: which paper sees the lane, and each one's own keys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from automodel.config.choices import one_of
+from automodel.reading import not_negative, positive
+
+PIPELINES = ("centerline", "windows", "contour")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowsConfig:
+    """`windows` (seed 003). Lengths are multiples of the lane's width, so that they hold at any scale."""
+
+    view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
+    view_half_lanes: float = 1.6  # half the bird's-eye view's breadth
+    marking_px: float = 5.0  # pixels that the marking is wide in the bird's-eye view
+    contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
+    coast_m: float = 1.6  # way [m] that the lane is carried on without any line, at most
+    coast_s: float = 2.0  # and for how long at most
+
+    def __post_init__(self) -> None:
+        positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px", "contrast")
+        not_negative(self, "coast_m", "coast_s")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CenterlineConfig:
+    """`centerline` (seed 001). Lengths are multiples of the lane's width, so that they hold at any scale."""
+
+    markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
+    network: str = "512x256"  # size of the network's picture: 512x256, or 256x128 for a small board
+    model: str = ""  # an ONNX file; empty: the weights that are shipped
+    providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in this order
+    threads: int = 0  # of the network on the CPU; 0: half of the cores
+    threshold: float = 0.5  # probability from which a pixel is a marking
+    view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
+    view_half_lanes: float = 1.8  # half the bird's-eye view's breadth
+    marking_px: float = 4.0  # pixels that the marking is wide in the bird's-eye view
+    coast_lanes: float = 5.0  # way that the lane is carried on without any line, at most
+    coast_s: float = 2.5  # and for how long at most
+
+    def __post_init__(self) -> None:
+        one_of("markings", self.markings, ("unet", "ridge"))
+        one_of("network", self.network, ("512x256", "256x128"))
+        for name in self.providers:
+            one_of("providers", name, ("tensorrt", "cuda", "cpu"))
+        positive(self, "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")
+        not_negative(self, "threads", "coast_lanes", "coast_s")
+        if self.threshold >= 1.0:
+            raise ValueError(f"threshold: {self.threshold} where a probability below 1 is wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContourConfig:
+    """`contour` (seed 004). Lengths are multiples of the lane's width, so that they hold at any scale."""
+
+    look_ahead_lanes: float = 2.5  # how far ahead of the first visible ground the lines are followed
+    nodes: int = 18  # places at which a line is looked for
+    piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
+    radius_lanes: float = 1.4  # radius of the tightest bend; some 50 on a highway
+    contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
+    colour: str = "grey"  # what is read of a colour picture: "blue", "green", "red", or their weighted sum "grey"
+    update: str = "gauss_newton"  # or "gradient_descent", as in the thesis
+    precision: str = "double"  # or "single", for boards that have no fast doubles
+    coast_lanes: float = 6.0  # way that the lane is carried on without any line, at most
+    coast_s: float = 2.5  # and for how long at most
+
+    def __post_init__(self) -> None:
+        one_of("colour", self.colour, ("grey", "blue", "green", "red"))
+        one_of("update", self.update, ("gauss_newton", "gradient_descent"))
+        one_of("precision", self.precision, ("double", "single"))
+        positive(self, "look_ahead_lanes", "piece_lanes", "radius_lanes", "contrast")
+        not_negative(self, "coast_lanes", "coast_s")
+        if not 4 <= self.nodes <= 100:
+            raise ValueError(f"nodes: {self.nodes} where 4 .. 100 are wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PipelineConfig:
+    """Which paper sees the lane, and each one's own keys."""
+
+    name: str = "centerline"
+    centerline: CenterlineConfig = field(default_factory=CenterlineConfig)
+    contour: ContourConfig = field(default_factory=ContourConfig)
+    windows: WindowsConfig = field(default_factory=WindowsConfig)
+
+    def __post_init__(self) -> None:
+        one_of("name", self.name, PIPELINES)

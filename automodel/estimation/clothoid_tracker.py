@@ -1,0 +1,273 @@
+"""The clothoid pair over time: predicted with the car's motion, corrected by what was found around it.
+
+A Kalman filter whose parameters are those of `ClothoidPair`. Stations lie fixed on the road: moving the car along the
+lane by ds leaves the curvatures alone, changes offset and heading by the odometry, and once h of way is passed the
+station behind the car is dropped and one ahead is added. So the lane under the car, which the camera saw earlier, is
+remembered as curvature that was measured then.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.curves.arcs import arc_from, foot_on_circle
+from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
+from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
+from automodel.estimation.update_laws import LAWS, posterior
+
+Floats = NDArray[np.floating[Any]]
+FloatArray = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]
+
+OFFSET, HEADING, WIDTH, CURVATURE = (int(p) for p in Parameter)
+
+
+_HEADING_TURNED = np.outer((1.0, -1.0, 1.0), (1.0, -1.0, 1.0))
+
+
+class ClothoidTracker:
+    """One lane, carried from frame to frame.
+
+    `parameters` (m,) and `covariance` (m, m) are None while there is no lane; `blind_m` is the way since lines were
+    seen, `way_m` that of the last `move`, along the lane; `moved_m` is how far the last `update` carried
+    it, halfway along. `iterations` counts the update law's since `move`.
+    """
+
+    def __init__(self, pair: ClothoidPair, config: TrackerConfig, sigma: Floats) -> None:
+        """`sigma` (3 n,): how well a node's place [m], and its heading [rad], is measured; rows as in `PairShape`."""
+        self.pair, self.config = pair, config
+        self._law = LAWS[config.law]
+        dtype, unit = pair.dtype, config.lane_width_m
+        self._bend = bend = 1.0 / (config.radius_lanes * unit)
+        self._turn_rows = np.tile(np.arange(2 * pair.count, 3 * pair.count), 2)
+        slack = np.repeat((0.02 * unit, 0.0), (2 * pair.count, pair.count))
+        self._noise: Floats = np.stack((sigma * sigma, 3.0 * sigma + slack)).astype(dtype)  # variance, and the limit
+        size = CURVATURE + pair.stations
+        self._one: Floats = np.eye(size, dtype=dtype)
+        self._ones: Floats = np.ones(size, dtype)
+        self._lever_m = float(pair.nodes_m[pair.count // 2])
+        walk = np.full(size, config.curvature_walk * bend)
+        walk[:CURVATURE] = config.offset_walk * unit, config.heading_walk_rad, config.width_walk * unit
+        self._walk: Floats = (walk**2).astype(dtype)
+        floor = np.full(size, 1e-4 * bend)
+        floor[:CURVATURE] = 0.0005 * unit, 0.0003, 0.0001 * unit
+        self._floor: Floats = (floor**2).astype(dtype)
+        step = pair.spacing_m / unit
+        self._kept = config.straighten ** (2.0 * step)
+        self._new_variance = (config.curvature_step * bend) ** 2 * step
+        away = np.abs(np.subtract.outer(np.arange(pair.stations), np.arange(pair.stations)))
+        stationary = self._new_variance / (1.0 - self._kept**2)
+        self._road: Floats = (stationary * self._kept**away).astype(dtype)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the lane."""
+        self.parameters: Floats | None = None
+        self.covariance: Floats = self._one
+        self._prior: tuple[Floats, Floats] = self._one[0], self._one
+        self.phase_m = self.blind_m = self.way_m = self.moved_m = 0.0
+        self.iterations = 0
+
+    def begin(self, rough: RoughLane) -> None:
+        """Start with a lane that is roughly right at `rough.sure_m`; of the way there little is known."""
+        self.forget()
+        config, unit, n = self.config, self.config.lane_width_m, self.pair.count
+        guess = np.full(len(self._one), rough.curvature_per_m, self.pair.dtype)
+        guess[:CURVATURE] = rough.offset_m, rough.heading_rad, rough.width_m
+        mean, covariance = guess.copy(), np.zeros_like(self._one)
+        mean[CURVATURE:] = 0.0
+        for parameter, sigma in ((OFFSET, unit), (HEADING, 1.0), (WIDTH, config.start_width * unit)):
+            covariance[parameter, parameter] = sigma**2
+        covariance[CURVATURE:, CURVATURE:] = self._road
+        node = self._node(rough.sure_m)
+        rows = self.pair.shape(guess, 0.0).jacobian[[node, node + n, node + 2 * n]]
+        precision = np.array((config.start_offset * unit, config.start_offset * unit, config.start_heading_rad)) ** -2.0
+        weighted = (rows * (precision / rough.share**2)[:, None].astype(guess.dtype)).T
+        self.covariance = posterior(weighted @ rows, covariance, self._one)
+        self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
+        self._prior = self.parameters, self.covariance
+
+    def apart(self, rough: RoughLane) -> tuple[float, float]:
+        """How far a lane lies to the left of this one [m], and is turned to the left [rad], where it is sure."""
+        shape, node, s = self.shape(), self._node(rough.sure_m), rough.sure_m
+        place, along = arc_from(rough.offset_m, rough.heading_rad, rough.curvature_per_m, s)
+        back = complex(shape.along[node]).conjugate()
+        away = (place + self.pair.reference_x_m - complex(shape.place[node])) * back
+        return away.imag, cmath.phase(along * back)
+
+    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
+        """Carry the lane over to the body frame after a drive along an arc; `known` is False without odometry."""
+        self.iterations = 0
+        if self.parameters is None:
+            return
+        x, p = self.parameters.copy(), self.covariance.copy()
+        self.way_m = 0.0
+        if known:
+            self._drive(x, p, distance_m, turn_rad)
+        blind = self.blind_m > 0.0
+        self.blind_m += abs(distance_m)
+        unit, config = self.config.lane_width_m, self.config
+        noise = self._walk * (self.way_m / unit) + self._floor
+        p.reshape(-1)[:: len(p) + 1] += noise
+        if blind:
+            p[OFFSET, OFFSET] += (config.blind_offset * unit) ** 2 * (self.way_m / unit)
+            p[HEADING, HEADING] += config.blind_heading_rad**2 * (self.way_m / unit)
+        p[HEADING, HEADING] += (config.yaw_rate_sigma_radps * dt_s) ** 2
+        if not known:
+            p[OFFSET, OFFSET] += (config.unknown_offset * unit) ** 2
+            p[HEADING, HEADING] += config.unknown_heading_rad**2
+            self._relax(x, p)
+        self.parameters, self.covariance = x, p
+        self._prior = x, p
+
+    def _drive(self, x: Floats, p: Floats, distance_m: float, turn_rad: float) -> None:
+        """Offset and heading at the reference point's new foot, on the circle of the road's curvature on the way."""
+        reference, h = self.pair.reference_x_m, self.pair.spacing_m
+        half = 0.5 * turn_rad
+        chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        dx = chord * math.cos(half) + reference * (math.cos(turn_rad) - 1.0)
+        dy = chord * math.sin(half) + reference * math.sin(turn_rad)
+        theta = float(x[HEADING])
+        cos, sin = math.cos(theta), math.sin(theta)
+        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin + float(x[OFFSET])
+        place = min(max((self.phase_m + 0.5 * ahead) / h, 0.0), self.pair.stations - 1.0)
+        j = min(int(place), self.pair.stations - 2)
+        share = place - j
+        kappa = (1.0 - share) * float(x[CURVATURE + j]) + share * float(x[CURVATURE + j + 1])
+        way, x[OFFSET] = foot_on_circle(ahead, left, kappa)
+        x[HEADING] = theta + kappa * way - turn_rad
+        onwards = self._one.copy()
+        onwards[OFFSET, HEADING] = -ahead
+        onwards[HEADING, CURVATURE + j], onwards[HEADING, CURVATURE + j + 1] = (1.0 - share) * way, share * way
+        p[:] = onwards @ p @ onwards.T
+        self.way_m = abs(way)
+        self.phase_m += way
+        while self.phase_m >= h:
+            self._roll(x, p, +1)
+        while self.phase_m < 0.0:
+            self._roll(x, p, -1)
+
+    def _relax(self, x: Floats, p: Floats) -> None:
+        """Where the camera does not see it, take the road's curvature for that of the first place in sight, by and by.
+
+        There the lane stays where it is, and swings below the car. Everywhere the curvature is less sure.
+        """
+        kept, n, m = self.config.unknown_curvature, self.pair.count, self.pair.stations
+        place, heading = self.pair.shape(x, self.phase_m).jacobian[[0, 2 * n]]
+        seen = min(round((float(self.pair.nodes_m[0]) + self.phase_m) / self.pair.spacing_m), m - 1)
+        mix = self._one[CURVATURE:, CURVATURE:].copy()
+        mix[:seen] *= kept
+        mix[:seen, seen] += 1.0 - kept
+        change = mix @ x[CURVATURE:] - x[CURVATURE:]
+        x[CURVATURE:] += change
+        swing = -float(heading[CURVATURE:] @ change)
+        x[HEADING] += swing
+        x[OFFSET] -= (float(place[CURVATURE:] @ change) + float(place[HEADING]) * swing) / float(place[OFFSET])
+        p[CURVATURE:] = mix @ p[CURVATURE:]
+        p[:, CURVATURE:] = p[:, CURVATURE:] @ mix.T
+        p[CURVATURE:, CURVATURE:] += (1.0 - kept * kept) * self.config.unknown_share * self._road
+
+    def _roll(self, x: Floats, p: Floats, way: int) -> None:
+        """Drop the station behind the car and add one ahead; the other way round where the car drives backwards."""
+        self.phase_m -= way * self.pair.spacing_m
+        first, kept = CURVATURE, self._kept
+        old, new = (slice(first + 1, None), slice(first, -1))[::way]
+        x[new] = x[old].copy()
+        p[new] = p[old].copy()
+        p[:, new] = p[:, old].copy()
+        fresh = -1 if way > 0 else first
+        x[fresh] *= kept
+        p[fresh, :] *= kept
+        p[:, fresh] *= kept
+        p[fresh, fresh] += self._new_variance
+
+    @property
+    def width_m(self) -> float:
+        """The lane's width."""
+        return float(self.known()[WIDTH])
+
+    def curvature(self) -> float:
+        """The centerline's curvature [1/m] at the reference point's foot."""
+        x, share = self.known(), self.phase_m / self.pair.spacing_m
+        return float((1.0 - share) * x[CURVATURE] + share * x[CURVATURE + 1])
+
+    def pose(self) -> tuple[float, float, float, FloatArray]:
+        """Offset [m], the lane's heading in the body frame [rad], width [m].
+
+        And the covariance (3, 3) of offset, -heading and width.
+        """
+        offset, heading, width = self.known()[:CURVATURE].tolist()
+        return offset, heading, width, self.covariance[:CURVATURE, :CURVATURE] * _HEADING_TURNED
+
+    def known(self) -> Floats:
+        """The parameters; raises ValueError while there are none."""
+        if self.parameters is None:
+            raise ValueError("nothing is tracked; begin first")
+        return self.parameters
+
+    def shape(self) -> PairShape:
+        """The pair now; raises ValueError while there is none."""
+        return self.pair.shape(self.known(), self.phase_m)
+
+    def update(self, shape: PairShape, nodes: Ints, residual: Floats, found: Floats) -> Bools:
+        """Correct the lane; tells which nodes (k,) carry it.
+
+        `nodes` (k,) are those that were looked for, of 2 n, the left line's first; `residual` (2 k,) is how far to the
+        left of `shape` they are [m], and how far their line is turned to the left of it [rad], where `found` (2 k,) is
+        1, not 0.
+        """
+        before, (prior, p) = self.known(), self._prior
+        config, n, k = self.config, self.pair.count, len(nodes)
+        rows = np.concatenate((nodes, self._turn_rows.take(nodes)))
+        jacobian = shape.jacobian.take(rows, axis=0)
+        variance, limit = self._noise.take(rows, axis=1)
+        spread2 = ((jacobian @ self.covariance) * jacobian) @ self._ones + variance
+        if before is not prior:  # a further iteration: the residuals at the prediction, linearised here
+            residual = residual + jacobian @ (before - prior)
+        precision = found / variance
+        weight = _robust(precision, residual * residual / (spread2 * config.gate**2))
+        weighted = (jacobian * weight[:, None]).T
+        change, after, count = self._law(weighted @ jacobian, weighted @ residual, p, self._one)
+        ratio = (residual - jacobian @ change) / limit
+        if float(np.abs(ratio * found).max(initial=0.0)) > config.agreed:
+            weight = _robust(precision, ratio * ratio)
+            weighted = (jacobian * weight[:, None]).T
+            change, after, more = self._law(weighted @ jacobian, weighted @ residual, p, self._one)
+            count += more
+        self.iterations += count
+        self.covariance, self.parameters = after, prior + change
+        road = self.parameters[CURVATURE:]
+        np.minimum(np.maximum(road, -self._bend, out=road), self._bend, out=road)
+        carrying: Bools = weight[:k] > 0.1 * precision[:k]
+        there = found[:k] > 0.0
+        if np.count_nonzero(there) - np.count_nonzero(carrying) >= config.doubt_nodes:
+            self._doubt(nodes < n, there, carrying)
+        offset, heading = (self.parameters - before)[:WIDTH].tolist()
+        self.moved_m = abs(offset) + abs(heading) * self._lever_m
+        return carrying
+
+    def _doubt(self, left: Bools, found: Bools, carrying: Bools) -> None:
+        """Where a line was found and not believed, the lane's place is less sure than it seemed."""
+        config = self.config
+        for side in (left, ~left):
+            there = found & side
+            if np.count_nonzero(there) >= config.doubt_nodes > 2 * np.count_nonzero(there & carrying):
+                self.covariance[OFFSET, OFFSET] += (config.doubt * config.lane_width_m) ** 2
+                self.covariance[HEADING, HEADING] += config.doubt**2
+
+    def _node(self, s_m: float) -> int:
+        return int(np.abs(self.pair.nodes_m - s_m).argmin())
+
+
+def _robust(precision: Floats, ratio2: Floats) -> Floats:
+    """Tukey's weights: nothing is left of a measurement whose residual is the limit (`ratio2` 1) or more."""
+    weight = np.maximum(1.0 - ratio2, 0.0)
+    weight *= weight
+    weight *= precision
+    return weight

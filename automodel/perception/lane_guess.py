@@ -1,0 +1,43 @@
+"""What is asked of a start from nothing, and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneGuess:
+    """An arc of a lane at the reference point: offset [m] and the lane's heading [rad] in the body frame.
+
+    It fits best `sure_m` of way ahead of the reference point, where it was seen. `pair` tells whether both lines spoke
+    for it; `height` is how far markings stand out in the picture, as `Judged` has it. `fitted`: it was fitted to many
+    rows' ridges on both lines, and is right to some hundredths of a lane's width.
+    """
+
+    offset_m: float
+    heading_rad: float
+    width_m: float
+    curvature_per_m: float
+    sure_m: float
+    pair: bool
+    height: float
+    fitted: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StartConfig:
+    """What lanes are tried; lengths in lane widths; (largest, how many)."""
+
+    lane_width_m: float
+    marking_m: float
+    reference_x_m: float
+    contrast: float = 12.0
+    rows: int = 16
+    ahead: float = 2.0  # how far ahead of the nearest ground in sight the rows reach
+    headings_rad: tuple[float, int] = (0.7, 19)
+    curvatures: tuple[float, int] = (0.73, 13)  # shares of the tightest bend's
+    radius_lanes: float = 1.1  # of that bend
+    lateral: tuple[float, int] = (1.4, 57)
+    width_slack: float = 0.3
+    pair_rows: int = 3  # rows that show each line of a pair, at least
+    single_rows: int = 6  # and a single line

@@ -1,0 +1,197 @@
+"""A lane found from nothing on a few image rows: its two lines, or one.
+
+Ridges of a marking's width are looked for along whole rows, in steps of a sixth of that width. Then every lane out of a
+table is tried: the places where its lines cross the rows were computed beforehand, and ridges that lie there speak for
+it. So no ridge is ever carried back to the ground.
+
+On roads that hardly bend `RowSums` looks first: there lines are often rows of dots, and further ahead.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.curves.arcs import foot_on_circle
+from automodel.geometry import GroundCamera
+from automodel.geometry.line_projection import LineProjection
+from automodel.perception.lane_guess import LaneGuess, StartConfig
+from automodel.perception.ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
+from automodel.perception.row_sums import RowSums
+from automodel.signals import Image
+
+__all__ = ["LaneGuess", "RowStart", "StartConfig"]
+
+Floats = NDArray[np.floating[Any]]
+Ints = NDArray[np.intp]
+
+
+class RowStart:
+    """Looks for a lane on some rows of single pictures of one camera."""
+
+    TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: how far a ridge may lie from a lane's line, near and per way ahead
+    HIT = 2  # score of a row whose ridge lies within half the tolerance; 1 within the whole
+    # What is usual, one sigma: relative width, offset (lane widths), heading [rad], curvature (shares); and what
+    # a lane loses for one sigma of each.
+    WIDTH, OFFSET, HEADING_RAD, CURVATURE, LOSS = 0.15, 0.2, 0.25, 0.44, 2.5
+    ALONE = 4.0  # a single line loses
+    GENTLE_LANES = 15.0  # radius of the tightest bend, in lane widths, from which on rows are summed along lines first
+    BRIGHT, FAINT = 0.75, 0.45  # the quantile that stands for paint, and the share of it below which there is none
+
+    def __init__(self, camera: GroundCamera, config: StartConfig, brightness: Brightness) -> None:
+        self.config, self._brightness = config, brightness
+        gentle = config.radius_lanes >= self.GENTLE_LANES
+        self._sums = RowSums(camera, config, brightness) if gentle else None
+        unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
+        self._axis_x_m = near + 0.25 * config.ahead * unit
+        x, self._rows, self._steps = self._choose_rows(camera, near)
+        width = camera.camera.width_px
+        samples = math.ceil(width / self._steps.min())
+        self._judge = RidgeJudge(len(x), samples, config.contrast)
+        columns = np.minimum(np.rint(np.arange(samples) * self._steps[:, None]), width - 1.0)
+        self._pixels: Ints = (self._rows[:, None] * width + columns).astype(np.intp)
+        self._within = np.arange(samples) <= ((width - 1.0) / self._steps)[:, None] - MARGIN
+        tolerance = (self.TOLERANCE + self.PER_AHEAD * (x - near) / unit) * unit
+        self._tolerance: Ints = np.ceil(tolerance / config.marking_m * PER_MARKING).astype(np.intp)
+        grids = [
+            np.linspace(-most, most, count) for most, count in (config.curvatures, config.headings_rad, config.lateral)
+        ]
+        bend = 1.0 / (config.radius_lanes * unit)
+        self._kappa, self._theta, self._lateral = grids[0] * bend, grids[1], grids[2] * unit
+        self._kappa[self._kappa == 0.0] = 1e-6 / unit
+        self._table = self._crossings(camera)
+        self._height = 0.0
+        kappa, theta = self._kappa[:, None, None], self._theta[None, :, None]
+        ahead = config.reference_x_m - self._axis_x_m
+        feet = np.vectorize(foot_on_circle)(ahead * np.cos(theta), -ahead * np.sin(theta), kappa)
+        self._way, self._aside = feet  # of the reference point on each axis
+        heading = theta + kappa * self._way
+        self._turned = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa / bend / self.CURVATURE) ** 2)
+
+    def step(self, image: Image) -> LaneGuess | None:
+        """The lane that most rows speak for; None where they speak for none."""
+        fitted = self._sums.step(image) if self._sums is not None else None
+        if fitted is not None:
+            return fitted
+        score = self._score(image)
+        lines = np.zeros(self._table.shape[1:], np.int32)
+        for places in self._table:
+            lines += score.take(places)
+        return max(self._pair(lines), self._single(lines), key=lambda found: found[0])[1]
+
+    def _choose_rows(self, camera: GroundCamera, near_m: float) -> tuple[Floats, Ints, Floats]:
+        """Rows, evenly spaced in the picture: ground ahead [m], row, and a sixth of a marking's width there [px]."""
+        config, unit = self.config, self.config.lane_width_m
+        x = np.geomspace(near_m, near_m + config.ahead * unit, 8 * config.rows)
+        line = LineProjection(camera).project(x + 0j, np.ones_like(x) + 0j, 0.0)
+        v = line.place[1, : len(x)]
+        good = (v >= 0.0) & (v <= camera.camera.height_px - 1.0)
+        if np.count_nonzero(good) < 2:
+            raise ValueError("pitch_rad: the picture shows no ground where the lane's lines begin")
+        wanted = np.linspace(v[good].max(), v[good].min(), config.rows)
+        rows = np.unique(np.rint(wanted).astype(np.intp))
+        at = [int(np.argmin(np.where(good, np.abs(v - row), np.inf))) for row in rows]
+        step = -line.area[at] / line.along[1, at] * (config.marking_m / PER_MARKING)
+        return x[at], rows, np.abs(step)
+
+    def _score(self, image: Image) -> NDArray[np.int32]:
+        """What each sample (rows * samples + 1,) says for a line that passes there; the last one stands for nowhere."""
+        values = self._brightness.read(image, self._pixels)
+        height = self._judge.heights(values, MARGIN, values.shape[1] - MARGIN)
+        best = height > self.config.contrast * WINDOW
+        for k in range(1, PER_MARKING // 2 + 1):
+            best[:, k:] &= height[:, k:] >= height[:, :-k]
+            best[:, :-k] &= height[:, :-k] >= height[:, k:]
+        best &= self._within[:, MARGIN:-MARGIN]
+        row, at = best.nonzero()
+        at += MARGIN
+        judged = self._judge.judge(values, row, at)
+        line = judged.flags[LINE]
+        heights = judged.height[line]
+        self._height = float(np.quantile(heights, self.BRIGHT)) if len(heights) else 0.0
+        line[line] = heights > self.FAINT * self._height  # a reflection is fainter than paint
+        samples = values.shape[1]
+        score = np.zeros(values.size + 1, np.int32)
+        for share, said in ((1, 1), (2, self.HIT)):
+            for r, place in zip(row[line].tolist(), np.rint(at + judged.place)[line].tolist(), strict=True):
+                reach = int(self._tolerance[r]) // share
+                begin, end = max(int(place) - reach, 0), min(int(place) + reach + 1, samples)
+                score[r * samples + begin : r * samples + end] = said
+        return score
+
+    def _pair(self, lines: NDArray[np.int32]) -> tuple[float, LaneGuess | None]:
+        """The best lane whose two lines are seen on rows enough, and its score."""
+        config, unit = self.config, self.config.lane_width_m
+        step = float(self._lateral[1] - self._lateral[0])
+        narrow, wide = (round((1.0 + sign * config.width_slack) * unit / step) for sign in (-1, 1))
+        best: tuple[float, LaneGuess | None] = -math.inf, None
+        for apart in range(narrow, wide + 1):
+            right, left = lines[..., :-apart], lines[..., apart:]
+            width = apart * step
+            offset = self._aside - self._lateral[:-apart] - 0.5 * width
+            loss = self._turned + (offset * (math.sqrt(self.LOSS) / self.OFFSET / unit)) ** 2
+            total = right + left - loss - self.LOSS * ((width / unit - 1.0) / self.WIDTH) ** 2
+            few = np.minimum(left, right) < config.pair_rows * self.HIT
+            total[few | (np.abs(offset) > 0.5 * width)] = -math.inf
+            at = np.unravel_index(int(total.argmax()), total.shape)
+            if total[at] > best[0]:
+                best = float(total[at]), self._guess(at, float(offset[at]), width, True)
+        return best
+
+    def _single(self, lines: NDArray[np.int32]) -> tuple[float, LaneGuess | None]:
+        """The best single line with the car within a lane's width of it, and its score."""
+        unit = self.config.lane_width_m
+        distance = self._lateral - self._aside  # of the line, to the left of the car
+        offset = np.where(distance > 0.0, 0.5 * unit - distance, -0.5 * unit - distance)
+        total = lines - self._turned - (offset * (math.sqrt(self.LOSS) / self.OFFSET / unit)) ** 2 - self.ALONE
+        total[(lines < self.config.single_rows * self.HIT) | (np.abs(offset) > 0.45 * unit)] = -math.inf
+        at = np.unravel_index(int(total.argmax()), total.shape)
+        if total[at] == -math.inf:
+            return -math.inf, None
+        return float(total[at]), self._guess(at, float(offset[at]), unit, False)
+
+    def _guess(self, at: tuple[Any, ...], offset_m: float, width_m: float, pair: bool) -> LaneGuess:
+        """The lane of a place (curvature, heading, lateral) in the table, at the reference point's foot."""
+        c, h, _ = at
+        kappa, aside = float(self._kappa[c]), float(self._aside[c, h, 0])
+        return LaneGuess(
+            offset_m=offset_m,
+            heading_rad=float(self._theta[h]) + kappa * float(self._way[c, h, 0]),
+            width_m=width_m,
+            curvature_per_m=kappa / (1.0 - kappa * (aside - offset_m)),
+            sure_m=abs(float(self._way[c, h, 0])),
+            pair=pair,
+            height=self._height,
+        )
+
+    def _crossings(self, camera: GroundCamera) -> NDArray[np.int32]:
+        """Where (rows, curvature, heading, lateral) the lines beside the axes cross the rows: indices of the score.
+
+        The axes are arcs through a point on body x ahead of the car; a line beside one is a circle of radius
+        1 / kappa - a about the same centre.
+        """
+        kappa, theta, a = self._kappa[:, None, None], self._theta[None, :, None], self._lateral[None, None, :]
+        centre_x, centre_y = self._axis_x_m - np.sin(theta) / kappa, np.cos(theta) / kappa
+        radius = 1.0 / kappa - a
+        width, samples = camera.camera.width_px, self._within.shape[1]
+        u = np.linspace(0.0, width - 1.0, 65)
+        table = np.full(
+            (len(self._rows), *np.broadcast_shapes(kappa.shape, theta.shape, a.shape)), len(self._rows) * samples
+        )
+        for r, row in enumerate(self._rows.tolist()):
+            ground = camera.px_to_ground(np.stack((u, np.full_like(u, row)), axis=-1))
+            known = np.isfinite(ground[:, 0])
+            ground_x, ground_y, ground_u = ground[known, 0][::-1], ground[known, 1][::-1], u[known][::-1]
+            x: Any = float(np.median(ground_x))
+            for _ in range(3):  # a row of a tilted or distorted picture is no line of equal distance ahead
+                sine = (x - centre_x) / radius
+                y = centre_y - radius * np.sqrt(np.maximum(1.0 - sine * sine, 0.0))
+                x = np.interp(y, ground_y, ground_x)
+            column = np.interp(y, ground_y, ground_u, left=np.nan, right=np.nan)
+            good = (np.abs(sine) < 0.9) & np.isfinite(column)
+            place = np.rint(np.where(good, column, 0.0) / self._steps[r]).astype(np.intp)
+            table[r][good] = r * samples + np.minimum(place, samples - 1)[good]
+        return table.astype(np.int32)

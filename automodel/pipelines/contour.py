@@ -1,0 +1,299 @@
+"""`contour`: a clothoid pair followed on a few image rows (seed 004), for the cheapest board.
+
+Prediction by speed and yaw rate -> nodes of the pair into the picture -> ridges on short runs of rows about them ->
+robust least squares -> pose. Nothing touches the whole picture, and nothing of the picture is carried to the ground:
+under 2 % of the pixels are read while tracking, about as many when a lane is looked for on whole rows.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.config import CarConfig
+from automodel.curves.deferred import DeferredCurve
+from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
+from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
+from automodel.estimation.clothoid_tracker import ClothoidTracker
+from automodel.geometry import GroundCamera
+from automodel.geometry.line_projection import LineProjection
+from automodel.perception.ridges import Brightness
+from automodel.perception.row_ridges import RowRidges
+from automodel.perception.row_search import RowSearch, Sighting
+from automodel.perception.row_start import LaneGuess, RowStart, StartConfig
+from automodel.pipelines.stages import StageClock
+from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+
+Floats = NDArray[np.floating[Any]]
+FloatArray = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Followed = tuple[PairShape, Sighting, Bools]
+PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
+
+
+class Contour:
+    """Seed 004 as a pipeline: `step` one frame, `reset`.
+
+    `iterations` counts those of the update law in the last step.
+    """
+
+    name = "contour"
+    MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
+    CONFIRM_NS = 50_000_000  # a lane that is not sure is not told before it was seen for so long
+    ROUNDS, START_ROUNDS = 3, 4  # of looking and correcting, at most
+    SETTLED = 0.5  # markings: a correction that moves no node further is the last
+    SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # that start a lane; that make it sure: on each line, on both
+    LINE_NODES = 2  # that make a line seen
+    FITTED = 0.15  # of a guess's sigmas where it was fitted to both lines
+    MOST_WAY, MOST_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: what is said beyond is not believed
+    MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, its direction
+    BLIND = 0.5  # lane widths of way without a line: from then on the lane is looked for on whole rows too
+    EVERY = 8  # frames: so often both lines are looked for while one alone was ever seen
+    ASIDE, TURNED_RAD = 0.3, 0.3  # how far from where it is expected it may be found there: lane widths, its direction
+    UNSURE = 0.25  # lane widths: a lane that is not seen and whose offset is less sure is lost
+    PIECES = 7  # stations' spacings in the look-ahead, at most
+    STEEPEST_RAD = math.radians(60.0)
+    BEHIND = 1.0  # lane widths of centerline behind the reference point
+
+    def __init__(self, car: CarConfig) -> None:
+        options, unit, marking = car.pipeline.contour, car.lane.width_m, car.lane.marking_width_m
+        self._options, self._unit, self._settled_m = options, unit, self.SETTLED * marking
+        camera = GroundCamera.from_config(car.camera)
+        self._size = (car.camera.height_px, car.camera.width_px)
+        dtype = PRECISIONS[options.precision]
+        brightness = Brightness(options.colour, car.lane.dark_markings)
+        nodes = self._nodes(camera, car)
+        self._tracker = self._make_tracker(nodes, car, dtype)
+        self._pair = self._tracker.pair
+        ridges = RowRidges(4 * len(nodes), brightness, options.contrast)
+        self._search = RowSearch(LineProjection(camera, dtype), ridges, nodes, marking, self._size)
+        tried = StartConfig(
+            lane_width_m=unit,
+            marking_m=marking,
+            reference_x_m=car.vehicle.reference_x_m,
+            contrast=options.contrast,
+            radius_lanes=options.radius_lanes,
+            ahead=min(options.look_ahead_lanes, 2.0),
+        )
+        self._start = RowStart(camera, tried, brightness)
+        self.stages = StageClock()
+        self.reset()
+
+    def _make_tracker(self, nodes: Floats, car: CarConfig, dtype: type[np.floating[Any]]) -> ClothoidTracker:
+        options, unit, reference = self._options, self._unit, car.vehicle.reference_x_m
+        spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
+        away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
+        sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
+        return ClothoidTracker(
+            ClothoidPair(nodes, spacing, reference, dtype),
+            TrackerConfig(lane_width_m=unit, law=options.update, radius_lanes=options.radius_lanes),
+            np.concatenate((sigma, np.full(len(nodes), self.TURN_SIGMA_RAD))),
+        )
+
+    def reset(self) -> None:
+        """Forget the lane."""
+        self._last_t_ns: int | None = None
+        self._seen_t_ns = self._confirmed_ns = 0
+        self._paired = False
+        self._forget()
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the update law in the last step."""
+        return self._tracker.iterations
+
+    def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        """The lane in this frame (LOST for a picture of another size than the camera's)."""
+        self.stages.begin()
+        self._advance(frame.t_ns, motion)
+        self.stages.lap("prediction")
+        if frame.image.shape[:2] != self._size:
+            return self._lost(frame)
+        fitted = False
+        if self._tracker.parameters is None:
+            begun = self._begin(frame)
+            if begun is None:
+                self._forget()
+                return self._lost(frame)
+            followed, fitted = begun
+        else:
+            followed = self._follow(frame.image, self.ROUNDS)
+            if self._wants_pair(frame.index, self._count(followed)):
+                followed = self._recover(frame.image) or followed
+        left, right = self._count(followed)
+        self._search.learn(followed[1], followed[2])
+        # A fitted start has seen both lines, on more rows than there are nodes.
+        seen = (fitted or left >= self.LINE_NODES, fitted or right >= self.LINE_NODES)
+        estimate = self._estimate(frame, followed, seen)
+        self.stages.lap("estimate")
+        return estimate
+
+    def _advance(self, t_ns: int, motion: Motion) -> None:
+        """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
+        last, self._last_t_ns = self._last_t_ns, t_ns
+        if last is None or self._tracker.parameters is None:
+            return
+        dt_ns = t_ns - last
+        if not 0 < dt_ns <= self.MAX_GAP_NS:
+            self._forget()
+            return
+        dt_s = dt_ns * 1e-9
+        distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
+        believed = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
+        self._tracker.move(distance if believed else 0.0, turn if believed else 0.0, dt_s, believed)
+
+    def _wants_pair(self, index: int, counts: tuple[int, int]) -> bool:
+        """Whether to look on whole rows too: no line is seen, or one alone ever was, and any width is possible."""
+        if max(counts) < self.LINE_NODES:
+            return self._tracker.blind_m > self.BLIND * self._unit
+        self._paired = self._paired or self._sure(counts)
+        return not self._paired and index % self.EVERY == 0
+
+    def _begin(self, frame: Frame) -> tuple[Followed, bool] | None:
+        """A lane from nothing, and whether the start saw enough of it by itself."""
+        guess = self._look_for(frame.image)
+        if guess is None:
+            return None
+        self._restart(guess)
+        followed = self._follow(frame.image, self.START_ROUNDS)
+        counts = self._count(followed)
+        if max(counts) < self.SINGLE_NODES and not guess.fitted:
+            return None
+        self._confirmed_ns = frame.t_ns + (0 if guess.fitted or self._sure(counts) else self.CONFIRM_NS)
+        return followed, guess.fitted
+
+    def _look_for(self, image: Image) -> LaneGuess | None:
+        """A lane on whole rows, from nothing."""
+        guess = self._start.step(image)
+        self.stages.lap("start")
+        return guess
+
+    def _restart(self, guess: LaneGuess) -> None:
+        self._tracker.begin(_rough(guess))
+        self._search.forget(guess.height)
+        self._paired = guess.pair
+
+    def _recover(self, image: Image) -> Followed | None:
+        """Where no line is seen look for both on whole rows; they must lie about where they are expected."""
+        guess = self._look_for(image)
+        if guess is None or not guess.pair:
+            return None
+        aside, turned = self._tracker.apart(_rough(guess))
+        if abs(aside) > self.ASIDE * self._unit or abs(turned) > self.TURNED_RAD:
+            return None
+        before = copy.copy(self._tracker), copy.copy(self._search), self._paired
+        self._restart(guess)
+        followed = self._follow(image, self.START_ROUNDS)
+        if self._sure(self._count(followed)):
+            return followed
+        self._tracker, self._search, self._paired = before
+        return None
+
+    def _follow(self, image: Image, rounds: int) -> Followed:
+        """Look around the pair and correct it until it stays where it is."""
+        tracker, stages = self._tracker, self.stages
+        for _ in range(rounds):
+            shape = tracker.shape()
+            stages.lap("projection")
+            seen = self._search.look(image, shape, tracker.width_m)
+            stages.lap("search")
+            carrying = tracker.update(shape, seen.nodes, seen.residual, seen.found)
+            stages.lap("update")
+            if tracker.moved_m < self._settled_m:
+                break
+        return shape, seen, carrying
+
+    def _count(self, followed: Followed) -> tuple[int, int]:
+        """How many nodes of each line, left and right, carry the lane."""
+        _, sighting, carrying = followed
+        left = int(np.count_nonzero(carrying[: sighting.nodes.searchsorted(self._pair.count)]))
+        return left, int(np.count_nonzero(carrying)) - left
+
+    def _sure(self, counts: tuple[int, int]) -> bool:
+        return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
+
+    def _estimate(self, frame: Frame, followed: Followed, seen: tuple[bool, bool]) -> LaneEstimate:
+        if seen[0] or seen[1]:
+            self._seen_t_ns = frame.t_ns
+            self._tracker.blind_m = 0.0
+        pose = self._pose()
+        if pose is None or self._too_blind(frame.t_ns, pose):
+            self._forget()
+            return self._lost(frame)
+        if frame.t_ns < self._confirmed_ns:
+            return self._lost(frame)
+        half = 0.5 * pose.width_m
+        points = followed[1].points(followed[0], followed[2], half)
+        return LaneEstimate(
+            t_ns=frame.t_ns,
+            status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[seen[0] + seen[1]],
+            left=LaneLine(curve=self._curve(half), points_m=points[0][: len(points[0]) * seen[0]], seen=seen[0]),
+            right=LaneLine(curve=self._curve(-half), points_m=points[1][: len(points[1]) * seen[1]], seen=seen[1]),
+            centerline=self._curve(0.0),
+            pose=pose,
+            frame_age_ns=frame.t_ns - self._seen_t_ns,
+        )
+
+    def _too_blind(self, t_ns: int, pose: LanePose) -> bool:
+        """Whether too little was seen for too long."""
+        blind_ns = t_ns - self._seen_t_ns
+        if blind_ns == 0:
+            return False
+        return (
+            t_ns < self._confirmed_ns
+            or blind_ns * 1e-9 > self._options.coast_s
+            or self._tracker.blind_m > self._options.coast_lanes * self._unit
+            or pose.covariance[0, 0] > (self.UNSURE * self._unit) ** 2
+        )
+
+    def _pose(self) -> LanePose | None:
+        """The car's pose in the lane, None where it is none that a car in a lane can have."""
+        offset, theta, width, covariance = self._tracker.pose()
+        unit = self._unit
+        if not (0.65 * unit < width < 1.35 * unit and abs(offset) < 0.9 * unit and abs(theta) < self.STEEPEST_RAD):
+            return None
+        return LanePose(
+            offset_m=offset,
+            heading_rad=-theta,
+            width_m=width,
+            curvature_per_m=self._tracker.curvature(),
+            covariance=covariance,
+        )
+
+    @staticmethod
+    def _nodes(camera: GroundCamera, car: CarConfig) -> FloatArray:
+        """Arc lengths ahead of the reference point, log-spaced so that they are about even in the picture."""
+        options, reference, eye = car.pipeline.contour, car.vehicle.reference_x_m, car.camera.extrinsics
+        near = max(camera.first_visible_x_m() - reference, 0.2 * car.lane.width_m)
+        back = eye.z_m + reference - eye.x_m
+        far = near + options.look_ahead_lanes * car.lane.width_m
+        return np.geomspace(0.85 * near + back, far + back, options.nodes) - back
+
+    def _curve(self, aside_m: float) -> DeferredCurve:
+        tracker = self._tracker
+        behind = self.BEHIND * self._unit
+        return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, aside_m, behind))
+
+    def _forget(self) -> None:
+        self._tracker.forget()
+        self._search.forget()
+        self._paired = False
+
+    def _lost(self, frame: Frame) -> LaneEstimate:
+        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
+
+
+def _rough(guess: LaneGuess) -> RoughLane:
+    return RoughLane(
+        offset_m=guess.offset_m,
+        heading_rad=guess.heading_rad,
+        width_m=guess.width_m,
+        curvature_per_m=guess.curvature_per_m,
+        sure_m=guess.sure_m,
+        share=Contour.FITTED if guess.fitted else 1.0,
+    )

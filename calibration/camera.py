@@ -1,0 +1,172 @@
+"""The camera's lens from views of a board, with the error that views left out of the fit have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.config import Intrinsics
+from calibration.boards import Board
+from calibration.views import CalibrationError, Refused, View
+
+__all__ = ["CameraCalibration", "ViewError", "calibrate_camera"]
+
+FloatArray = NDArray[np.float64]
+
+_FEWEST_VIEWS = 4
+_FOLDS = 5
+_OUTLIER = 3.0  # times the median view's error
+_OUTLIER_PX = 0.5  # and more than this at the least
+_WORTH = 0.995  # k3 stays only where it makes the error of views left out smaller than this share
+_SIMPLE, _WITH_K3 = cv2.CALIB_FIX_K3, 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ViewError:
+    """How one view fits: `rms_px` in the fit, `held_out_px` in a fit without it, pose alone adapted.
+
+    `misses_px` (n, 2): seen corner minus projected one, in the fit.
+    """
+
+    view: View
+    rms_px: float
+    held_out_px: float
+    misses_px: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration:
+    """What was found, and how good it is.
+
+    `rms_px`: over all corners of the views used; `cross_validated_px`: the same, each view's from a fit without it;
+    `focal_std_px`: of fx, from the spread of the fits that leave views out (jackknife).
+    """
+
+    intrinsics: Intrinsics
+    width_px: int
+    height_px: int
+    rms_px: float
+    cross_validated_px: float
+    focal_std_px: float
+    views: tuple[ViewError, ...]
+    dropped: tuple[Refused, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Fit:
+    matrix: FloatArray
+    distortion: FloatArray  # k1 k2 p1 p2 k3
+    misses_px: tuple[FloatArray, ...]
+
+
+def calibrate_camera(views: Sequence[View], board: Board) -> CameraCalibration:
+    """Focal lengths, centre and distortion (Brown's model; k3 only where views left out say that it helps).
+
+    Views that fit far worse than the others are dropped. Raises CalibrationError for too few views.
+    """
+    used, dropped = _consistent(list(views), board)
+    if len(used) < _FEWEST_VIEWS:
+        raise CalibrationError(
+            f"{len(used)} usable views of the board; {_FEWEST_VIEWS} at least are wanted, 15 are good: near and far, "
+            f"in the picture's corners too, tilted to all sides"
+        )
+    simple = _cross_validated(used, board, _SIMPLE)
+    full = _cross_validated(used, board, _WITH_K3)
+    chosen, flags = (full, _WITH_K3) if _rms(full[0]) < _WORTH * _rms(simple[0]) else (simple, _SIMPLE)
+    fit = _fit(used, board, flags)
+    held_out, focal_std_px = chosen
+    errors = tuple(
+        ViewError(view=view, rms_px=_rms([inside]), held_out_px=_rms([outside]), misses_px=inside)
+        for view, inside, outside in zip(used, fit.misses_px, held_out, strict=True)
+    )
+    return CameraCalibration(
+        intrinsics=_intrinsics(fit),
+        width_px=used[0].width_px,
+        height_px=used[0].height_px,
+        rms_px=_rms(fit.misses_px),
+        cross_validated_px=_rms(held_out),
+        focal_std_px=focal_std_px,
+        views=errors,
+        dropped=tuple(dropped),
+    )
+
+
+def _intrinsics(fit: _Fit) -> Intrinsics:
+    """Rounded to what a text file needs: a thousandth of a pixel."""
+    (fx, _, cx), (_, fy, cy), _ = fit.matrix
+    return Intrinsics(
+        fx_px=round(float(fx), 3),
+        fy_px=round(float(fy), 3),
+        cx_px=round(float(cx), 3),
+        cy_px=round(float(cy), 3),
+        distortion=tuple(round(float(k), 6) for k in fit.distortion),
+    )
+
+
+def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refused]]:
+    """Without the views that fit badly, the worst first: its corners are wrong, or the board was bent."""
+    dropped: list[Refused] = []
+    while len(views) >= max(_FEWEST_VIEWS, 4 * len(dropped)):
+        errors = np.array([_rms([misses]) for misses in _fit(views, board, _SIMPLE).misses_px])
+        worst = int(np.argmax(errors))
+        usual = float(np.median(errors))
+        if errors[worst] < max(_OUTLIER * usual, _OUTLIER_PX):
+            break
+        reason = f"does not fit the others: {errors[worst]:.1f} px where {usual:.1f} px are usual"
+        dropped.append(Refused(name=views[worst].name, reason=reason, found=views[worst].found))
+        del views[worst]
+    return views, dropped
+
+
+def _cross_validated(views: Sequence[View], board: Board, flags: int) -> tuple[list[FloatArray], float]:
+    """Misses (n, 2) of every view in a fit without it, and the standard deviation of fx [px] by the jackknife."""
+    folds = min(_FOLDS, len(views))
+    misses: list[FloatArray] = [np.empty((0, 2))] * len(views)
+    focals = []
+    for fold in range(folds):
+        fit = _fit([view for i, view in enumerate(views) if i % folds != fold], board, flags)
+        focals.append(fit.matrix[0, 0])
+        for i in range(fold, len(views), folds):
+            misses[i] = _left_out(views[i], board, fit)
+    return misses, float(np.sqrt((folds - 1) * np.var(focals)))
+
+
+def _fit(views: Sequence[View], board: Board, flags: int) -> _Fit:
+    points = [board.points_m(view.found.grid).astype(np.float32) for view in views]
+    corners = [view.found.corners_px.astype(np.float32) for view in views]
+    size = (views[0].width_px, views[0].height_px)
+    try:
+        _, matrix, distortion, rotations, shifts = cv2.calibrateCamera(points, corners, size, None, None, flags=flags)
+    except cv2.error as error:
+        raise CalibrationError(f"the views do not determine a camera: {error.err}") from None
+    lens = np.asarray(distortion, np.float64).ravel()[:5]
+    misses = tuple(
+        view.found.corners_px - _projected(board.points_m(view.found.grid), r, t, matrix, lens)
+        for view, r, t in zip(views, rotations, shifts, strict=True)
+    )
+    if not all(np.isfinite(miss).all() for miss in misses):
+        raise CalibrationError("the views do not determine a camera: tilt the board to all sides, near and far")
+    return _Fit(matrix=np.asarray(matrix, np.float64), distortion=lens, misses_px=misses)
+
+
+def _left_out(view: View, board: Board, fit: _Fit) -> FloatArray:
+    """The misses of a view that had no part in the fit: only the board's pose is adapted."""
+    points, corners = board.points_m(view.found.grid), view.found.corners_px
+    _, rotation, shift = cv2.solvePnP(points, corners, fit.matrix, fit.distortion)
+    return corners - _projected(points, rotation, shift, fit.matrix, fit.distortion)
+
+
+def _projected(
+    points: FloatArray, rotation: object, shift: object, matrix: object, distortion: FloatArray
+) -> FloatArray:
+    pixels, _ = cv2.projectPoints(points, rotation, shift, matrix, distortion)  # type: ignore[call-overload]
+    return np.asarray(pixels, np.float64).reshape(-1, 2)
+
+
+def _rms(misses: Sequence[FloatArray]) -> float:
+    """Root mean square of the lengths, as OpenCV counts it: over corners, not coordinates."""
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(misses) ** 2, axis=1))))

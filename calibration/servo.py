@@ -1,0 +1,279 @@
+"""Steering pulse -> road-wheel angle, from a drive that sweeps the pulses up and down.
+
+The wheels follow the servo through a gap: coming from below they stand half the play short of where they stand coming
+from above. The table is the middle of the two, so that straight is where the play lies evenly around.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.servo_log import Hold, IntArray, ServoLog, holds_of
+
+FloatArray = NDArray[np.float64]
+
+LEAST_PULSES = 6
+LEAST_RANGE_RAD = 0.035  # a servo that moves the wheels less than 2 deg over all pulses does not move them
+_STRAY = 6.0  # robust standard deviations
+_STRAY_RAD = 0.025  # and at least so much [rad]: a stop makes a kink of its own
+_CONTRADICTION_RAD = 0.03
+_STOP_SLOPE = 0.3  # of the usual gain: the linkage stands at its stop
+_STOP_POINTS = 5  # angles before it that tell where it is
+_STOP_BETTER = 0.3  # of the line's sum of squares
+_PASSES = 5  # table from the wheels' place in the gap, and that from the table; two do without stops
+_TOLERANCE_RAD = 0.0025  # of leaving a point out of the table
+_LEAST_SD_RAD = 5e-4
+
+
+class ServoError(ValueError):
+    """The measurements do not tell the servo's table; the text says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoTable:
+    """Pulse -> angle, as `ServoConfig` has it, and how well it is known.
+
+    `sd_rad[i]` is the standard deviation of `steering_rad[i]`; `rms_rad` the scatter of the single stretches around
+    table and play; `strays` the pulses [us] whose measurements were left out.
+    """
+
+    pulse_us: tuple[float, ...]
+    steering_rad: tuple[float, ...]
+    sd_rad: tuple[float, ...]
+    centre_us: float
+    centre_sd_us: float
+    play_rad: float
+    play_sd_rad: float
+    rms_rad: float
+    holds: int
+    strays: tuple[float, ...]
+
+    def angle_rad(self, pulse_us: FloatArray) -> FloatArray:
+        """The road-wheel angles [rad] that pulses [us] make, the ends beyond the ends."""
+        return np.interp(pulse_us, self.pulse_us, self.steering_rad)
+
+
+def fit_table(log: ServoLog, wheelbase_m: float) -> ServoTable:
+    """The table, its centre and the play from a log without bias; raises ServoError where it does not tell them."""
+    holds = holds_of(log, wheelbase_m)
+    pulses = np.array([hold.pulse_us for hold in holds])
+    angles = np.array([hold.steering_rad for hold in holds])
+    _check(pulses, angles)
+    turn = 1.0 if np.polyfit(pulses, angles, 1)[0] > 0 else -1.0
+    angles *= turn  # from here on the angle rises with the pulse
+    changes, at = _passage(log, holds)
+    nodes = np.unique(pulses)
+    lead = np.array([0.5 if hold.rose else -0.5 for hold in holds])
+    play, play_sd = _play(pulses, angles, lead)
+    behind = -play * lead
+    strays: FloatArray = np.empty(0)
+    for _ in range(_PASSES):
+        x, y, strays = _without_strays(nodes, _averages(nodes, pulses, angles - behind))
+        rising = _monotone(x, y)
+        behind = _behind(np.interp(changes, x, rising), play)[at]
+    x, rising = _within_stop(x, rising)
+    x, rising = _within_stop(-x[::-1], -rising[::-1])
+    x, rising = -x[::-1], -rising[::-1]
+    used = ~np.isin(pulses, strays) & (pulses >= x[0]) & (pulses <= x[-1])
+    sd = np.array([max(hold.sd_rad, _LEAST_SD_RAD) for hold in holds])
+    knots = x[_simplified(x, rising, _TOLERANCE_RAD)]
+    ends = (float(rising[0]), float(rising[-1]))
+    fitted, sd, rms = _least_squares(knots, ends, pulses[used], (angles - behind)[used], sd[used])
+    sd = np.hypot(sd, 0.5 * _TOLERANCE_RAD)  # the polyline cuts the servo's curve short
+    centre, centre_sd, knots, fitted, sd = _with_centre(knots, fitted, sd)
+    return ServoTable(
+        pulse_us=tuple(round(float(p), 1) for p in knots),
+        steering_rad=tuple(round(float(turn * a), 5) + 0.0 for a in fitted),
+        sd_rad=tuple(float(s) for s in sd),
+        centre_us=centre,
+        centre_sd_us=centre_sd,
+        play_rad=play,
+        play_sd_rad=play_sd,
+        rms_rad=rms,
+        holds=len(holds),
+        strays=tuple(float(p) for p in strays),
+    )
+
+
+def _check(pulses: FloatArray, angles: FloatArray) -> None:
+    if len(np.unique(pulses)) < LEAST_PULSES:
+        raise ServoError(
+            f"{len(np.unique(pulses))} pulses were driven for long enough, {LEAST_PULSES} are wanted; "
+            "was the drive cut short, or does the car not roll?"
+        )
+    if np.ptp(angles) < LEAST_RANGE_RAD:
+        raise ServoError(
+            f"the servo does not answer: {pulses.min():.0f} .. {pulses.max():.0f} us turned the wheels by "
+            f"{np.degrees(np.ptp(angles)):.1f} deg; check its plug, its supply and the linkage"
+        )
+
+
+def _passage(log: ServoLog, holds: Sequence[Hold]) -> tuple[FloatArray, IntArray]:
+    """All pulses [us] that were at the pin, one after the other, and where in that row each hold is."""
+    changes = np.concatenate(([0], np.flatnonzero(np.diff(log.pulse_us)) + 1))
+    return log.pulse_us[changes], np.searchsorted(log.pulse_t_ns[changes], [hold.t_ns for hold in holds])
+
+
+def _behind(arm: FloatArray, play: float) -> FloatArray:
+    """How far the wheels stand beside the servo's arm (n,), each time that it has come to rest at `arm` (n,)."""
+    wheel, half = float(arm[0]), 0.5 * play
+    out = np.empty(len(arm))
+    for i, angle in enumerate(arm.tolist()):
+        wheel = min(max(wheel, angle - half), angle + half)
+        out[i] = wheel - angle
+    return out
+
+
+def _play(pulses: FloatArray, angles: FloatArray, lead: FloatArray) -> tuple[float, float]:
+    """The median difference between the two ways to come to a pulse, and its deviation; 0 where it is no play."""
+    gaps = []
+    for pulse in np.unique(pulses):
+        at = pulses == pulse
+        above, below = angles[at & (lead < 0)], angles[at & (lead > 0)]
+        if len(above) and len(below):
+            gaps.append(above.mean() - below.mean())
+    if len(gaps) < 3:
+        raise ServoError("too few pulses were reached from both sides: the play is not known; drive the whole sweep")
+    middle = float(np.median(gaps))
+    sd = 1.4826 * float(np.median(np.abs(np.array(gaps) - middle))) * 1.2533 / len(gaps) ** 0.5
+    return max(middle, 0.0), sd
+
+
+def _averages(nodes: FloatArray, pulses: FloatArray, angles: FloatArray) -> FloatArray:
+    return np.array([angles[pulses == node].mean() for node in nodes])
+
+
+def _without_strays(nodes: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Leave out the pulses whose angle is far off the line between its neighbours, the worst first."""
+    kept = np.ones(len(nodes), dtype=bool)
+    while True:
+        x, y = nodes[kept], values[kept]
+        off = np.zeros(len(x))
+        between = y[:-2] + (y[2:] - y[:-2]) * (x[1:-1] - x[:-2]) / (x[2:] - x[:-2])
+        off[1:-1] = np.abs(y[1:-1] - between)
+        worst = int(np.argmax(off))
+        if off[worst] < max(_STRAY_RAD, _STRAY * 1.4826 * float(np.median(off[1:-1]))):
+            return x, y, nodes[~kept]
+        if kept.sum() <= max(0.75 * len(nodes), LEAST_PULSES):
+            raise ServoError(
+                "the angles of neighbouring pulses do not agree; do the wheels slip, or does something catch? "
+                "Drive slower, on a floor that grips"
+            )
+        kept[np.flatnonzero(kept)[worst]] = False
+
+
+def _monotone(nodes: FloatArray, values: FloatArray) -> FloatArray:
+    """The nearest rising sequence (pool adjacent violators, Barlow et al. 1972); raises ServoError for a far one."""
+    level: list[float] = []
+    count: list[int] = []
+    for value in values:
+        level.append(float(value))
+        count.append(1)
+        while len(level) > 1 and level[-2] >= level[-1]:
+            total = count[-2] + count[-1]
+            level[-2:] = [(level[-2] * count[-2] + level[-1] * count[-1]) / total]
+            count[-2:] = [total]
+    rising = np.repeat(level, count)
+    worst = int(np.argmax(np.abs(rising - values)))
+    if abs(rising[worst] - values[worst]) > _CONTRADICTION_RAD:
+        raise ServoError(
+            f"the angle turns back around {nodes[worst]:.0f} us, by {np.degrees(abs(rising - values)[worst]):.1f} deg: "
+            "no servo does that; do the wheels slip, or is the linkage loose?"
+        )
+    return rising
+
+
+def _within_stop(x: FloatArray, rising: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Cut the upper end where the pulse goes on and the angle does not, at the place where the linkage stops.
+
+    The stop is the s at which y = a + b min(x, s) fits the last angles best, taken where it fits far better than a
+    line.
+    """
+    inner = x <= 0.5 * (x[0] + x[-1])
+    gain = (rising[inner][-1] - rising[inner][0]) / (x[inner][-1] - x[inner][0])
+    level = rising[-1] - _STOP_SLOPE * gain * (x[-1] - x)
+    first = int(np.argmax(rising >= level - 1e-12))  # from here on flatter than the share of the usual gain
+    begin = max(min(first, len(x) - 1) - _STOP_POINTS, 0)
+    window, angles = x[begin:], rising[begin:]
+    stops = np.linspace(window[2], window[-1], 20 * len(window))
+    fits = [_fit_to_stop(window, angles, stop) for stop in stops]
+    best = int(np.argmin([off for off, _ in fits]))
+    if fits[best][0] > _STOP_BETTER * fits[-1][0] + 1e-12 or stops[best] > window[-1] - 0.1 * (window[-1] - window[-2]):
+        return x, rising
+    kept = x < stops[best] - 1.0
+    return np.append(x[kept], stops[best]), np.append(rising[kept], fits[best][1])
+
+
+def _fit_to_stop(x: FloatArray, y: FloatArray, stop: float) -> tuple[float, float]:
+    """The sum of squares around a line that ends at `stop`, and the angle there."""
+    bent = np.minimum(x, stop)
+    slope, offset = np.polyfit(bent - stop, y, 1)
+    return float(((offset + slope * (bent - stop) - y) ** 2).sum()), float(offset)
+
+
+def _simplified(x: FloatArray, y: FloatArray, tolerance: float) -> list[int]:
+    """The indices of a polyline's points that keep it within `tolerance` in y (Douglas and Peucker 1973)."""
+    keep, spans = {0, len(x) - 1}, [(0, len(x) - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        line = np.interp(x[first : last + 1], (x[first], x[last]), (y[first], y[last]))
+        off = np.abs(y[first : last + 1] - line)
+        worst = int(np.argmax(off))
+        if off[worst] > tolerance:
+            keep.add(first + worst)
+            spans += [(first, first + worst), (first + worst, last)]
+    return sorted(keep)
+
+
+def _least_squares(
+    knots: FloatArray, ends: tuple[float, float], x: FloatArray, y: FloatArray, sd: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """The polyline over `knots` nearest to the points: its values, their deviations, and the points' rms around it.
+
+    The values at the two ends are taken for one measurement more each: an end that was cut has no point of its own.
+    """
+    x, y = np.concatenate((x, knots[[0, -1]])), np.concatenate((y, ends))
+    sd = np.concatenate((sd, [float(np.median(sd))] * 2))
+    hats = np.array([np.interp(x, knots, row) for row in np.eye(len(knots))]).T
+    weighted = hats / sd[:, None]
+    values, *_ = np.linalg.lstsq(weighted, y / sd, rcond=None)
+    off = y - hats @ values
+    freedom = max(len(y) - len(knots), 1)
+    scale = max(float(((off / sd) ** 2).sum()) / freedom, 1.0)
+    covariance = scale * np.linalg.pinv(weighted.T @ weighted)
+    for first, second in itertools.pairwise(range(len(values))):
+        if values[second] <= values[first]:
+            raise ServoError(
+                f"the angle does not change from {knots[first]:.0f} to {knots[second]:.0f} us; drive again"
+            )
+    return values, np.sqrt(np.diag(covariance)), float(np.sqrt((off * off).mean()))
+
+
+def _with_centre(
+    knots: FloatArray, rising: FloatArray, sd: FloatArray
+) -> tuple[float, float, FloatArray, FloatArray, FloatArray]:
+    """Straight ahead as a point of the table of its own; raises ServoError where the wheels never came to it."""
+    if not rising[0] < 0.0 < rising[-1]:
+        raise ServoError(
+            f"the wheels never stand straight: {np.degrees(rising[0]):.1f} .. {np.degrees(rising[-1]):.1f} deg; "
+            "mount the servo's horn so that the middle pulse is about straight"
+        )
+    centre = float(np.interp(0.0, rising, knots))
+    above = int(np.searchsorted(rising, 0.0))
+    slope = (rising[above] - rising[above - 1]) / (knots[above] - knots[above - 1])
+    deviation = float(np.interp(centre, knots, sd))
+    at = int(np.argmin(np.abs(knots - centre)))
+    if 0 < at < len(knots) - 1 and abs(knots[at] - centre) < 10.0:
+        knots, rising, sd = (np.delete(array, at) for array in (knots, rising, sd))
+    where = int(np.searchsorted(knots, centre))
+    knots, rising, sd = (
+        np.insert(array, where, value) for array, value in ((knots, centre), (rising, 0.0), (sd, deviation))
+    )
+    return centre, deviation / slope, knots, rising, sd

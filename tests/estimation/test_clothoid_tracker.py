@@ -1,0 +1,360 @@
+"""The clothoid tracker against drives on exact circles, and against lanes whose place is known."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from automodel.curves.arcs import arc_from
+from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
+from automodel.estimation.clothoid_pair import ClothoidPair, Parameter
+from automodel.estimation.clothoid_tracker import ClothoidTracker
+
+Floats = NDArray[np.float64]
+REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
+NODES = np.geomspace(0.3, 1.4, 15)
+COUNT = len(NODES)
+SIGMA = np.repeat((0.004, 0.03), (2 * COUNT, COUNT))
+OFFSET, HEADING, LANE, FIRST = (int(p) for p in Parameter)
+EVERY = np.arange(2 * COUNT)
+
+
+def tracker(
+    law: str = "gauss_newton", lane: tuple[float, float, float] = (0.03, -0.1, 0.6), noise: float = 1.0
+) -> ClothoidTracker:
+    """One that follows a lane of offset, heading and constant curvature, whose parameters are not correlated."""
+    config = TrackerConfig(lane_width_m=WIDTH, law=law)
+    made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
+    offset, heading, curvature = lane
+    rough = RoughLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, sure_m=0.6)
+    made.begin(rough)
+    x = np.full(FIRST + made.pair.stations, curvature)
+    x[:FIRST] = offset, heading, WIDTH
+    made.parameters = x
+    sigma = np.full(len(x), 0.3)
+    sigma[:FIRST] = 0.02, 0.03, 0.01
+    made.covariance = np.diag(sigma**2)
+    still(made)
+    return made
+
+
+def still(made: ClothoidTracker) -> None:
+    """A frame in which the car stands."""
+    made.move(0.0, 0.0, 0.02, known=True)
+
+
+def circle(offset: float, heading: float, curvature: float) -> complex:
+    """The centre of the road's circle in the body frame."""
+    normal = 1j * cmath.exp(1j * heading)
+    return REFERENCE - offset * normal + normal / curvature
+
+
+def residuals(made: ClothoidTracker, truth: Floats) -> Floats:
+    """What a perfect search would say of a lane with the parameters `truth`: distances (2 n,), then angles (2 n,)."""
+    pair, x, phase = made.pair, made.known(), made.phase_m
+    fine = ClothoidPair(np.linspace(0.005, 1.6, 800), SPACING, REFERENCE)
+    longer = np.concatenate((truth, np.full(fine.stations - pair.stations, truth[-1])))
+    line, shape = fine.shape(longer, phase), pair.shape(x, phase)
+    away, turned = [], []
+    for side in (0.5, -0.5):
+        nodes = shape.place + side * x[LANE] * 1j * shape.along
+        curve = line.place + side * truth[LANE] * 1j * line.along
+        for node, along in zip(nodes, shape.along, strict=True):
+            seen = (curve - node) * along.conjugate()
+            away.append(np.interp(0.0, seen.real, seen.imag))
+            turned.append(np.interp(0.0, seen.real, np.angle(line.along * along.conjugate())))
+    return np.array(away + turned)
+
+
+def see(made: ClothoidTracker, truth: Floats, times: int = 1) -> None:
+    for _ in range(times):
+        made.update(made.shape(), EVERY, residuals(made, truth), np.ones(4 * COUNT))
+
+
+@pytest.mark.parametrize("curvature", [0.9, -0.9, 0.05])
+@pytest.mark.parametrize(
+    ("distance", "turn"), [(0.05, 0.0), (0.05, 0.06), (0.6, -0.5), (0.31, 0.4), (-0.1, 0.05), (0.0, 0.2)]
+)
+def test_the_prediction_on_a_circle_is_that_of_plane_geometry(curvature: float, distance: float, turn: float) -> None:
+    offset, heading = 0.04, -0.15
+    made = tracker(lane=(offset, heading, curvature))
+    made.move(distance, turn, 0.02, known=True)
+    driven = distance if turn == 0.0 else (cmath.exp(1j * turn) - 1.0) / (1j * turn) * distance
+    centre = (circle(offset, heading, curvature) - driven) * cmath.exp(-1j * turn)  # in the new body frame
+    towards = centre - REFERENCE
+    sign = math.copysign(1.0, curvature)
+    wanted_heading = cmath.phase(-1j * sign * towards)
+    x = made.known()
+    assert x[OFFSET] == pytest.approx(1.0 / curvature - sign * abs(towards), abs=1e-9)
+    assert x[HEADING] == pytest.approx(wanted_heading, abs=1e-9)
+    way = (wanted_heading + turn - heading) / curvature
+    assert made.way_m == pytest.approx(abs(way), abs=1e-9)
+    assert made.phase_m == pytest.approx(way % SPACING, abs=1e-9)
+    rolled = math.floor(way / SPACING)
+    old = x[FIRST : len(x) - max(rolled, 0)][max(-rolled, 0) :]
+    assert old == pytest.approx(np.full(len(old), curvature))
+    assert len(old) == made.pair.stations - abs(rolled)
+
+
+def test_many_short_drives_are_one_long_drive() -> None:
+    one, many = tracker(lane=(0.02, 0.1, 0.7)), tracker(lane=(0.02, 0.1, 0.7))
+    one.move(0.4, 0.3, 0.4, known=True)
+    for _ in range(20):
+        many.move(0.02, 0.015, 0.02, known=True)
+    assert many.known()[:FIRST] == pytest.approx(one.known()[:FIRST], abs=1e-9)
+    assert many.phase_m == pytest.approx(one.phase_m)
+
+
+def test_stations_stay_where_they_are_on_the_road() -> None:
+    made = tracker()
+    x = made.known()
+    x[OFFSET] = x[HEADING] = 0.0
+    x[FIRST:] = np.linspace(0.0, 1.0, made.pair.stations)
+    before = made.pair.table(x, 0.0)
+    s = 0.27  # past one station: the curvature of what lies ahead is unchanged, seen from further on
+    ahead = np.interp(s + 0.5, before[0], before[3])
+    made.move(s, 0.0, 0.02, known=True)
+    after = made.pair.table(made.known(), made.phase_m)
+    assert np.interp(0.5, after[0], after[3]) == pytest.approx(ahead, abs=1e-3)
+    assert made.curvature() == pytest.approx(np.interp(s, before[0], before[3]), abs=1e-3)
+
+
+def test_the_covariance_is_carried_along_with_the_derivatives_of_the_drive() -> None:
+    made = tracker(lane=(0.0, 0.0, 0.0))
+    size, distance = len(made.known()), 0.1
+    rng = np.random.default_rng(3)
+    mixed = rng.normal(size=(size, size))
+    made.covariance = before = 1e-4 * mixed @ mixed.T
+    made.move(distance, 0.03, 0.02, known=True)
+    after = made.covariance
+
+    def driven(change: Floats) -> Floats:
+        moved = tracker(lane=(0.0, 0.0, 0.0))
+        moved.parameters = moved.known() + change
+        moved.move(distance, 0.03, 0.02, known=True)
+        return moved.known().astype(np.float64)
+
+    onwards = np.stack([(driven(1e-6 * e) - driven(-1e-6 * e)) / 2e-6 for e in np.eye(size)], axis=1)
+    wanted = onwards @ before @ onwards.T
+    apart = after - wanted
+    assert (apart.diagonal() > -1e-4 * before.diagonal()).all()
+    shares = apart / np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal()))
+    np.fill_diagonal(shares, 0.0)
+    # That curvature moves the offset too, by half the square of the way, is left out.
+    assert np.abs(shares).max() < 0.02
+    unmoved = before / np.sqrt(np.outer(before.diagonal(), before.diagonal()))
+    moved_much = wanted / np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal())) - unmoved
+    assert np.abs(moved_much).max() > 0.05  # so that the line above means something
+
+
+def test_a_drive_makes_the_lane_less_sure_and_a_blind_one_more_so() -> None:
+    grown = []
+    for blind in (0.0, 0.5):
+        made = tracker()
+        made.blind_m = blind
+        before = made.covariance.diagonal().copy()
+        made.move(0.02, 0.0, 0.02, known=True)
+        grown.append(made.covariance.diagonal() - before)
+        assert made.blind_m == pytest.approx(blind + 0.02)
+    assert (grown[0] > 0.0).all()
+    assert (grown[1][[OFFSET, HEADING]] > grown[0][[OFFSET, HEADING]]).all()
+
+
+def test_without_odometry_the_lane_in_sight_stays_and_all_is_less_sure() -> None:
+    made = tracker(lane=(0.01, 0.02, 0.3))
+    x = made.known()
+    x[FIRST:] += np.linspace(0.0, 0.3, made.pair.stations)
+    before = made.shape()
+    place, along = before.place[0], before.along[0]
+    sure = made.covariance[:FIRST, :FIRST].diagonal().copy()
+    made.move(0.0, 0.0, 0.02, known=False)
+    after = made.shape()
+    assert made.way_m == 0.0
+    assert abs(made.known()[FIRST] - x[FIRST]) > 1e-3  # below the car it is another curve
+    back = along.conjugate()
+    assert ((after.place[0] - place) * back).imag == pytest.approx(0.0, abs=1e-5)
+    assert cmath.phase(after.along[0] * back) == pytest.approx(0.0, abs=1e-9)
+    assert (made.covariance.diagonal()[[OFFSET, HEADING]] > sure[[OFFSET, HEADING]]).all()
+
+
+@pytest.mark.parametrize("law", ["gauss_newton", "gradient_descent"])
+def test_perfect_sightings_lead_to_the_lane(law: str) -> None:
+    made = tracker(law)
+    truth = made.known().copy()
+    truth[:FIRST] += 0.008, -0.012, 0.004
+    truth[FIRST:] += np.linspace(0.0, 0.15, made.pair.stations)
+    begun = np.abs(residuals(made, truth)[: 2 * COUNT]).max()
+    see(made, truth, 3)
+    left = np.abs(residuals(made, truth)[: 2 * COUNT])
+    assert left.max() < 0.15 * begun
+    assert left.mean() < 0.0012
+    assert made.width_m == pytest.approx(truth[LANE], abs=0.001)
+
+
+def test_both_laws_come_to_the_same_lane() -> None:
+    ends = []
+    for law in ("gauss_newton", "gradient_descent"):
+        made = tracker(law, noise=5.0)
+        truth = made.known().copy()
+        truth[:LANE] += 0.008, -0.012
+        see(made, truth)
+        ends.append((made.shape().place.copy(), made.iterations))
+    assert np.abs(ends[0][0] - ends[1][0]).max() < 1e-3
+    assert ends[0][1] <= 2 < ends[1][1]
+
+
+def test_a_second_look_does_not_count_the_prior_twice() -> None:
+    made = tracker()
+    still(made)
+    truth = made.known().copy()
+    truth[OFFSET] += 0.003
+    see(made, truth)
+    once, covariance = made.known().copy(), made.covariance.copy()
+    see(made, truth)  # of the same frame: only the linearisation is newer
+    assert made.known()[:FIRST] == pytest.approx(once[:FIRST], abs=1e-3)
+    assert made.covariance.diagonal() == pytest.approx(covariance.diagonal(), rel=0.2)  # counted twice: half
+
+
+def test_what_is_where_it_was_expected_changes_nothing_but_the_covariance() -> None:
+    made = tracker()
+    still(made)
+    prior, expected = made.known().copy(), made.covariance.copy()
+    shape = made.shape()
+    rows = np.concatenate((shape.jacobian, shape.jacobian[2 * COUNT :]))
+    for row, sigma in zip(rows, np.concatenate((SIGMA, SIGMA[2 * COUNT :])), strict=True):  # one after the other
+        gain = expected @ row / (row @ expected @ row + sigma**2)
+        expected -= np.outer(gain, row @ expected)
+    carrying = made.update(shape, EVERY, np.zeros(4 * COUNT), np.ones(4 * COUNT))
+    assert carrying.all()
+    assert made.known() == pytest.approx(prior, abs=1e-12)
+    assert made.covariance == pytest.approx(expected, rel=1e-5, abs=1e-9)
+    assert made.moved_m == pytest.approx(0.0, abs=1e-12)
+
+
+def test_nodes_that_were_not_found_have_no_say() -> None:
+    ends = []
+    for rubbish in (0.0, 3.0):
+        made = tracker()
+        truth = made.known().copy()
+        truth[OFFSET] += 0.005
+        away, found = residuals(made, truth), np.ones(4 * COUNT)
+        dead = np.tile(np.isin(EVERY, (0, 4, 5, 20, 29)), 2)
+        found[dead], away[dead] = 0.0, rubbish
+        carrying = made.update(made.shape(), EVERY, away, found)
+        assert carrying.tolist() == (~dead[: 2 * COUNT]).tolist()
+        ends.append((made.known().copy(), made.covariance.copy()))
+    assert ends[0][0] == pytest.approx(ends[1][0], abs=1e-12)
+    assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-12)
+
+
+def test_only_the_nodes_that_were_looked_for_count() -> None:
+    whole, part = tracker(), tracker()
+    truth = whole.known().copy()
+    truth[OFFSET] += 0.005
+    away = residuals(whole, truth)
+    nodes = np.array([2, 7, 11, 18, 25])
+    found = np.tile(np.isin(EVERY, nodes).astype(float), 2)
+    whole.update(whole.shape(), EVERY, away, found)
+    part.update(part.shape(), nodes, np.concatenate((away[nodes], away[2 * COUNT + nodes])), np.ones(10))
+    assert part.known() == pytest.approx(whole.known(), abs=1e-12)
+
+
+def test_nothing_looked_for_and_nothing_found_leave_the_prediction() -> None:
+    for nodes, found in ((EVERY[:0], np.ones(0)), (EVERY, np.zeros(4 * COUNT))):
+        made = tracker()
+        made.move(0.02, 0.01, 0.02, known=True)
+        before, covariance = made.known().copy(), made.covariance.copy()
+        assert not made.update(made.shape(), nodes, np.full(len(found), 0.01), found).any()
+        assert made.known() == pytest.approx(before)
+        assert made.covariance == pytest.approx(covariance)
+
+
+def test_a_ridge_that_is_far_off_is_not_believed() -> None:
+    made, clean = tracker(), tracker()
+    truth = made.known().copy()
+    see(clean, truth, 1)
+    still(made)
+    see(made, truth)
+    away = residuals(made, truth)
+    away[[3, 9]] = 0.3
+    still(made)
+    carrying = made.update(made.shape(), EVERY, away, np.ones(4 * COUNT))
+    assert np.flatnonzero(~carrying).tolist() == [3, 9]
+    assert made.known()[:FIRST] == pytest.approx(truth[:FIRST], abs=1e-3)
+
+
+def test_a_whole_line_that_is_not_believed_raises_doubt() -> None:
+    variances = []
+    for away in (0.0, 0.25):
+        made = tracker()
+        see(made, made.known().copy())
+        still(made)
+        residual = np.zeros(4 * COUNT)
+        residual[:COUNT], residual[2 * COUNT : 3 * COUNT] = away, 4.0 * away  # another road's line
+        found = np.concatenate((np.ones(COUNT), np.zeros(COUNT))) if away else np.zeros(2 * COUNT)
+        made.update(made.shape(), EVERY, residual, np.tile(found, 2))
+        variances.append(made.covariance.diagonal()[[OFFSET, HEADING]])
+    assert (variances[1] > variances[0]).all()
+
+
+def test_no_curvature_passes_that_of_the_tightest_bend() -> None:
+    made = tracker()
+    made.known()[FIRST:] = 50.0
+    made.move(0.0, 0.0, 0.02, known=True)
+    made.update(made.shape(), EVERY[:0], np.ones(0), np.ones(0))
+    tightest = 1.0 / (made.config.radius_lanes * WIDTH)
+    assert made.known()[FIRST:] == pytest.approx(np.full(made.pair.stations, tightest))
+
+
+def test_a_lane_apart_is_measured_where_it_is_sure() -> None:
+    made = tracker(lane=(0.03, -0.1, 0.6))
+
+    def rough(offset: float, heading: float) -> RoughLane:
+        return RoughLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=NODES[6])
+
+    assert made.apart(rough(0.03, -0.1)) == pytest.approx((0.0, 0.0), abs=2e-3)
+    left, turned = made.apart(rough(-0.02, -0.1))  # the car is further right of that lane: the lane is further left
+    place, along = arc_from(0.03, -0.1, 0.6, float(NODES[6]))
+    other = arc_from(-0.02, -0.1, 0.6, float(NODES[6]))[0]
+    assert left == pytest.approx(((other - place) * along.conjugate()).imag, abs=2e-3)
+    assert left > 0.04
+    assert turned == pytest.approx(0.0, abs=2e-3)
+    assert made.apart(rough(0.03, -0.05))[1] == pytest.approx(0.05, abs=2e-3)
+
+
+def test_a_start_lies_near_the_rough_lane_and_is_sure_there() -> None:
+    made = tracker()
+    rough = RoughLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, sure_m=0.6)
+    made.begin(rough)
+    away, turned = made.apart(rough)
+    assert abs(away) < 0.02
+    assert abs(turned) < 0.05
+    assert made.width_m == pytest.approx(0.46, abs=0.01)
+    node = int(np.abs(NODES - 0.6).argmin())
+    rows = made.shape().jacobian
+    spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, made.covariance, rows))
+    assert spread[node] < spread[0]
+    assert spread[node] < spread[COUNT - 1]
+    assert np.linalg.eigvalsh(made.covariance).min() > -1e-12
+
+
+def test_the_pose_turns_the_sign_of_the_headings_covariance() -> None:
+    made = tracker(lane=(0.03, -0.1, 0.6))
+    offset, heading, width, covariance = made.pose()
+    assert (offset, heading, width) == pytest.approx((0.03, -0.1, WIDTH))
+    turn = np.diag((1.0, -1.0, 1.0))
+    assert covariance == pytest.approx(turn @ made.covariance[:3, :3] @ turn)
+
+
+def test_a_lane_that_was_forgotten_is_not_there() -> None:
+    made = tracker()
+    made.move(0.3, 0.0, 0.02, known=True)
+    made.forget()
+    made.move(0.3, 0.0, 0.02, known=True)
+    assert (made.parameters, made.phase_m, made.blind_m, made.iterations) == (None, 0.0, 0.0, 0)
+    with pytest.raises(ValueError, match="begin first"):
+        made.shape()

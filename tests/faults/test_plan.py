@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from automodel.faults.catalogue import FAULTS, NOMINAL, chosen
+from automodel.faults.fault import Kind, Must
+from automodel.faults.plan import BEGIN_NS, REARM_S, draw_plan
+
+PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in FAULTS for index in range(30)]
+
+
+def test_the_same_seed_gives_the_same_plan_and_another_one_another() -> None:
+    for fault in FAULTS:
+        assert draw_plan(fault, 7, 3, 4) == draw_plan(fault, 7, 3, 4)
+        assert len({draw_plan(fault, seed, index, 4) for seed in (7, 8) for index in (0, 1)}) == 4
+        plan = draw_plan(fault, 7, 3, 4)
+        assert plan.hooks_random().random() == plan.hooks_random().random()
+
+
+def test_a_fault_begins_at_any_time_of_a_servo_frame_and_of_a_picture() -> None:
+    begins = [plan.begin_ns for _, plan in PLANS]
+    assert all(BEGIN_NS[0] <= begin <= BEGIN_NS[1] for begin in begins)
+    for period_ns in (20_000_000, 16_666_667):
+        assert {begin % period_ns * 8 // period_ns for begin in begins} == set(range(8))
+
+
+def test_a_request_is_either_too_early_or_in_time() -> None:
+    seen = set()
+    for fault, plan in PLANS:
+        if fault.must is not Must.STOP or plan.press_ns is None:
+            assert not plan.drives_again
+            continue
+        if plan.drives_again:
+            assert plan.press_ns >= plan.end_ns + (REARM_S + fault.recovery_s) * 1e9
+        else:
+            assert fault.heard
+            assert not fault.ends or plan.press_ns < plan.end_ns + REARM_S * 1e9
+        assert plan.press_ns < plan.until_ns
+        seen.add(plan.drives_again)
+    assert seen == {True, False}
+
+
+def test_a_stopped_car_is_watched_for_longer_than_arming_takes() -> None:
+    for fault, plan in PLANS:
+        if fault.must is Must.STOP and fault.ends:
+            assert plan.until_ns >= plan.end_ns + (REARM_S + fault.recovery_s) * 1e9
+
+
+def test_every_way_of_failing_is_there_and_every_name_once() -> None:
+    assert {fault.kind for fault in FAULTS} == set(Kind) - {Kind.NONE}
+    names = [fault.name for fault in (*FAULTS, NOMINAL)]
+    assert len(names) == len(set(names))
+    assert len(FAULTS) <= 60  # a run of each in the fast lane
+    for fault in FAULTS:
+        assert fault.lasting_s[0] <= fault.lasting_s[1]
+        assert math.isfinite(fault.recovery_s)
+
+
+def test_the_bound_is_150_ms_but_for_what_shows_later_or_grows() -> None:
+    longer = [fault.name for fault in FAULTS if fault.must is not Must.NOTHING and fault.within_s != 0.15]
+    assert longer == ["camera-drops-3", "serial-falls-behind", "servo-stuck"]
+
+
+def test_faults_are_chosen_by_name() -> None:
+    assert chosen(()) == FAULTS
+    assert [fault.name for fault in chosen(("disk-full", "camera-off", "disk-full"))] == ["camera-off", "disk-full"]
+    assert chosen(("nominal",)) == (NOMINAL,)
+    with pytest.raises(ValueError, match=r"'camera-of': no such fault; near: camera-off"):
+        chosen(("camera-of",))
+    with pytest.raises(ValueError, match=r"'hang': no such fault; near: board-hang"):
+        chosen(("hang",))
+    with pytest.raises(ValueError, match=r"'zzz': no such fault; see --list"):
+        chosen(("zzz",))

@@ -1,0 +1,305 @@
+"""What `contour` reads and holds: single pixels, no memory that grows with the picture, one channel, single floats."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from masked_drives import arc, gap, line, road
+from rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
+
+from automodel.config import CarConfig, LaneConfig, VehicleConfig
+from automodel.pipelines.contour import Contour
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
+from automodel.sim.track import load_track
+
+WINDING = road(line(1.0), arc(1.0, 1.2), arc(1.0, -2.4), line(3.0))
+BROKEN = road(line(12.0), gap(1.5, 5.0, "left", "right"))
+HIGHWAY_CAR = replace(
+    with_camera(camera(focal_px=500.0, x_m=1.5, z_m=1.2, pitch_rad=0.12)),
+    lane=LaneConfig(width_m=3.7, marking_width_m=0.15),
+    vehicle=VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8),
+)
+TRACKING_SHARE, START_SHARE = 0.03, 0.12
+GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601
+
+
+class WatchedImage:
+    """A picture that is no array: what is taken out of it is remembered, and nothing else can be done with it.
+
+    Views (`reshape`, slices) read nothing; values leave it only by `take`, by indexing with arrays or single places,
+    and by conversion to an array, which reads all of it.
+    """
+
+    def __init__(self, values: np.ndarray, places: np.ndarray | None = None, read: set[int] | None = None) -> None:
+        """`places` tells the pixel that each value belongs to."""
+        self._values = values
+        if places is None:
+            height, width = values.shape[:2]
+            pixels = np.arange(height * width).reshape(height, width, *[1] * (values.ndim - 2))
+            places = np.broadcast_to(pixels, values.shape)
+        self._places = places
+        self.read: set[int] = set() if read is None else read
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self._values.shape
+
+    @property
+    def ndim(self) -> int:
+        return self._values.ndim
+
+    @property
+    def size(self) -> int:
+        return self._values.size
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        return self._values.dtype
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def reshape(self, *shape: Any) -> WatchedImage:
+        return WatchedImage(self._values.reshape(*shape), self._places.reshape(*shape), self.read)
+
+    def ravel(self) -> WatchedImage:
+        return self.reshape(-1)
+
+    def take(self, indices: Any, axis: int | None = None, out: Any = None, mode: str = "raise") -> np.ndarray:
+        self._note(self._places.take(indices, axis=axis, mode=mode))
+        return self._values.take(indices, axis=axis, out=out, mode=mode)
+
+    def __getitem__(self, key: Any) -> Any:
+        parts = key if isinstance(key, tuple) else (key,)
+        values, places = self._values[key], self._places[key]
+        if all(isinstance(part, (slice, type(Ellipsis), int)) for part in parts) and values.ndim:
+            return WatchedImage(values, places, self.read)
+        self._note(places)
+        return values
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        self._note(self._places)
+        return self._values.astype(dtype or self._values.dtype)
+
+    def _note(self, places: Any) -> None:
+        self.read.update(np.unique(places).tolist())
+
+
+class Watched:
+    """`contour` on watched pictures: `shares` of their pixels that each step read, and whether it found a lane then."""
+
+    name = "contour"
+
+    def __init__(self, car: CarConfig) -> None:
+        self.watched = Contour(car)
+        self.shares: list[float] = []
+
+    def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        image = WatchedImage(frame.image)
+        told = Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image)
+        object.__setattr__(told, "image", image)  # a frame takes arrays only
+        estimate = self.watched.step(told, motion)
+        self.shares.append(len(image.read) / (frame.image.shape[0] * frame.image.shape[1]))
+        return estimate
+
+    def reset(self) -> None:
+        self.watched.reset()
+
+
+def watch(car: CarConfig = CAR, track=WINDING, to_m: float = 3.0, **options: Any) -> tuple[list[Seen], list[float]]:
+    pipeline = Watched(car)
+    seen = RenderedDrive(track=track, car=car, pipeline=pipeline, **options).run(0.3, to_m)
+    return seen, pipeline.shares
+
+
+def test_a_watched_image_remembers_what_is_read() -> None:
+    picture = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
+    image = WatchedImage(picture)
+    channel = image.reshape(-1, 3)[:, 1]
+    assert not image.read
+    assert channel.take(np.array([7, 9, 2, 2]), mode="clip").tolist() == [22, 22, 7, 7]
+    assert image.read == {7, 2}
+    assert image[1, 1, 2] == 17
+    assert image[np.array([0]), np.array([3])].tolist() == [[9, 10, 11]]
+    assert image.read == {7, 2, 5, 3}
+    assert image.reshape(-1, 3).take([4], axis=0).tolist() == [[12, 13, 14]]
+    assert image[0].ndim == 2
+    assert image.read == {7, 2, 5, 3, 4}
+    np.testing.assert_array_equal(np.asarray(image), picture)
+    assert image.read == set(range(8))
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_few_pixels_are_read(colour: bool) -> None:
+    car = with_camera(camera(colour=colour))
+    seen, shares = watch(car)
+    assert seen[0].frame.image.shape[:2] == (360, 640)
+    assert seen[0].frame.image.ndim == (3 if colour else 2)
+    assert all(s.estimate.valid for s in seen)
+    assert 0.0 < shares[0] < START_SHARE
+    assert 0.0 < max(shares[1:]) < TRACKING_SHARE
+    plain = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 1.0)
+    for one, other in zip(plain, seen, strict=False):  # nothing but the watching differs
+        assert one.estimate.pose is not None
+        assert other.estimate.pose is not None
+        assert one.estimate.pose.offset_m == other.estimate.pose.offset_m
+
+
+def test_few_pixels_are_read_in_the_dark_and_at_the_next_start() -> None:
+    """Coasting, lost, and found again: no step reads more than a start, and following again as little as before."""
+    seen, shares = watch(track=BROKEN, to_m=6.0)
+    statuses = [s.estimate.status for s in seen]
+    assert {LaneStatus.TRACKING, LaneStatus.COASTING, LaneStatus.LOST} <= set(statuses)
+    assert statuses[-1] is LaneStatus.TRACKING
+    assert max(shares) < START_SHARE
+    settled = [shares[k] for k in range(4, len(seen)) if all(s is LaneStatus.TRACKING for s in statuses[k - 4 : k + 1])]
+    assert len(settled) > 60
+    assert max(settled) < TRACKING_SHARE
+
+
+@pytest.mark.parametrize("radius_lanes", [1.4, 50.0])
+def test_few_pixels_are_read_on_a_highway(radius_lanes: float) -> None:
+    contour = replace(HIGHWAY_CAR.pipeline.contour, radius_lanes=radius_lanes)
+    car = replace(HIGHWAY_CAR, pipeline=replace(HIGHWAY_CAR.pipeline, contour=contour))
+    seen, shares = watch(car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
+    assert all(s.estimate.status is LaneStatus.TRACKING for s in seen)
+    assert 0.0 < shares[0] < START_SHARE
+    assert 0.0 < max(shares[1:]) < TRACKING_SHARE
+
+
+def test_on_the_contest_floor_few_pixels_are_read() -> None:
+    seen, shares = watch(track=load_track("tmr"), to_m=4.0)
+    assert max(shares) < START_SHARE
+    valid = [s.estimate.valid for s in seen]
+    followed = [shares[k] for k in range(4, len(seen)) if all(valid[k - 4 : k + 1])]
+    assert len(followed) > 40
+    assert max(followed) < TRACKING_SHARE
+
+
+def peaks(car: CarConfig, seen: Sequence[Seen]) -> list[int]:
+    """Most memory [bytes] that each step takes on top of what was held before it."""
+    pipeline, most = Contour(car), []
+    tracemalloc.start()
+    try:
+        for one in seen:
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            pipeline.step(one.frame, one.motion)
+            most.append(tracemalloc.get_traced_memory()[1] - before)
+    finally:
+        tracemalloc.stop()
+    return most
+
+
+def test_no_memory_grows_with_the_picture() -> None:
+    at = {}
+    for width, height in ((640, 360), (1920, 1080)):
+        car = with_camera(camera(width, height, 0.75 * width))
+        seen = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 0.8)
+        assert all(s.estimate.valid for s in seen)
+        at[width] = peaks(car, seen)
+    small, large = at[640], at[1920]
+    assert max(large[1:]) < 200_000  # a picture of 1920x1080 has 2 MB
+    assert max(large[1:]) < 1.1 * max(small[1:]) + 2_000
+    assert large[0] < 1.2 * small[0] + 20_000
+
+
+def test_the_tracker_holds_little() -> None:
+    pipeline = Contour(CAR)
+    RenderedDrive(track=WINDING, pipeline=pipeline).run(0.3, 1.0)
+    held, fresh = vars(pipeline._tracker), vars(Contour(CAR)._tracker)
+    bases: dict[int, int] = {}
+    numbers = 0
+    for name, value in held.items():
+        for k, part in enumerate(value if isinstance(value, tuple) else (value,)):
+            before = fresh[name][k] if isinstance(value, tuple) else fresh[name]
+            if isinstance(part, np.ndarray) and not np.array_equal(part, before):
+                memory = part if part.base is None else part.base
+                bases[id(memory)] = memory.nbytes
+            elif isinstance(part, (float, int)):
+                numbers += 1
+    state = sum(bases.values()) + 8 * numbers
+    parameters, covariance = held["parameters"], held["covariance"]
+    assert parameters.nbytes + covariance.nbytes <= state < 4096
+
+
+def poses(seen: Sequence[LaneEstimate]) -> np.ndarray:
+    assert all(e.pose is not None for e in seen)
+    return np.array([(e.pose.offset_m, e.pose.width_m, e.pose.heading_rad) for e in seen if e.pose])
+
+
+def replay(car: CarConfig, seen: Sequence[Seen]) -> list[LaneEstimate]:
+    pipeline = Contour(car)
+    return [pipeline.step(s.frame, s.motion) for s in seen]
+
+
+def optioned(car: CarConfig, **options: Any) -> CarConfig:
+    return replace(car, pipeline=replace(car.pipeline, contour=replace(car.pipeline.contour, **options)))
+
+
+@pytest.mark.parametrize("name", ["scale", "highway"])
+def test_single_floats_give_the_same_lane(name: str) -> None:
+    if name == "scale":
+        car, bound_m = CAR, 0.001
+        seen = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 3.5)
+    else:
+        car, bound_m = optioned(HIGHWAY_CAR, radius_lanes=50.0), 0.005
+        track = road(line(60.0), arc(250.0, 0.8), width_m=3.7, marking_m=0.15)
+        seen = RenderedDrive(track=track, car=car, pipeline=Contour(car), speed_mps=25.0).run(5.0, 90.0)
+    double, single = replay(car, seen), replay(optioned(car, precision="single"), seen)
+    assert [e.status for e in double] == [e.status for e in single]
+    apart = np.abs(poses(double) - poses(single))[8:]  # at the start one of them may look once more than the other
+    places = apart[:, :2].max(axis=1)
+    assert np.mean(places < bound_m) >= 0.97
+    assert places.max() < 2.0 * bound_m
+    assert np.quantile(apart[:, 2], 0.97) < 0.003
+    assert apart.max() > 0.0  # they are two ways of computing
+    for one, other in zip(double[8::7], single[8::7], strict=True):
+        assert one.centerline is not None
+        assert other.centerline is not None
+        length = min(one.centerline.length_m, other.centerline.length_m)
+        s = np.linspace(0.0, 0.8 * length, 15)
+        away = np.abs(one.centerline.position(s) - other.centerline.position(s))
+        assert away.max() < 3.0 * bound_m
+
+
+def test_colour_read_as_grey_is_grey() -> None:
+    car = with_camera(camera(colour=True))
+    seen = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 1.5)
+    tint = np.array([0.6, 1.0, 0.8])
+    coloured = [(s.frame.image * tint).astype(np.uint8) for s in seen]
+    assert (coloured[0][..., 0] != coloured[0][..., 1]).any()
+    grey = [np.rint(image @ GREY).astype(np.uint8) for image in coloured]
+    told = []
+    for pictures in (coloured, grey):
+        pipeline = Contour(optioned(CAR, colour="grey"))
+        frames = [replace(s.frame, image=image) for s, image in zip(seen, pictures, strict=True)]
+        told.append([pipeline.step(frame, s.motion) for frame, s in zip(frames, seen, strict=True)])
+    np.testing.assert_allclose(poses(told[0]), poses(told[1]), rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("colour", "channel"), [("blue", 0), ("green", 1), ("red", 2)])
+def test_one_channel_is_read(colour: str, channel: int) -> None:
+    seen = RenderedDrive(track=WINDING, pipeline=Contour(CAR)).run(0.3, 0.9)
+    pipeline = Contour(optioned(CAR, colour=colour))
+    for one in seen:
+        image = np.full((*one.frame.image.shape, 3), 128, np.uint8)
+        image[..., channel] = one.frame.image
+        told = pipeline.step(replace(one.frame, image=image), one.motion)
+        assert one.estimate.pose is not None
+        assert told.pose is not None
+        assert told.pose.offset_m == one.estimate.pose.offset_m
+
+
+def test_watching_refuses_what_is_not_watched() -> None:
+    with pytest.raises(AttributeError):
+        WatchedImage(np.zeros((2, 2), np.uint8)).copy()  # type: ignore[attr-defined]
+    still = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
+    watched = Watched(CAR)
+    watched.step(Frame(t_ns=0, index=0, image=np.zeros((360, 640), np.uint8)), still)
+    assert 0.0 < watched.shares[0] < START_SHARE
