@@ -122,10 +122,10 @@ def bench(car: CarConfig, cases: Sequence[ClaimDrive], jobs: int | None, figure:
 
 
 PANELS = (
-    ("iterations", "iterations a frame", "log"),
-    ("losses_per_1000", "losses per 1000 frames", "linear"),
-    ("heading_mae_deg", "heading MAE [deg]", "linear"),
-    ("offset_mae_m", "offset MAE [m]", "linear"),
+    ("iterations", "iterations a frame"),
+    ("losses_per_1000", "losses per 1000 frames"),
+    ("heading_mae_deg", "heading MAE [deg]"),
+    ("offset_mae_m", "offset MAE [m]"),
 )
 
 
@@ -139,7 +139,7 @@ def plot(path: Path, rows: Sequence[Row]) -> None:
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(laws), len(PANELS), squeeze=False)
     for law, line in zip(laws, axes, strict=True):
-        for (name, label, scale), axis in zip(PANELS, line, strict=True):
+        for (name, label), axis in zip(PANELS, line, strict=True):
             for telling, marker in zip(TELLINGS, "osv^", strict=True):
                 mine = [row for row in rows if (row["law"], row["speed"]) == (law, telling)]
                 values = [np.nan if row[name] is None else row[name] for row in mine]
@@ -149,10 +149,7 @@ def plot(path: Path, rows: Sequence[Row]) -> None:
             axis.minorticks_off()
             axis.set_xlabel("frames/s")
             axis.set_title(f"{law}: {label}", fontsize=9, loc="left")
-            if scale == "linear":
-                axis.set_ylim(bottom=0.0)
-            elif len(laws) > 1 and law == "gradient_descent":
-                axis.set_yscale("log")
+            axis.set_ylim(bottom=0.0)
             axis.grid(alpha=0.3)
     axes[0][0].legend(title="speed", fontsize=8)
     try:

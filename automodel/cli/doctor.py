@@ -125,7 +125,8 @@ def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> Devices:
         leaving.callback(simulated.close)
         open_camera, link, clock = (lambda: simulated.source), simulated.link, simulated.clock
     else:
-        from automodel.cli.parts import make_camera, make_link
+        from automodel.cli.links import make_link
+        from automodel.cli.parts import make_camera
 
         open_camera, link, clock = (lambda: make_camera(car)), make_link(car), MonotonicClock()
     assert isinstance(link, Board)

@@ -10,7 +10,8 @@ from automodel.checks.inputs import InputChecks
 from automodel.cli.driving import Watcher, drive, run_config
 from automodel.cli.figures import show
 from automodel.cli.keys import ArmKey
-from automodel.cli.parts import make_camera, make_link, make_loop, make_recorder
+from automodel.cli.links import make_link
+from automodel.cli.parts import make_camera, make_loop, make_recorder
 from automodel.cli.progress import progress
 from automodel.cli.run import Options
 from automodel.cli.telling import EventTeller, say

@@ -12,14 +12,11 @@ from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
 from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
-from automodel.interfaces import Pipeline, Source, VehicleLink
+from automodel.interfaces import Pipeline, Source
 from automodel.loop import Checks, Loop
 from automodel.pipelines import make_pipeline
 from automodel.reading import read_text
 from automodel.recording.writer import McapRecorder
-from firmware_link.arduino import ArduinoLink
-from firmware_link.autonomos import AutonomosLink
-from firmware_link.transport import SerialTransport
 
 
 def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
@@ -97,14 +94,3 @@ def make_camera(car: CarConfig) -> Source:
 
         return UsbSource(car.camera)
     return open_source(Path(car.camera.source), car, car.camera.rate_hz)
-
-
-def make_link(car: CarConfig) -> VehicleLink:
-    """The vehicle behind the serial ports that car.toml names, in the language that its [link] kind says."""
-    names = [car.link.port]
-    if car.link.kind == "autonomos" and car.link.autonomos.motor_port:
-        names.append(car.link.autonomos.motor_port)
-    ports = [SerialTransport(name, car.link.baud) for name in names]
-    if car.link.kind == "autonomos":
-        return AutonomosLink(ports, car.link, car.vehicle)
-    return ArduinoLink(ports[0], car.link, car.vehicle)
