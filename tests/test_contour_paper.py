@@ -16,11 +16,11 @@ TRUTH = TruePose(offset_m=0.02, heading_rad=0.1, width_m=0.4)
 LOST = LaneEstimate(t_ns=0, status=LaneStatus.LOST)
 
 
-def seen(offset_m: float = 0.02, heading_rad: float = 0.1) -> LaneEstimate:
+def seen(offset_m: float = 0.02, heading_rad: float = 0.1, status: LaneStatus = LaneStatus.TRACKING) -> LaneEstimate:
     pose = LanePose(
         offset_m=offset_m, heading_rad=heading_rad, width_m=0.4, curvature_per_m=0.0, covariance=np.zeros((3, 3))
     )
-    return LaneEstimate(t_ns=0, status=LaneStatus.TRACKING, pose=pose, centerline=line(0.0, 0.0, 0.0, 1.0))
+    return LaneEstimate(t_ns=0, status=status, pose=pose, centerline=line(0.0, 0.0, 0.0, 1.0))
 
 
 def metered(*frames: tuple[LaneEstimate, bool], counts: bool = True) -> ClaimMeter:
@@ -75,6 +75,13 @@ def test_iterations_are_those_of_frames_that_were_followed() -> None:
     for count, searched in ((1, False), (5, False), (100, True)):
         meter.add(seen(), TRUTH, count, searched, True)
     assert meter.row()["iterations"] == pytest.approx(3.0)
+
+
+def test_coasting_is_no_loss_and_has_no_iterations() -> None:
+    meter = metered((seen(), True), (seen(), False))
+    meter.add(seen(status=LaneStatus.COASTING), TRUTH, 1, False, True)
+    row = meter.row()
+    assert (row["frames"], row["losses"], row["coasting"], row["iterations"]) == (2, 0, 1, 3.0)
 
 
 def test_drives_add_up_and_none_has_no_figures() -> None:

@@ -51,7 +51,7 @@ class TrackedLine:
     KEEP_POINTS = 4  # of a round: the nearest, which leave the picture next
     BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # how far behind the reference point they are kept; the last few longer
     LAST_POINTS = 12  # so many
-    ARC_LANES = 0.3  # a line that ended goes on so far as it went, and then straight
+    ARC_LANES = 0.15  # a line that ended goes on so far as it went, and then straight
     HIDDEN_BEND_LANES = 0.25  # curvature, in 1 / lane, that may go unseen where there are no points
     DRIFT = 0.015  # growth of a remembered point's sigma with the way driven since
     STEP_LANES, KNOT_LANES = 0.12, 0.6  # of the spline's samples and knots

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from automodel.evaluation.accuracy import FALSE_LANE, TruePose
-from automodel.signals import LaneEstimate, Motion, MotionSource
+from automodel.signals import LaneEstimate, LaneStatus, Motion, MotionSource
 
 Row = dict[str, object]
 
@@ -41,14 +41,15 @@ TELLINGS: dict[str, Callable[[Motion], Motion]] = {
 class ClaimMeter:
     """Collects the frames of one way of telling at one frame rate; what it counts begins with the first estimate.
 
-    Errors and iterations are over frames that have an estimate, iterations only where the lane was followed from the
-    frame before.
+    Errors are over frames that have an estimate, iterations only over those in which the lane was followed from the
+    frame before and a line seen: without one there is nothing to converge on. Coasting alone is no loss.
     """
 
     frames: int = 0
     lost: int = 0
     searched: int = 0
     false: int = 0
+    coasting: int = 0
     losses: int = 0
     offset_m: list[float] = field(default_factory=list)
     heading_rad: list[float] = field(default_factory=list)
@@ -71,16 +72,18 @@ class ClaimMeter:
         self.lost += pose is None
         self.searched += searched
         self.false += false
+        coasting = estimate.status is LaneStatus.COASTING
+        self.coasting += coasting
         self.losses += before and not self._well
         if pose is not None:
             self.offset_m.append(error)
             self.heading_rad.append(abs(math.remainder(pose.heading_rad - truth.heading_rad, math.tau)))
-            if not searched:
+            if not (searched or coasting):
                 self.iterations.append(iterations)
 
     def include(self, other: ClaimMeter) -> None:
         """The frames of another drive."""
-        for name in ("frames", "lost", "searched", "false", "losses"):
+        for name in ("frames", "lost", "searched", "false", "coasting", "losses"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.offset_m += other.offset_m
         self.heading_rad += other.heading_rad
@@ -93,6 +96,7 @@ class ClaimMeter:
             row["iterations"] = float(np.mean(self.iterations))
             row["iterations_p95"] = float(np.quantile(self.iterations, 0.95))
         row.update(losses=self.losses, losses_per_1000=None, lost=self.lost, searched=self.searched, false=self.false)
+        row["coasting"] = self.coasting
         if self.frames:
             row["losses_per_1000"] = 1000.0 * self.losses / self.frames
         row.update(heading_mae_deg=None, offset_mae_m=None)

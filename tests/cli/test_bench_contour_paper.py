@@ -6,7 +6,7 @@ import pytest
 
 KEYS = [
     "law", "rate_hz", "speed", "frames", "iterations", "iterations_p95", "losses", "losses_per_1000", "lost",
-    "searched", "false", "heading_mae_deg", "offset_mae_m",
+    "searched", "false", "coasting", "heading_mae_deg", "offset_mae_m",
 ]  # fmt: skip
 QUICK = ("bench", "contour-paper", "--law", "gauss_newton", "--seconds", "1.5", "--jobs", "1")
 
