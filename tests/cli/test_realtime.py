@@ -28,7 +28,7 @@ def environment(tmp_path: Path) -> dict[str, str]:
 def start(tmp_path: Path, *arguments: str) -> subprocess.Popen[str]:
     """A run in a session of its own, as a terminal starts it; SIGINT is not ignored as it is in background jobs."""
     return subprocess.Popen(
-        [sys.executable, "-m", "automodel", "run", "--realtime", "--track", "oval", *arguments],
+        [sys.executable, "-m", "automodel", "run", "--realtime", "--track", "oval", "--pipeline", "windows", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -81,7 +81,7 @@ def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) ->
     number = signal.Signals[name]
     with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:
         deadline = time.monotonic() + 60
-        while not (record.exists() and record.stat().st_size > 24_000_000) and time.monotonic() < deadline:
+        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
             time.sleep(0.05)
         (os.killpg if whole_group else os.kill)(child.pid, number)
         out, err = child.communicate(timeout=60)
@@ -119,7 +119,7 @@ def test_a_run_that_is_killed_leaves_no_process(tmp_path: Path) -> None:
     record = tmp_path / "run.mcap"
     with start(tmp_path, "--duration", "60", "--record", str(record)) as child:
         deadline = time.monotonic() + 60
-        while not (record.exists() and record.stat().st_size > 24_000_000) and time.monotonic() < deadline:
+        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
             time.sleep(0.05)
         child.kill()
         child.communicate(timeout=60)
