@@ -28,7 +28,18 @@ def environment(tmp_path: Path) -> dict[str, str]:
 def start(tmp_path: Path, *arguments: str) -> subprocess.Popen[str]:
     """A run in a session of its own, as a terminal starts it; SIGINT is not ignored as it is in background jobs."""
     return subprocess.Popen(
-        [sys.executable, "-m", "automodel", "run", "--realtime", "--track", "oval", "--pipeline", "windows", *arguments],
+        [
+            sys.executable,
+            "-m",
+            "automodel",
+            "run",
+            "--realtime",
+            "--track",
+            "oval",
+            "--pipeline",
+            "windows",
+            *arguments,
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
