@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
+
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Complexes = NDArray[np.complexfloating[Any, Any]]
@@ -74,10 +76,9 @@ class ClothoidPair:
         self.stations = int(np.ceil(nodes[-1] / spacing_m)) + 2  # the last one ahead of the last node at any phase
         self._first = max(int(np.ceil(nodes[0] / (0.5 * spacing_m))), 1)
         s = np.concatenate((np.linspace(0.0, nodes[0], self._first, endpoint=False), nodes))
-        complexes = np.result_type(dtype, np.complex64)
-        self._sums: Complexes = _trapezoids(s)[self._first :].astype(complexes)
+        self._complexes = np.result_type(dtype, np.complex64)
+        self._steps: Floats = np.diff(s).astype(dtype)
         self._parts, self._slopes = self._tables(s)
-        self._turning = np.array([Parameter.HEADING, *range(Parameter.CURVATURE, Parameter.CURVATURE + self.stations)])
         n, size = self.count, Parameter.CURVATURE + self.stations
         self._jacobian: Floats = np.zeros((3 * n, size), dtype)
         self._jacobian[:n, Parameter.WIDTH], self._jacobian[n : 2 * n, Parameter.WIDTH] = 0.5, -0.5
@@ -85,27 +86,11 @@ class ClothoidPair:
 
     def shape(self, parameters: Floats, phase_m: float) -> PairShape:
         """The pair that `parameters` (3 + m,) mean while the reference point is `phase_m` past station 0."""
-        n, first, jacobian = self.count, self._first, self._jacobian
+        place, along = np.empty((2, self.count), self._complexes)
         at = phase_m / self.spacing_m * self.PHASES
-        q = min(int(at), self.PHASES - 1)
-        turns = self._slopes[q] * (at - q)
-        turns += self._parts[q]
-        unit = np.exp(1j * (turns @ parameters.take(self._turning)))
-        moments = self._sums @ (unit[:, None] * turns)  # of the unit tangent, and of it times each station's turn
-        start, along = unit[0], unit[first:]
-        back = along.conj()
-        swing = (back[:, None] * moments).real
-        back *= start
-        offset = float(parameters[0])
-        left = jacobian[:n]
-        left[:, 3:] = swing[:, 1:]
-        np.add(swing[:, 0], back.imag * offset, out=left[:, 1])
-        np.negative(back.real, out=left[:, 0])
-        jacobian[n : 2 * n, :2] = left[:, :2]
-        jacobian[n : 2 * n, 3:] = swing[:, 1:]
-        jacobian[2 * n :, 3:] = turns[first:, 1:]
-        place = moments[:, 0] + (self.reference_x_m - 1j * offset * start)
-        return PairShape(place=place, along=along, jacobian=jacobian)
+        _lay(parameters, at, self._parts, self._slopes, self._steps, self._first, self._jacobian, place, along)
+        place += self.reference_x_m
+        return PairShape(place=place, along=along, jacobian=self._jacobian)
 
     def _tables(self, s: FloatArray) -> tuple[Floats, Floats]:
         """For phases (q,), at nodes (k,): turns per unit of heading and of each curvature (q, k, 1 + m); their slopes.
@@ -159,10 +144,54 @@ class ClothoidPair:
         return s, points + aside_m * normal, theta0, kappa0 / np.maximum(1.0 - aside_m * kappa0, _LEAST_STRETCH)
 
 
-def _trapezoids(s: FloatArray) -> FloatArray:
-    """Matrix (k, k) that integrates values at `s` (k,) from the first to each of them: eq. (2.5)-(2.6)."""
-    sums = np.zeros((len(s), len(s)))
-    for i, step in enumerate(np.diff(s), 1):
-        sums[i] = sums[i - 1]
-        sums[i, i - 1 : i + 1] += 0.5 * step
-    return sums
+@compiled
+def _lay(
+    x: Floats,
+    at: float,
+    parts: Floats,
+    slopes: Floats,
+    steps: Floats,
+    first: int,
+    jacobian: Floats,
+    place: Complexes,
+    along: Complexes,
+) -> None:
+    """Fill in `place`, `along` (n,) and `jacobian`, as `PairShape` has them, but from the reference point on.
+
+    By eq. (2.4)-(2.6): headings at the integration's points (k,), of which the last n are measured, and trapezoids
+    `steps` (k - 1,) apart. `at` is the place in the tables of the turns (k, 1 + m) and of their slopes.
+    """
+    q = min(int(at), len(slopes) - 1)
+    share = at - q
+    points, size, n = parts.shape[1], parts.shape[2], len(place)
+    turns, turns_before = np.empty(size, x.dtype), np.zeros(size, x.dtype)
+    moments = np.zeros((size, 2), x.dtype)  # of the unit tangent times each parameter's turn
+    cos = sin = cos_before = sin_before = start_cos = start_sin = 0.0
+    for i in range(points):
+        angle = 0.0
+        for j in range(size):
+            turns[j] = parts[q, i, j] + share * slopes[q, i, j]
+            angle += turns[j] * x[1 if j == 0 else 2 + j]
+        cos, sin = math.cos(angle), math.sin(angle)
+        if i == 0:
+            start_cos, start_sin = cos, sin
+        else:
+            half = 0.5 * steps[i - 1]
+            for j in range(size):
+                moments[j, 0] += half * (cos * turns[j] + cos_before * turns_before[j])
+                moments[j, 1] += half * (sin * turns[j] + sin_before * turns_before[j])
+        for j in range(size):
+            turns_before[j] = turns[j]
+        cos_before, sin_before = cos, sin
+        node = i - first
+        if node < 0:
+            continue
+        place[node] = complex(moments[0, 0] + x[0] * start_sin, moments[0, 1] - x[0] * start_cos)
+        along[node] = complex(cos, sin)
+        for row in (node, node + n):  # the left line moves as the right one does, but for the width
+            jacobian[row, 0] = -(cos * start_cos + sin * start_sin)
+            jacobian[row, 1] = cos * moments[0, 0] + sin * moments[0, 1] + x[0] * (cos * start_sin - sin * start_cos)
+            for j in range(1, size):
+                jacobian[row, 2 + j] = cos * moments[j, 0] + sin * moments[j, 1]
+        for j in range(1, size):
+            jacobian[node + 2 * n, 2 + j] = turns[j]

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.curves.arcs import arc_from, foot_on_circle
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
@@ -45,12 +46,10 @@ class ClothoidTracker:
         self._law = LAWS[config.law]
         dtype, unit = pair.dtype, config.lane_width_m
         self._bend = bend = 1.0 / (config.radius_lanes * unit)
-        self._turn_rows = np.tile(np.arange(2 * pair.count, 3 * pair.count), 2)
         slack = np.repeat((0.02 * unit, 0.0), (2 * pair.count, pair.count))
         self._noise: Floats = np.stack((sigma * sigma, 3.0 * sigma + slack)).astype(dtype)  # variance, and the limit
         size = CURVATURE + pair.stations
         self._one: Floats = np.eye(size, dtype=dtype)
-        self._ones: Floats = np.ones(size, dtype)
         self._lever_m = float(pair.nodes_m[pair.count // 2])
         walk = np.full(size, config.curvature_walk * bend)
         walk[:CURVATURE] = config.offset_walk * unit, config.heading_walk_rad, config.width_walk * unit
@@ -133,25 +132,14 @@ class ClothoidTracker:
         chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
         dx = chord * math.cos(half) + reference * (math.cos(turn_rad) - 1.0)
         dy = chord * math.sin(half) + reference * math.sin(turn_rad)
-        theta = float(x[HEADING])
-        cos, sin = math.cos(theta), math.sin(theta)
-        ahead, left = dx * cos + dy * sin, dy * cos - dx * sin + float(x[OFFSET])
-        place = min(max((self.phase_m + 0.5 * ahead) / h, 0.0), self.pair.stations - 1.0)
-        j = min(int(place), self.pair.stations - 2)
-        share = place - j
-        kappa = (1.0 - share) * float(x[CURVATURE + j]) + share * float(x[CURVATURE + j + 1])
-        way, x[OFFSET] = foot_on_circle(ahead, left, kappa)
-        x[HEADING] = theta + kappa * way - turn_rad
-        onwards = self._one.copy()
-        onwards[OFFSET, HEADING] = -ahead
-        onwards[HEADING, CURVATURE + j], onwards[HEADING, CURVATURE + j + 1] = (1.0 - share) * way, share * way
-        p[:] = onwards @ p @ onwards.T
+        way = _drive(x, p, dx, dy, self.phase_m, h)
         self.way_m = abs(way)
         self.phase_m += way
         while self.phase_m >= h:
             self._roll(x, p, +1)
         while self.phase_m < 0.0:
             self._roll(x, p, -1)
+        x[HEADING] -= turn_rad
 
     def _relax(self, x: Floats, p: Floats) -> None:
         """Where the camera does not see it, take the road's curvature for that of the first place in sight, by and by.
@@ -223,22 +211,16 @@ class ClothoidTracker:
         1, not 0.
         """
         before, (prior, p) = self.known(), self._prior
-        config, n, k = self.config, self.pair.count, len(nodes)
-        rows = np.concatenate((nodes, self._turn_rows.take(nodes)))
-        jacobian = shape.jacobian.take(rows, axis=0)
-        variance, limit = self._noise.take(rows, axis=1)
-        spread2 = ((jacobian @ self.covariance) * jacobian) @ self._ones + variance
-        if before is not prior:  # a further iteration: the residuals at the prediction, linearised here
-            residual = residual + jacobian @ (before - prior)
-        precision = found / variance
-        weight = _robust(precision, residual * residual / (spread2 * config.gate**2))
-        weighted = (jacobian * weight[:, None]).T
-        change, after, count = self._law(weighted @ jacobian, weighted @ residual, p, self._one)
-        ratio = (residual - jacobian @ change) / limit
-        if float(np.abs(ratio * found).max(initial=0.0)) > config.agreed:
-            weight = _robust(precision, ratio * ratio)
-            weighted = (jacobian * weight[:, None]).T
-            change, after, more = self._law(weighted @ jacobian, weighted @ residual, p, self._one)
+        config, k = self.config, len(nodes)
+        rows, aim, ratio2, precision, limit = _linearise(
+            before, self.covariance, prior, shape.jacobian, self._noise, nodes, residual, found, config.gate
+        )
+        information, pull, weight = _weigh(rows, aim, ratio2, precision)
+        change, after, count = self._law(information, pull, p, self._one)
+        ratio2 = _left(rows, aim, change, limit)
+        if float((ratio2 * found).max(initial=0.0)) > config.agreed**2:
+            information, pull, weight = _weigh(rows, aim, ratio2, precision)
+            change, after, more = self._law(information, pull, p, self._one)
             count += more
         self.iterations += count
         self.covariance, self.parameters = after, prior + change
@@ -247,7 +229,7 @@ class ClothoidTracker:
         carrying: Bools = weight[:k] > 0.1 * precision[:k]
         there = found[:k] > 0.0
         if np.count_nonzero(there) - np.count_nonzero(carrying) >= config.doubt_nodes:
-            self._doubt(nodes < n, there, carrying)
+            self._doubt(nodes < self.pair.count, there, carrying)
         offset, heading = (self.parameters - before)[:WIDTH].tolist()
         self.moved_m = abs(offset) + abs(heading) * self._lever_m
         return carrying
@@ -265,9 +247,93 @@ class ClothoidTracker:
         return int(np.abs(self.pair.nodes_m - s_m).argmin())
 
 
-def _robust(precision: Floats, ratio2: Floats) -> Floats:
-    """Tukey's weights: nothing is left of a measurement whose residual is the limit (`ratio2` 1) or more."""
-    weight = np.maximum(1.0 - ratio2, 0.0)
-    weight *= weight
-    weight *= precision
-    return weight
+_foot_on_circle = compiled(foot_on_circle)
+
+
+@compiled
+def _drive(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_m: float) -> float:
+    """Carry parameters and covariance on to the foot of body point (`dx`, `dy`) [m] from the reference point's.
+
+    The foot lies on the circle of the road's curvature on the way there. That way [m]; directions stay in the old body
+    frame.
+    """
+    cos, sin = math.cos(x[HEADING]), math.sin(x[HEADING])
+    ahead, left = dx * cos + dy * sin, dy * cos - dx * sin + x[OFFSET]
+    last = len(x) - CURVATURE - 1
+    place = min(max((phase_m + 0.5 * ahead) / spacing_m, 0.0), float(last))
+    j = min(int(place), last - 1)
+    share = place - j
+    station, after = CURVATURE + j, CURVATURE + j + 1
+    kappa = (1.0 - share) * x[station] + share * x[after]
+    way, x[OFFSET] = _foot_on_circle(ahead, left, kappa)
+    x[HEADING] += kappa * way
+    this, that = (1.0 - share) * way, share * way
+    for k in range(len(x)):  # the derivatives of both, from the left
+        p[OFFSET, k] -= ahead * p[HEADING, k]
+        p[HEADING, k] += this * p[station, k] + that * p[after, k]
+    for k in range(len(x)):  # and from the right
+        p[k, OFFSET] -= ahead * p[k, HEADING]
+        p[k, HEADING] += this * p[k, station] + that * p[k, after]
+    return float(way)
+
+
+@compiled
+def _linearise(
+    before: Floats,
+    covariance: Floats,
+    prior: Floats,
+    jacobian: Floats,
+    noise: Floats,
+    nodes: Ints,
+    residual: Floats,
+    found: Floats,
+    gate: float,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """The measurements (2 k,) of an update, told from the prediction `prior` and linearised at `before`.
+
+    The arguments as `ClothoidTracker` has them. Jacobian (2 k, m), residuals, their squares in units of what is
+    believed, precision, and the limit for what is left of them.
+    """
+    n, size, k = len(jacobian) // 3, len(before), len(nodes)
+    rows, aim = np.empty((2 * k, size), before.dtype), np.empty(2 * k, before.dtype)
+    ratio2, precision = np.empty(2 * k, before.dtype), np.empty(2 * k, before.dtype)
+    limit = np.empty(2 * k, before.dtype)
+    for i in range(2 * k):
+        row = nodes[i] if i < k else 2 * n + nodes[i - k] % n
+        told, spread2 = residual[i], noise[0, row]
+        for a in range(size):
+            rows[i, a] = jacobian[row, a]
+            told += jacobian[row, a] * (before[a] - prior[a])
+            for b in range(size):
+                spread2 += jacobian[row, a] * covariance[a, b] * jacobian[row, b]
+        aim[i], ratio2[i] = told, residual[i] * residual[i] / (spread2 * gate * gate)
+        precision[i], limit[i] = found[i] / noise[0, row], noise[1, row]
+    return rows, aim, ratio2, precision, limit
+
+
+@compiled
+def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tuple[Floats, Floats, Floats]:
+    """Information (m, m), pull (m,) and weights (2 k,) by Tukey: nothing is left of what reaches its limit (1)."""
+    size = rows.shape[1]
+    information, pull, weight = np.zeros((size, size), aim.dtype), np.zeros(size, aim.dtype), np.empty_like(aim)
+    for i in range(len(aim)):
+        share = max(1.0 - ratio2[i], 0.0)
+        weight[i] = share * share * precision[i]
+        for a in range(size):
+            weighted = weight[i] * rows[i, a]
+            pull[a] += weighted * aim[i]
+            for b in range(size):
+                information[a, b] += weighted * rows[i, b]
+    return information, pull, weight
+
+
+@compiled
+def _left(rows: Floats, aim: Floats, change: Floats, limit: Floats) -> Floats:
+    """The squares (2 k,) of what a change (m,) leaves of the residuals, in units of their limits."""
+    ratio2 = np.empty_like(aim)
+    for i in range(len(aim)):
+        left = aim[i]
+        for a in range(len(change)):
+            left -= rows[i, a] * change[a]
+        ratio2[i] = (left / limit[i]) ** 2
+    return ratio2

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.geometry.ground import GroundCamera
 
 Floats = NDArray[np.floating[Any]]
@@ -53,21 +54,13 @@ class LineProjection:
 
     def __init__(self, camera: GroundCamera, dtype: type[np.floating[Any]] = np.float64) -> None:
         self.dtype = dtype
-        self._lens = [float(k) for k in camera.camera.distortion] if camera.camera.distortion.any() else None
-        matrix = np.eye(3) if self._lens else camera.camera.matrix
-        rotation = camera.cam_from_body
-        plane = matrix @ np.column_stack((rotation[:, 0], rotation[:, 1], -rotation @ camera.centre_m))
-        rows = np.zeros((6, 5))  # of x, y of a point, x, y of its tangent, 1: both in homogeneous coordinates
-        rows[:3, :2], rows[3:, 2:4], rows[:3, 4] = plane[:, :2], plane[:, :2], plane[:, 2]
-        aside = np.zeros((5, 5))  # to the left of a point: (x - sin, y + cos)
-        aside[0, 3], aside[1, 2] = -1.0, 1.0
-        shift = rows @ aside
-        self._rows: Floats = np.repeat(rows, 2, axis=0).astype(dtype)  # left line, right line, row by row
-        self._aside: Floats = np.stack((shift, -shift), axis=1).reshape(12, 5).astype(dtype)
+        rotation, matrix = camera.cam_from_body, camera.camera.matrix
+        # From (x, y, 1) on the ground, in the body frame, to the camera's frame.
+        plane = np.column_stack((rotation[:, 0], rotation[:, 1], -rotation @ camera.centre_m))
+        self._plane: Floats = plane.astype(dtype)
+        lens = [*camera.camera.distortion, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
+        self._lens: Floats = np.array(lens, dtype)
         self._volume = float(np.linalg.det(plane))
-        m = camera.camera.matrix
-        self._focal: Floats = m.diagonal()[:2, None].astype(dtype)
-        self._centre: Floats = m[:2, 2:].astype(dtype)
         self._fold2 = min(camera.camera.max_radius, _WIDEST) ** 2
 
     def project(self, place: Complexes, along: Complexes, aside_m: float) -> ProjectedLine:
@@ -75,39 +68,52 @@ class LineProjection:
 
         Both as complex numbers x + i y [m]. The first n of the 2 n points are the left line's.
         """
-        frame = np.ones((5, len(place)), self.dtype)
-        frame[0], frame[1], frame[2], frame[3] = place.real, place.imag, along.real, along.imag
-        rows = ((self._aside * aside_m + self._rows) @ frame).reshape(6, -1)
-        values = np.empty((5, rows.shape[1]), self.dtype)
-        nearness = 1.0 / np.maximum(rows[2], _NEAREST)
-        pixels = np.multiply(rows[:2], nearness, out=values[:2])
-        tangents = np.multiply(pixels, rows[5], out=values[2:4])
-        np.subtract(rows[3:5], tangents, out=tangents)
-        tangents *= nearness
-        area = np.multiply(nearness, nearness, out=values[4])
-        nearness *= self._volume
-        area *= nearness
-        if self._lens is not None:
-            self._bend(values, *self._lens)
+        values = np.empty((5, 2 * len(place)), self.dtype)
+        _project(self._plane, self._lens, self._volume, self._fold2, place, along, aside_m, values)
         return ProjectedLine(values)
 
-    def _bend(self, values: Floats, k1: float, k2: float, p1: float, p2: float, k3: float) -> None:
-        """Brown's distortion of a line in normalised coordinates, and the camera matrix; in place."""
-        x, y, along_x, along_y, area = values
+
+@compiled
+def _project(
+    plane: Floats,
+    lens: Floats,
+    volume: float,
+    fold2: float,
+    place: Complexes,
+    along: Complexes,
+    aside_m: float,
+    values: Floats,
+) -> None:
+    """Fill in `values` (5, 2 n), as `ProjectedLine` has them, with Brown's distortion.
+
+    `lens` (9,): k1, k2, p1, p2, k3, focal lengths and centre [px].
+    """
+    k1, k2, p1, p2, k3, focal_x, focal_y, centre_x, centre_y = lens
+    n = len(place)
+    for i in range(2 * n):
+        away = aside_m if i < n else -aside_m
+        t = along[i % n]
+        x0, y0 = place[i % n].real - away * t.imag, place[i % n].imag + away * t.real
+        depth = plane[2, 0] * x0 + plane[2, 1] * y0 + plane[2, 2]
+        nearness = 1.0 / max(depth, _NEAREST)
+        x = (plane[0, 0] * x0 + plane[0, 1] * y0 + plane[0, 2]) * nearness
+        y = (plane[1, 0] * x0 + plane[1, 1] * y0 + plane[1, 2]) * nearness
+        receding = plane[2, 0] * t.real + plane[2, 1] * t.imag
+        along_x = (plane[0, 0] * t.real + plane[0, 1] * t.imag - x * receding) * nearness
+        along_y = (plane[1, 0] * t.real + plane[1, 1] * t.imag - y * receding) * nearness
         xx, xy, yy = x * x, x * y, y * y
-        r2 = xx + yy
-        outside = r2 >= self._fold2
-        r2 = np.minimum(r2, self._fold2)
+        outside = xx + yy >= fold2
+        r2 = min(xx + yy, fold2)
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = 2.0 * k1 + r2 * (4.0 * k2 + r2 * (6.0 * k3))
         across = 2.0 * (p1 * x + p2 * y)
         j_xx = radial + slope * xx + 2.0 * p1 * y + 6.0 * p2 * x
         j_xy = slope * xy + across
         j_yy = radial + slope * yy + 6.0 * p1 * y + 2.0 * p2 * x
-        area *= (j_xx * j_yy - j_xy * j_xy) * float(self._focal.prod())
-        skew_x, skew_y = p2 * (r2 + 2.0 * xx) + 2.0 * p1 * xy, p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy
-        values[:2] = x * radial + skew_x, y * radial + skew_y
-        values[2:4] = j_xx * along_x + j_xy * along_y, j_xy * along_x + j_yy * along_y
-        values[:4].reshape(2, 2, -1)[:] *= self._focal
-        values[:2] += self._centre
-        values[:2, outside] = _NOWHERE_PX
+        values[0, i] = (x * radial + p2 * (r2 + 2.0 * xx) + 2.0 * p1 * xy) * focal_x + centre_x
+        values[1, i] = (y * radial + p1 * (r2 + 2.0 * yy) + 2.0 * p2 * xy) * focal_y + centre_y
+        values[2, i] = (j_xx * along_x + j_xy * along_y) * focal_x
+        values[3, i] = (j_xy * along_x + j_yy * along_y) * focal_y
+        values[4, i] = volume * nearness**3 * (j_xx * j_yy - j_xy * j_xy) * focal_x * focal_y
+        if outside:
+            values[0, i] = values[1, i] = _NOWHERE_PX

@@ -10,7 +10,7 @@ class LaneGuess:
     """An arc of a lane at the reference point: offset [m] and the lane's heading [rad] in the body frame.
 
     It fits best `sure_m` of way ahead of the reference point, where it was seen. `pair` tells whether both lines spoke
-    for it; `height` is how far markings stand out in the picture, as `Judged` has it. `fitted`: it was fitted to many
+    for it; `edge` is how sharp markings are in the picture, as `Judged` has it. `fitted`: it was fitted to many
     rows' ridges on both lines, and is right to some hundredths of a lane's width.
     """
 
@@ -20,7 +20,7 @@ class LaneGuess:
     curvature_per_m: float
     sure_m: float
     pair: bool
-    height: float
+    edge: float
     fitted: bool = False
 
 

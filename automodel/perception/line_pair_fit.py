@@ -30,7 +30,7 @@ class RoughPair:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPair:
-    """The lane's middle y = a + b dx + c dx^2 / 2 at dx = x - `near_m`, its width, and how far its paint stands out.
+    """The lane's middle y = a + b dx + c dx^2 / 2 at dx = x - `near_m`, its width, and how sharp its paint is.
 
     `both`: each of the lines was seen.
     """
@@ -38,7 +38,7 @@ class FittedPair:
     near_m: float
     middle: tuple[float, float, float]
     width_m: float
-    height: float
+    edge: float
     both: bool
 
     def middle_m(self, x_m: float) -> float:
@@ -99,7 +99,7 @@ class PairFit:
         """
         start = np.array((rough.middle_m, rough.heading_rad, rough.curvature_per_m, rough.width_m, 0.0))
         line = self._design @ start
-        place, height, strength = self._ridges(image, line, np.tile(noise, 2))
+        place, edge, strength = self._ridges(image, line, np.tile(noise, 2))
         y = line + place * self._step
         pull = self._prior @ np.array((rough.middle_m, 0.0, 0.0, self._unit, 0.0))
         x, weight = start, strength
@@ -114,10 +114,10 @@ class PairFit:
             return None
         middle = float(x[0]), float(x[1]), float(x[2])
         width = float(x[3] + self._unit * x[4])
-        return FittedPair(self._near, middle, width, float(np.median(height[seen])), min(rows) > 0)
+        return FittedPair(self._near, middle, width, float(np.median(edge[seen])), min(rows) > 0)
 
     def _ridges(self, image: Image, line: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
-        """The best ridge of each run about `line` (2 r,): place [samples to the left], height, and strength 0..1."""
+        """The best ridge of each run about `line` (2 r,): place [samples to the left], edge, and strength 0..1."""
         rows = len(self._laid.rows)
         samples = np.arange(self._SAMPLES) - (self.REACH + MARGIN)
         places = line.reshape(2, rows, 1) + samples * self._step
@@ -128,4 +128,4 @@ class PairFit:
         judged = self._judge.judge(values, np.arange(len(values)), best + MARGIN)
         stands_out = heights[np.arange(len(heights)), best] / noise
         strength = np.clip((stands_out - self.LEAST) / (self.MOST - self.LEAST), 0.0, 1.0) * inside.all(axis=1)
-        return best - self.REACH + judged.place, judged.height.astype(np.float64), strength
+        return best - self.REACH + judged.place, judged.edge.astype(np.float64), strength

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.signals import Image
 
 Floats = NDArray[np.floating[Any]]
@@ -33,25 +34,6 @@ _GREY = (0.114, 0.587, 0.299)  # of blue, green, red: ITU-R BT.601
 _BODY = 7  # samples: half of what counts as the marking itself
 _NARROWEST, _WIDEST, _WIDEST_BAR = 0.65 * PER_MARKING, 1.4 * PER_MARKING, 2.2 * PER_MARKING
 _ALONE, _NOT_ALONE = 2.0 * PER_MARKING, 0.5 * PER_MARKING  # brightness beside a line, at most; beside a bar, at least
-
-
-def _filters() -> Single:
-    """Rows (6, 2 AROUND + 1) that make of brightness: the sums of the middle and of both sides, and three more.
-
-    Those are the sides' mean (the ground), how far the middle's mean is above it, and the sum of all beside the marking
-    above it.
-    """
-    at = np.arange(-AROUND, AROUND + 1)
-    middle, one, other = (np.abs(at - place) <= WINDOW // 2 for place in (0, -SIDE, SIDE))
-    ground = (one + other.astype(float)) / (2 * WINDOW)
-    beside = np.abs(at) > _BODY
-    return np.stack(
-        (middle, one, other, ground, middle / WINDOW - ground, beside - np.count_nonzero(beside) * ground)
-    ).astype(np.float32)
-
-
-_FILTERS = _filters()
-_MOMENTS: Single = np.stack((np.ones(2 * _BODY + 1), np.arange(-_BODY, _BODY + 1))).astype(np.float32)
 
 
 class Brightness:
@@ -79,46 +61,69 @@ class Brightness:
 
 @dataclass(slots=True, eq=False)
 class Judged:
-    """Ridges (n,): `place` [samples] from where they were judged, `height` [sums of `WINDOW` grey levels], and `flags`.
+    """Ridges (n,): `place` [samples] from where they were judged, `height` [sums of `WINDOW` grey levels], and more.
 
-    `flags` (2, n): LINE, a marking; BAR, one of several marks side by side.
+    `edge`: the steepest rise on their less steep side [grey levels a sample]; what is painted has sharp sides, what is
+    reflected has not. `flags` (2, n): LINE, a marking; BAR, one of several marks side by side.
     """
 
     place: Floats
     height: Floats
+    edge: Floats
     flags: Bools
 
 
-def judge(around: Single, contrast: float) -> Judged:
-    """The ridges (n,) in the middle of brightness `around` (2 AROUND + 1, n), of at least `contrast` [grey levels]."""
-    middle, one, other, ground, above, beside = _FILTERS @ around
-    height = middle - np.maximum(one, other)
-    share = 1.0 / np.maximum(above, 1.0)
-    # Breadth and centroid are those of what is brighter than about half; hard steps would hop from sample to sample.
-    scale = share * 1.6
-    level = around[AROUND - _BODY : AROUND + _BODY + 1] * scale
-    level -= ground * scale + 0.3
-    np.maximum(level, 0.0, out=level)
-    np.minimum(level, 1.0, out=level)
-    breadth, moment = _MOMENTS @ level
-    beside = beside * share
-    wide = (height > contrast * WINDOW) & (breadth > _NARROWEST)
-    flags = np.empty((2, len(height)), np.bool_)
-    line = np.logical_and(breadth < _WIDEST, beside < _ALONE, out=flags[LINE])
-    line &= wide
-    bar = np.greater(beside, _NOT_ALONE, out=flags[BAR])
-    bar &= wide
-    bar &= breadth < _WIDEST_BAR
-    bar &= ~line
-    return Judged(place=moment / np.maximum(breadth, 1e-6), height=height, flags=flags)
+def judge(values: Single, row: Ints, at: Ints, contrast: float) -> Judged:
+    """The ridges (n,) in the middle of samples `at` of `row` in `values` (r, k), of at least `contrast` [grey levels].
+
+    Beyond its ends a row goes on as it ends.
+    """
+    return Judged(*_judge(values, row, at, contrast))
+
+
+@compiled
+def _judge(values: Single, row: Ints, at: Ints, contrast: float) -> tuple[Single, Single, Single, Bools]:
+    n, last = len(at), values.shape[1] - 1
+    place, height, edge = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
+    flags = np.empty((2, n), np.bool_)
+    around = np.empty(2 * AROUND + 1, np.float32)
+    half = WINDOW // 2
+    for i in range(n):
+        for k in range(2 * AROUND + 1):
+            around[k] = values[row[i], min(max(at[i] + k - AROUND, 0), last)]
+        middle = one = other = beside = np.float32(0.0)
+        for k in range(AROUND - half, AROUND + half + 1):
+            middle += around[k]
+            one += around[k - SIDE]
+            other += around[k + SIDE]
+        ground = (one + other) / (2 * WINDOW)
+        share = 1.0 / max(middle / WINDOW - ground, 1.0)
+        for k in range(AROUND - _BODY):
+            beside += (around[k] - ground) + (around[2 * AROUND - k] - ground)
+        breadth = moment = rise = fall = 0.0
+        for k in range(-_BODY, _BODY + 1):
+            # What is brighter than about half; hard steps would hop from sample to sample.
+            level = min(max((around[AROUND + k] - ground) * 1.6 * share - 0.3, 0.0), 1.0)
+            breadth += level
+            moment += k * level
+            if k < 0:
+                rise = max(rise, around[AROUND + k + 1] - around[AROUND + k])
+            elif k < _BODY:
+                fall = max(fall, around[AROUND + k] - around[AROUND + k + 1])
+        place[i] = moment / max(breadth, 1e-6)
+        height[i] = middle - max(one, other)
+        edge[i] = min(rise, fall)
+        wide = height[i] > contrast * WINDOW and breadth > _NARROWEST
+        flags[LINE, i] = wide and breadth < _WIDEST and beside * share < _ALONE
+        flags[BAR, i] = wide and breadth < _WIDEST_BAR and beside * share > _NOT_ALONE and not flags[LINE, i]
+    return place, height, edge, flags
 
 
 class RidgeJudge:
     """Filters and judges rows of `samples`, at most `rows` at a time; `contrast` [grey levels] is a ridge's least."""
 
     def __init__(self, rows: int, samples: int, contrast: float) -> None:
-        self._samples, self._contrast = samples, contrast
-        self._around = np.arange(-AROUND, AROUND + 1)[:, None]
+        self._contrast = contrast
         self._sums: Sums = np.zeros((rows, samples + 1), np.int32)
 
     def heights(self, values: NDArray[Any], first: int, last: int) -> Sums:
@@ -132,5 +137,5 @@ class RidgeJudge:
 
     def judge(self, values: NDArray[Any], row: Ints, at: Ints) -> Judged:
         """The ridges (n,) at sample `at` of `row`."""
-        columns = np.minimum(np.maximum(self._around + at, 0), self._samples - 1)
-        return judge(values.take(columns + row * self._samples).astype(np.float32), self._contrast)
+        row, at = np.ascontiguousarray(row), np.ascontiguousarray(at)  # one layout, compiled once
+        return judge(values.astype(np.float32), row, at, self._contrast)

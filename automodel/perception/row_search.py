@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.estimation.clothoid_pair import PairShape
-from automodel.geometry.line_projection import LineProjection, ProjectedLine
-from automodel.perception.ridges import BAR, LINE, MARGIN, PER_MARKING, Judged
+from automodel.geometry.line_projection import LineProjection
+from automodel.perception.ridges import BAR, LINE, MARGIN, PER_MARKING
 from automodel.perception.row_ridges import RowRidges
 from automodel.signals import Image
 
@@ -24,6 +25,11 @@ FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
+FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
+TURN, SLACK = 0.4, 0.5  # how much a ridge may be turned [rad], and be torn (samples): else it is another line's
+EDGE = 0.05  # of the picture's height: rows there are not read about a node, but for a node's second
+BESIDE = 0.1  # of the picture's width: how far outside it a node may lie and still be looked for
+
 
 @dataclass(slots=True, eq=False)
 class Sighting:
@@ -31,13 +37,13 @@ class Sighting:
 
     `nodes` (k,) are those that were looked for, of 2 n, the left line's first. `residual` (2 k,): how far to the left
     of them the line was found [m], and how far it is turned to the left of them [rad], where `found` (2 k,) is 1.
-    `height` (k,): how far the ridges stand out.
+    `edge` (k,): how sharp their ridges are, as `Judged` has it, the less sharp one.
     """
 
     nodes: Ints
     residual: Floats
     found: Floats
-    height: Floats
+    edge: Floats
 
     def points(self, shape: PairShape, carrying: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
         """The ridges (j, 2) [m] of `carrying` nodes (k,), left and right line's; lines lie `half_m` from `shape`."""
@@ -55,115 +61,130 @@ class Sighting:
 class RowSearch:
     """Looks for nodes at arc lengths `nodes_m` (n,) on each line in pictures of `size` (height, width) px.
 
-    It remembers how far markings stand out, so that what is much fainter or brighter is not taken for one. `forget`
-    drops that.
+    It remembers how sharp markings are, so that what is much less so (a reflection) is not taken for one.
+    `forget` drops that.
     """
 
     HALF_LENGTH = 0.5  # markings: half the way along the line between a node's two rows, a row apart at least
-    FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
-    TURN, SLACK = 0.4, 0.5  # how much a ridge may be turned [rad], and be torn (samples): else it is another line's
-    FAINT, GLARING = 0.5, 2.5  # of the usual height: what stands out less is no paint, or more
+    BLURRED = 0.5  # of the usual edge: what has less is no paint
     LEARN, FADE = 0.1, 0.02  # share a frame
-    LINE_NODES, NEW_NODES = 2, 3  # fewer ridges than that make no line; one that was not seen in the frame before
-    EDGE = 0.05  # of the picture's height: rows there are not read about a node, but for a node's second
-    BESIDE = 0.1  # of the picture's width: how far outside it a node may lie and still be looked for
+    FEWEST = 3  # nodes from which the usual edge is learnt
 
     def __init__(
         self, projection: LineProjection, ridges: RowRidges, nodes_m: Floats, marking_m: float, size: tuple[int, int]
     ) -> None:
-        self._projection, self._ridges, self._count = projection, ridges, len(nodes_m)
+        self._projection, self._ridges = projection, ridges
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
-        height, self._width = size
-        self._margin = self.EDGE * height
-        dtype = projection.dtype
-        self._middle: Floats = np.array([[0.5 * (self._width - 1)], [0.5 * (height - 1)]], dtype)
-        self._reach: Floats = np.array(
-            [[(0.5 + self.BESIDE) * self._width], [0.5 * (height - 1) - self._margin]], dtype
-        )
-        self._ends: Floats = np.array([[1.0], [-1.0]], dtype)
-        tear = np.diff(nodes_m, append=nodes_m[-1]) * (self.TURN / self._sample_m)
+        self._size = size
+        tear = np.diff(nodes_m, append=nodes_m[-1]) * (TURN / self._sample_m)
         tear[-1] = -1.0  # what comes next is the other line
-        self._tear: Floats = np.tile(tear, 2).astype(dtype)
+        self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
         self.forget()
 
-    def forget(self, height: float = 0.0) -> None:
-        """Forget how far markings stand out, or start anew with a `height` as `Judged` has it."""
-        self._least = [self.LINE_NODES, self.LINE_NODES]
-        self._usual = self._faint = 2.0 * height  # of a node's two ridges together
+    def forget(self, edge: float = 0.0) -> None:
+        """Forget how sharp markings are, or start anew with an `edge` as `Judged` has it."""
+        self._usual = edge
 
     def look(self, image: Image, shape: PairShape, width_m: float) -> Sighting:
         """The pair `shape` with lines `width_m` apart."""
         line = self._projection.project(shape.place, shape.along, 0.5 * width_m)
-        nodes = self._in_picture(line)
-        u, v, along_u, along_v, area = line.values.take(nodes, axis=1)
-        slope = along_u / along_v
-        down = np.minimum(along_v * self._half_m, -1.0)  # the further ahead, the higher up
-        np.maximum(down, -self._margin, out=down)
-        rows = np.rint(self._ends * down + v)
-        step = area / along_v  # below 0: to the left
-        step *= -self._sample_m
-        first = rows * (slope + self._width)
-        v *= slope
-        u -= v
-        first += u + 0.5
+        nodes, first, column, step, half_m = _lay(line.values, self._half_m, self._sample_m, self._size)
         ridges = self._ridges.find(image, first, step)
-        middle = first[1] - rows[1] * self._width  # of the run that is nearer to the car
-        middle -= 0.5 * self._width
-        middle += step * ridges.place[len(nodes) :]
-        inside = np.abs(middle) < step * MARGIN + 0.5 * self._width
-        return self._judge(ridges, nodes, inside, down / along_v)
+        least, width = self.BLURRED * self._usual, self._size[1]
+        found, residual, edge = _agree(
+            ridges.place,
+            ridges.edge,
+            ridges.flags,
+            nodes,
+            column,
+            step,
+            half_m,
+            self._tear,
+            self._sample_m,
+            least,
+            width,
+        )
+        return Sighting(nodes=nodes, residual=residual, found=found, edge=edge)
 
     def learn(self, sighting: Sighting, carrying: Bools) -> None:
-        """Remember which lines are seen and how far the ridges of the nodes (k,) that carry the lane stand out."""
+        """Remember how sharp the ridges are of the nodes (k,) that carry the lane."""
         count = int(np.count_nonzero(carrying))
-        left = int(np.count_nonzero(carrying[: sighting.nodes.searchsorted(self._count)]))
-        self._least = [self.LINE_NODES if seen >= self.LINE_NODES else self.NEW_NODES for seen in (left, count - left)]
-        if count > self.LINE_NODES:
-            height = float(carrying @ sighting.height) / count
-            self._usual += (self.LEARN if self._usual > 0.0 else 1.0) * (height - self._usual)
-            self._faint = self._usual
+        if count >= self.FEWEST:
+            edge = float(carrying @ sighting.edge) / count
+            self._usual += (self.LEARN if self._usual > 0.0 else 1.0) * (edge - self._usual)
         else:
-            self._faint *= 1.0 - self.FADE
+            self._usual *= 1.0 - self.FADE
 
-    def _in_picture(self, line: ProjectedLine) -> Ints:
-        """The nodes (k,) that can be looked for: they lie in the picture, and their line is steep there."""
-        near, far = np.abs(line.place - self._middle) <= self._reach
-        near &= far
-        along_u, along_v = line.along
-        near &= np.abs(along_u) < along_v * -self.FLATTEST
-        return near.nonzero()[0]
 
-    def _judge(self, ridges: Judged, nodes: Ints, inside: Bools, half_m: Floats) -> Sighting:
-        """What is a line's: nodes (k,) `inside` the picture whose two ridges agree, next to another such node.
+@compiled
+def _lay(
+    line: Floats, most_half_m: float, sample_m: float, size: tuple[int, int]
+) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """The runs about the nodes that can be looked for: they lie in the picture, and their line is steep there.
 
-        The ridges (2 k,) lie `half_m` (k,) further ahead than the nodes, and as much nearer.
-        """
-        k, sample = len(nodes), self._sample_m
-        far, near = ridges.place[:k], ridges.place[k:]
-        mean, tilt = far + near, far - near
-        mean *= 0.5
-        tilt *= 0.5
-        height = ridges.height[:k] + ridges.height[k:]
-        both = ridges.flags[:, :k] & ridges.flags[:, k:]
-        sound = np.abs(tilt) <= half_m * (self.TURN / sample) + self.SLACK
-        sound &= ridges.height[:k] > 0.5 * self.FAINT * self._faint
-        if self._usual > 0.0:
-            sound &= height < self.GLARING * self._usual
-        sound &= inside
-        both &= sound
-        mark = both[LINE]
-        agree = np.abs(mean[1:] - mean[:-1]) < self._tear.take(nodes[:-1])
-        agree &= mark[1:]
-        agree &= mark[:-1]
-        found = np.zeros((2, k), half_m.dtype)
-        found[0, 1:] = agree
-        np.maximum(found[0, :-1], agree, out=found[0, :-1])
-        lefts = int(nodes.searchsorted(self._count))
-        for side, least in zip((found[0, :lefts], found[0, lefts:]), self._least, strict=True):
-            if np.count_nonzero(side) < least:
-                side[:] = 0.0
-        np.maximum(found[0], both[BAR], out=found[1])
-        residual = np.empty((2, k), half_m.dtype)
-        np.multiply(mean, sample, out=residual[0])
-        np.multiply(tilt, sample / half_m, out=residual[1])
-        return Sighting(nodes=nodes, residual=residual.reshape(-1), found=found.reshape(-1), height=height)
+    `line` (5, 2 n) as `ProjectedLine.values`. Nodes (k,), and of their runs: the middle's pixel (2, k), counted row by
+    row, of the upper one first; the lower one's column (k,); the way from sample to sample (k,) [px], to the left; how
+    far along the line they lie from the node (k,) [m].
+    """
+    height, width = size
+    margin = EDGE * height
+    most_u, most_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
+    nodes = np.empty(line.shape[1], np.intp)
+    k = 0
+    for i in range(line.shape[1]):
+        u, v, along_u, along_v, _ = line[:, i]
+        near = abs(u - 0.5 * (width - 1)) <= most_u and abs(v - 0.5 * (height - 1)) <= most_v
+        if near and abs(along_u) < -FLATTEST * along_v:
+            nodes[k] = i
+            k += 1
+    first, column = np.empty((2, k), line.dtype), np.empty(k, line.dtype)
+    step, half_m = np.empty(k, line.dtype), np.empty(k, line.dtype)
+    for i in range(k):
+        u, v, along_u, along_v, area = line[:, nodes[i]]
+        down = max(min(along_v * most_half_m, -1.0), -margin)  # the further ahead, the higher up
+        for end in range(2):
+            row = np.rint(v + (down if end == 0 else -down))
+            column[i] = u + (row - v) * along_u / along_v + 0.5
+            first[end, i] = row * width + column[i]
+        step[i] = -sample_m * area / along_v  # area / along_v is below 0: to the left
+        half_m[i] = down / along_v
+    return nodes[:k], first, column, step, half_m
+
+
+@compiled
+def _agree(
+    place: Floats,
+    edge: Floats,
+    flags: Bools,
+    nodes: Ints,
+    column: Floats,
+    step: Floats,
+    half_m: Floats,
+    tear: Floats,
+    sample_m: float,
+    least_edge: float,
+    width: int,
+) -> tuple[Floats, Floats, Floats]:
+    """What is a line's: nodes (k,) in the picture whose two ridges agree, next to another such node.
+
+    The ridges' `place` [samples], `edge` and `flags` are those of the runs of `_lay`. `found`, `residual` and `edge` as
+    `Sighting` has them.
+    """
+    k = len(nodes)
+    found, residual, edges = np.zeros(2 * k, step.dtype), np.empty(2 * k, step.dtype), np.empty(k, edge.dtype)
+    marks, means = np.zeros(k, np.bool_), np.empty(k, step.dtype)
+    for i in range(k):
+        far, near = place[i], place[k + i]
+        means[i], tilt = 0.5 * (far + near), far - near
+        residual[i], residual[k + i] = means[i] * sample_m, tilt * sample_m / (2.0 * half_m[i])
+        edges[i] = min(edge[i], edge[k + i])
+        margin = -step[i] * MARGIN
+        inside = margin < column[i] + step[i] * near < width - margin
+        straight = abs(tilt) <= 2.0 * half_m[i] * TURN / sample_m + 2.0 * SLACK
+        if inside and straight and edges[i] > least_edge:
+            marks[i] = flags[LINE, i] and flags[LINE, k + i]
+            found[k + i] = flags[BAR, i] and flags[BAR, k + i]
+    for i in range(k - 1):
+        if marks[i] and marks[i + 1] and abs(means[i + 1] - means[i]) < tear[nodes[i]]:
+            found[i] = found[i + 1] = found[k + i] = found[k + i + 1] = 1.0
+    return found, residual, edges

@@ -39,7 +39,7 @@ class RowStart:
     WIDTH, OFFSET, HEADING_RAD, CURVATURE, LOSS = 0.15, 0.2, 0.25, 0.44, 2.5
     ALONE = 4.0  # a single line loses
     GENTLE_LANES = 15.0  # radius of the tightest bend, in lane widths, from which on rows are summed along lines first
-    BRIGHT, FAINT = 0.75, 0.45  # the quantile that stands for paint, and the share of it below which there is none
+    SHARP, BLURRED = 0.75, 0.5  # the quantile of edges that stands for paint, and the share of it that is none
 
     def __init__(self, camera: GroundCamera, config: StartConfig, brightness: Brightness) -> None:
         self.config, self._brightness = config, brightness
@@ -63,7 +63,7 @@ class RowStart:
         self._kappa, self._theta, self._lateral = grids[0] * bend, grids[1], grids[2] * unit
         self._kappa[self._kappa == 0.0] = 1e-6 / unit
         self._table = self._crossings(camera)
-        self._height = 0.0
+        self._edge = 0.0
         kappa, theta = self._kappa[:, None, None], self._theta[None, :, None]
         ahead = config.reference_x_m - self._axis_x_m
         feet = np.vectorize(foot_on_circle)(ahead * np.cos(theta), -ahead * np.sin(theta), kappa)
@@ -110,9 +110,9 @@ class RowStart:
         at += MARGIN
         judged = self._judge.judge(values, row, at)
         line = judged.flags[LINE]
-        heights = judged.height[line]
-        self._height = float(np.quantile(heights, self.BRIGHT)) if len(heights) else 0.0
-        line[line] = heights > self.FAINT * self._height  # a reflection is fainter than paint
+        edges = judged.edge[line]
+        self._edge = float(np.quantile(edges, self.SHARP)) if len(edges) else 0.0
+        line[line] = edges > self.BLURRED * self._edge  # a reflection is fainter than paint, and blurred
         samples = values.shape[1]
         score = np.zeros(values.size + 1, np.int32)
         for share, said in ((1, 1), (2, self.HIT)):
@@ -164,7 +164,7 @@ class RowStart:
             curvature_per_m=kappa / (1.0 - kappa * (aside - offset_m)),
             sure_m=abs(float(self._way[c, h, 0])),
             pair=pair,
-            height=self._height,
+            edge=self._edge,
         )
 
     def _crossings(self, camera: GroundCamera) -> NDArray[np.int32]:

@@ -91,7 +91,7 @@ class RowSums:
             curvature_per_m=fitted.curvature_per_m,
             sure_m=self._near - x + self._unit,
             pair=fitted.both,
-            height=fitted.height,
+            edge=fitted.edge,
             fitted=fitted.both,
         )
 

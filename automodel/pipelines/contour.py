@@ -83,6 +83,7 @@ class Contour:
         self._start = RowStart(camera, tried, brightness)
         self.stages = StageClock()
         self.reset()
+        self._warm_up()
 
     def _make_tracker(self, nodes: Floats, car: CarConfig, dtype: type[np.floating[Any]]) -> ClothoidTracker:
         options, unit, reference = self._options, self._unit, car.vehicle.reference_x_m
@@ -133,6 +134,16 @@ class Contour:
         self.stages.lap("estimate")
         return estimate
 
+    def _warm_up(self) -> None:
+        """Have everything compiled that a step calls, so that none has to wait for it."""
+        nothing = np.zeros(self._size, np.uint8)
+        self._start.step(nothing)
+        straight = RoughLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
+        self._tracker.begin(straight)
+        self._tracker.move(0.0, 0.0, 0.0, True)
+        self._follow(nothing, 1)
+        self.reset()
+
     def _advance(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
         last, self._last_t_ns = self._last_t_ns, t_ns
@@ -175,7 +186,7 @@ class Contour:
 
     def _restart(self, guess: LaneGuess) -> None:
         self._tracker.begin(_rough(guess))
-        self._search.forget(guess.height)
+        self._search.forget(guess.edge)
         self._paired = guess.pair
 
     def _recover(self, image: Image) -> Followed | None:

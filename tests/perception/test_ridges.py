@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.perception.ridges import AROUND, BAR, LINE, PER_MARKING, Brightness, RidgeJudge, judge
+from automodel.perception.ridges import AROUND, BAR, LINE, PER_MARKING, Brightness, Judged, RidgeJudge, judge
 from automodel.perception.row_ridges import GATE, RowRidges
 
 Floats = NDArray[np.float64]
@@ -17,6 +17,11 @@ SUB_PIXEL = [-0.5, -0.3, -0.1, 0.0, 0.2, 0.4]
 def covered(at: Floats, low: float, high: float) -> Floats:
     """The share of each pixel, centred `at` (n,) and 1 wide, that lies between `low` and `high`."""
     return np.clip(np.minimum(at + 0.5, high) - np.maximum(at - 0.5, low), 0.0, 1.0)
+
+
+def judged_of(values: NDArray[np.float32]) -> Judged:
+    """The ridge in the middle of one column of brightness."""
+    return judge(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), CONTRAST)
 
 
 def around(*markings: tuple[float, float]) -> NDArray[np.float32]:
@@ -42,48 +47,48 @@ def found(picture: NDArray[np.uint8], pixel: int, step: float = 1.0, dark: bool 
 
 @pytest.mark.parametrize("middle", SUB_PIXEL)
 def test_a_marking_is_found_to_a_quarter_of_a_sample(middle: float) -> None:
-    judged = judge(around((middle, PER_MARKING)), CONTRAST)
+    judged = judged_of(around((middle, PER_MARKING)))
     assert judged.flags[:, 0].tolist() == [True, False]
     assert judged.place[0] == pytest.approx(middle, abs=0.25)
 
 
 def test_places_are_right_on_average_and_turn_round_with_the_picture() -> None:
     at = np.linspace(-1.0, 1.0, 41)
-    places = np.array([float(judge(around((m, PER_MARKING)), CONTRAST).place[0]) for m in at])
+    places = np.array([float(judged_of(around((m, PER_MARKING))).place[0]) for m in at])
     assert (np.diff(places) > -1e-4).all()
     assert places == pytest.approx(-places[::-1], abs=1e-4)
     assert np.sqrt(np.mean((places - at) ** 2)) < 0.15
 
 
 def test_the_height_is_how_far_the_paint_is_above_the_ground() -> None:
-    one, half = judge(around((0.0, PER_MARKING)), CONTRAST), judge(0.5 * around((0.0, PER_MARKING)), CONTRAST)
+    one, half = judged_of(around((0.0, PER_MARKING))), judged_of(0.5 * around((0.0, PER_MARKING)))
     assert one.height[0] == pytest.approx(5 * PAINT, rel=1e-5)  # five samples, all of them paint
     assert half.height[0] == pytest.approx(0.5 * one.height[0])
 
 
 @pytest.mark.parametrize("breadth", [2.0, 14.0, 40.0])
 def test_what_is_too_thin_or_too_broad_is_no_line(breadth: float) -> None:
-    assert not judge(around((0.0, breadth)), CONTRAST).flags[LINE, 0]
+    assert not judged_of(around((0.0, breadth))).flags[LINE, 0]
 
 
 def test_bars_side_by_side_are_bars_and_no_line() -> None:
     bars = [(k * 2.0 * PER_MARKING, float(PER_MARKING)) for k in range(-2, 3)]
-    assert judge(around(*bars), CONTRAST).flags[:, 0].tolist() == [False, True]
+    assert judged_of(around(*bars)).flags[:, 0].tolist() == [False, True]
     assert (LINE, BAR) == (0, 1)
 
 
 def test_a_uniform_row_and_steps_have_no_ridge() -> None:
-    assert not judge(around(), CONTRAST).flags.any()
+    assert not judged_of(around()).flags.any()
     for place in range(-8, 9):
         for low, high in ((place, 99.0), (-99.0, place)):
             step = around((0.5 * (low + high), high - low))
-            assert not judge(step, CONTRAST).flags.any(), (low, high)
+            assert not judged_of(step).flags.any(), (low, high)
 
 
 def test_fainter_than_the_contrast_is_nothing() -> None:
     marking = around((0.0, PER_MARKING)) - GROUND
-    assert judge(marking * np.float32(1.05 * CONTRAST / PAINT), CONTRAST).flags[LINE, 0]
-    assert not judge(marking * np.float32(0.95 * CONTRAST / PAINT), CONTRAST).flags.any()
+    assert judged_of(marking * np.float32(1.05 * CONTRAST / PAINT)).flags[LINE, 0]
+    assert not judged_of(marking * np.float32(0.95 * CONTRAST / PAINT)).flags.any()
 
 
 @pytest.mark.parametrize("apart", [-14, -5, 0, 6, 14])

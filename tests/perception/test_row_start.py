@@ -151,4 +151,4 @@ def test_dark_lines_on_a_bright_floor() -> None:
     guess = RowStart(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)
     assert guess is not None
     assert guess.offset_m == pytest.approx(0.3, abs=0.06)
-    assert math.isfinite(guess.height)
+    assert math.isfinite(guess.edge)

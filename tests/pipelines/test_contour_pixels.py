@@ -219,7 +219,7 @@ def test_the_tracker_holds_little() -> None:
         for k, part in enumerate(value if isinstance(value, tuple) else (value,)):
             before = fresh[name][k] if isinstance(value, tuple) else fresh[name]
             if isinstance(part, np.ndarray) and not np.array_equal(part, before):
-                memory = part if part.base is None else part.base
+                memory = part.base if isinstance(part.base, np.ndarray) else part
                 bases[id(memory)] = memory.nbytes
             elif isinstance(part, (float, int)):
                 numbers += 1
@@ -265,7 +265,7 @@ def test_single_floats_give_the_same_lane(name: str) -> None:
         length = min(one.centerline.length_m, other.centerline.length_m)
         s = np.linspace(0.0, 0.8 * length, 15)
         away = np.abs(one.centerline.position(s) - other.centerline.position(s))
-        assert away.max() < 5.0 * bound_m
+        assert away.max() < 6.0 * bound_m
 
 
 def test_colour_read_as_grey_is_grey() -> None:
