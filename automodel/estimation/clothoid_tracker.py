@@ -19,7 +19,7 @@ from automodel.compiled import compiled
 from automodel.curves.arcs import arc_from, foot_on_circle
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
-from automodel.estimation.update_laws import LAWS, posterior
+from automodel.estimation.update_laws import LAWS, gauss_newton, gradient_descent, posterior
 
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
@@ -43,7 +43,7 @@ class ClothoidTracker:
     def __init__(self, pair: ClothoidPair, config: TrackerConfig, sigma: Floats) -> None:
         """`sigma` (3 n,): how well a node's place [m], and its heading [rad], is measured; rows as in `PairShape`."""
         self.pair, self.config = pair, config
-        self._law = LAWS[config.law]
+        self._descend = LAWS[config.law] is gradient_descent
         dtype, unit = pair.dtype, config.lane_width_m
         self._bend = bend = 1.0 / (config.radius_lanes * unit)
         slack = np.repeat((0.02 * unit, 0.0), (2 * pair.count, pair.count))
@@ -88,7 +88,7 @@ class ClothoidTracker:
         rows = self.pair.shape(guess, 0.0).jacobian[[node, node + n, node + 2 * n]]
         precision = np.array((config.start_offset * unit, config.start_offset * unit, config.start_heading_rad)) ** -2.0
         weighted = (rows * (precision / rough.share**2)[:, None].astype(guess.dtype)).T
-        self.covariance = posterior(weighted @ rows, covariance, self._one)
+        self.covariance = posterior(weighted @ rows, covariance)
         self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
         self._prior = self.parameters, self.covariance
 
@@ -112,12 +112,15 @@ class ClothoidTracker:
         blind = self.blind_m > 0.0
         self.blind_m += abs(distance_m)
         unit, config = self.config.lane_width_m, self.config
-        noise = self._walk * (self.way_m / unit) + self._floor
-        p.reshape(-1)[:: len(p) + 1] += noise
-        if blind:
-            p[OFFSET, OFFSET] += (config.blind_offset * unit) ** 2 * (self.way_m / unit)
-            p[HEADING, HEADING] += config.blind_heading_rad**2 * (self.way_m / unit)
-        p[HEADING, HEADING] += (config.yaw_rate_sigma_radps * dt_s) ** 2
+        way, offset_m, heading_rad = self.way_m / unit, config.blind_offset * unit, config.blind_heading_rad
+        _age(
+            p,
+            self._walk,
+            self._floor,
+            way,
+            offset_m**2 * way if blind else 0.0,
+            (heading_rad**2 * way if blind else 0.0) + (config.yaw_rate_sigma_radps * dt_s) ** 2,
+        )
         if not known:
             p[OFFSET, OFFSET] += (config.unknown_offset * unit) ** 2
             p[HEADING, HEADING] += config.unknown_heading_rad**2
@@ -211,27 +214,23 @@ class ClothoidTracker:
         1, not 0.
         """
         before, (prior, p) = self.known(), self._prior
-        config, k = self.config, len(nodes)
-        rows, aim, ratio2, precision, limit = _linearise(
-            before, self.covariance, prior, shape.jacobian, self._noise, nodes, residual, found, config.gate
+        config = self.config
+        self.parameters, self.covariance, count, carrying, missed, self.moved_m = _correct(
+            self._descend,
+            before,
+            self.covariance,
+            prior,
+            p,
+            shape.jacobian,
+            self._noise,
+            nodes,
+            residual,
+            found,
+            (config.gate, config.agreed, self._bend, self._lever_m),
         )
-        information, pull, weight = _weigh(rows, aim, ratio2, precision)
-        change, after, count = self._law(information, pull, p, self._one)
-        ratio2 = _left(rows, aim, change, limit)
-        if float((ratio2 * found).max(initial=0.0)) > config.agreed**2:
-            information, pull, weight = _weigh(rows, aim, ratio2, precision)
-            change, after, more = self._law(information, pull, p, self._one)
-            count += more
         self.iterations += count
-        self.covariance, self.parameters = after, prior + change
-        road = self.parameters[CURVATURE:]
-        np.minimum(np.maximum(road, -self._bend, out=road), self._bend, out=road)
-        carrying: Bools = weight[:k] > 0.1 * precision[:k]
-        there = found[:k] > 0.0
-        if np.count_nonzero(there) - np.count_nonzero(carrying) >= config.doubt_nodes:
-            self._doubt(nodes < self.pair.count, there, carrying)
-        offset, heading = (self.parameters - before)[:WIDTH].tolist()
-        self.moved_m = abs(offset) + abs(heading) * self._lever_m
+        if missed >= config.doubt_nodes:
+            self._doubt(nodes < self.pair.count, found[: len(nodes)] > 0.0, carrying)
         return carrying
 
     def _doubt(self, left: Bools, found: Bools, carrying: Bools) -> None:
@@ -275,6 +274,68 @@ def _drive(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_m
         p[k, OFFSET] -= ahead * p[k, HEADING]
         p[k, HEADING] += this * p[k, station] + that * p[k, after]
     return float(way)
+
+
+@compiled
+def _correct(
+    descend: bool,
+    before: Floats,
+    covariance: Floats,
+    prior: Floats,
+    prior_covariance: Floats,
+    jacobian: Floats,
+    noise: Floats,
+    nodes: Ints,
+    residual: Floats,
+    found: Floats,
+    scales: tuple[float, float, float, float],
+) -> tuple[Floats, Floats, int, Bools, int, float]:
+    """Parameters, covariance, iterations, which nodes (k,) carry the lane, how many do not though found, and `moved_m`.
+
+    The nodes were looked for from `before` and its covariance; both priors are the prediction. The other arrays are as
+    `ClothoidTracker` has them. Robust weights are renewed once, where what is left of the residuals is not small.
+    """
+    gate, agreed, bend, lever_m = scales
+    k = len(nodes)
+    rows, aim, ratio2, precision, limit = _linearise(
+        before, covariance, prior, jacobian, noise, nodes, residual, found, gate
+    )
+    iterations, worst = 0, 0.0
+    for _ in range(2):
+        information, pull, weight = _weigh(rows, aim, ratio2, precision)
+        if descend:
+            change, after, count = gradient_descent(information, pull, prior_covariance)
+        else:
+            change, after, count = gauss_newton(information, pull, prior_covariance)
+        iterations += count
+        for i in range(2 * k):
+            left = aim[i]
+            for a in range(len(change)):
+                left -= rows[i, a] * change[a]
+            ratio2[i] = (left / limit[i]) ** 2
+            worst = max(worst, ratio2[i] * found[i])
+        if worst <= agreed * agreed:
+            break
+    parameters = np.empty_like(prior)
+    for a in range(len(prior)):
+        parameters[a] = prior[a] + change[a]
+        if a >= CURVATURE:
+            parameters[a] = min(max(parameters[a], -bend), bend)
+    carrying, missed = np.empty(k, np.bool_), 0
+    for i in range(k):
+        carrying[i] = weight[i] > 0.1 * precision[i]
+        missed += int(found[i] > 0.0) - int(carrying[i])
+    moved_m = abs(parameters[OFFSET] - before[OFFSET]) + abs(parameters[HEADING] - before[HEADING]) * lever_m
+    return parameters, after, iterations, carrying, missed, float(moved_m)
+
+
+@compiled
+def _age(p: Floats, walk: Floats, floor: Floats, way: float, offset: float, heading: float) -> None:
+    """Add what `way` [lane widths] and a frame bring, and these variances of offset and heading."""
+    for i in range(len(p)):
+        p[i, i] += walk[i] * way + floor[i]
+    p[OFFSET, OFFSET] += offset
+    p[HEADING, HEADING] += heading
 
 
 @compiled
@@ -325,15 +386,3 @@ def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tupl
             for b in range(size):
                 information[a, b] += weighted * rows[i, b]
     return information, pull, weight
-
-
-@compiled
-def _left(rows: Floats, aim: Floats, change: Floats, limit: Floats) -> Floats:
-    """The squares (2 k,) of what a change (m,) leaves of the residuals, in units of their limits."""
-    ratio2 = np.empty_like(aim)
-    for i in range(len(aim)):
-        left = aim[i]
-        for a in range(len(change)):
-            left -= rows[i, a] * change[a]
-        ratio2[i] = (left / limit[i]) ** 2
-    return ratio2

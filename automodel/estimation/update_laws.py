@@ -6,12 +6,12 @@ steps. Both give x (m,), its covariance (A + P^-1)^-1 (m, m), and the number of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from automodel.compiled import compiled
 
 Floats = NDArray[np.floating[Any]]
 
@@ -19,38 +19,103 @@ MOST_STEPS = 1000
 CONVERGED = 1e-5  # of a prior's sigma: steps below that are the end
 
 
-def posterior(information: Floats, covariance: Floats, one: Floats) -> Floats:
-    """(A + P^-1)^-1 = (1 + P A)^-1 P, where 1 + P A has no eigenvalue below 1; `one` is the unit matrix.
+@compiled
+def solved(matrix: Floats, right: Floats) -> Floats:
+    """X (m, k) of `matrix` (m, m) X = `right` (m, k), by elimination with row pivots; both are overwritten.
 
-    By OpenCV's solver: numpy's takes three times as long for matrices of this size, most of it for its arguments.
+    A library's solver would take longer to be called than this takes for matrices of this size.
     """
-    both = cv2.solve(one + covariance @ information, covariance)[1]
-    return np.asarray(0.5 * (both + both.T))
+    m, k = right.shape
+    for c in range(m):
+        pivot = c
+        for r in range(c + 1, m):
+            if abs(matrix[r, c]) > abs(matrix[pivot, c]):
+                pivot = r
+        for j in range(c, m):
+            matrix[c, j], matrix[pivot, j] = matrix[pivot, j], matrix[c, j]
+        for j in range(k):
+            right[c, j], right[pivot, j] = right[pivot, j], right[c, j]
+        for r in range(c + 1, m):
+            share = matrix[r, c] / matrix[c, c]
+            for j in range(c + 1, m):
+                matrix[r, j] -= share * matrix[c, j]
+            for j in range(k):
+                right[r, j] -= share * right[c, j]
+    for c in range(m - 1, -1, -1):
+        for j in range(k):
+            for r in range(c + 1, m):
+                right[c, j] -= matrix[c, r] * right[r, j]
+            right[c, j] /= matrix[c, c]
+    return right
 
 
-def gauss_newton(information: Floats, pull: Floats, covariance: Floats, one: Floats) -> tuple[Floats, Floats, int]:
+@compiled
+def posterior(information: Floats, covariance: Floats) -> Floats:
+    """(A + P^-1)^-1 = (1 + P A)^-1 P, where 1 + P A has no eigenvalue below 1."""
+    m = len(covariance)
+    matrix = np.empty_like(covariance)
+    for i in range(m):
+        for j in range(m):
+            matrix[i, j] = 1.0 if i == j else 0.0
+            for k in range(m):
+                matrix[i, j] += covariance[i, k] * information[k, j]
+    after = solved(matrix, covariance.copy())
+    for i in range(m):
+        for j in range(i):
+            after[i, j] = after[j, i] = 0.5 * (after[i, j] + after[j, i])
+    return after
+
+
+@compiled
+def gauss_newton(information: Floats, pull: Floats, covariance: Floats) -> tuple[Floats, Floats, int]:
     """The least itself."""
-    after = posterior(information, covariance, one)
-    return after @ pull, after, 1
+    after = posterior(information, covariance)
+    return _times(after, pull), after, 1
 
 
-def gradient_descent(information: Floats, pull: Floats, covariance: Floats, one: Floats) -> tuple[Floats, Floats, int]:
+@compiled
+def gradient_descent(
+    information: Floats, pull: Floats, covariance: Floats, most_steps: int = MOST_STEPS
+) -> tuple[Floats, Floats, int]:
     """Steps down the gradient, each parameter in units of its prior's sigma, until a step is small."""
-    sigma = np.sqrt(covariance.diagonal())
-    units = np.outer(sigma, sigma)
-    hessian = np.linalg.solve(covariance / units, one) + information * units
-    slope, at = pull * sigma, np.zeros_like(pull)
-    rate = 1.0 / float(np.abs(hessian).sum(axis=0).max())  # no eigenvalue is larger (Gershgorin)
-    count = 0
-    while count < MOST_STEPS:
-        step = rate * (slope - hessian @ at)
-        at, count = at + step, count + 1
-        if float(np.abs(step).max()) < CONVERGED:
-            break
-    return at * sigma, posterior(information, covariance, one), count
+    m = len(pull)
+    sigma, slope, at = np.empty_like(pull), np.empty_like(pull), np.zeros_like(pull)
+    prior, hessian = np.empty_like(covariance), np.zeros_like(covariance)
+    for i in range(m):
+        sigma[i] = np.sqrt(covariance[i, i])
+        slope[i] = pull[i] * sigma[i]
+        hessian[i, i] = 1.0
+    for i in range(m):
+        for j in range(m):
+            prior[i, j] = covariance[i, j] / (sigma[i] * sigma[j])
+    hessian = solved(prior, hessian)
+    largest = 0.0  # no eigenvalue is larger (Gershgorin)
+    for i in range(m):
+        row = 0.0
+        for j in range(m):
+            hessian[i, j] += information[i, j] * sigma[i] * sigma[j]
+            row += abs(hessian[i, j])
+        largest = max(largest, row)
+    count, moved = 0, CONVERGED
+    while count < most_steps and moved >= CONVERGED:
+        descent, moved = _times(hessian, at), 0.0
+        for i in range(m):
+            step = (slope[i] - descent[i]) / largest
+            at[i] += step
+            moved = max(moved, abs(step))
+        count += 1
+    for i in range(m):
+        at[i] *= sigma[i]
+    return at, posterior(information, covariance), count
 
 
-LAWS: dict[str, Callable[[Floats, Floats, Floats, Floats], tuple[Floats, Floats, int]]] = {
-    "gauss_newton": gauss_newton,
-    "gradient_descent": gradient_descent,
-}
+@compiled
+def _times(matrix: Floats, values: Floats) -> Floats:
+    product = np.zeros_like(values)
+    for i in range(len(values)):
+        for j in range(len(values)):
+            product[i] += matrix[i, j] * values[j]
+    return product
+
+
+LAWS = {"gauss_newton": gauss_newton, "gradient_descent": gradient_descent}

@@ -13,6 +13,7 @@ from automodel.geometry.ground import GroundCamera
 
 Floats = NDArray[np.floating[Any]]
 Complexes = NDArray[np.complexfloating[Any, Any]]
+View = tuple[Floats, Floats, float, float]
 _NEAREST = 1e-3  # [m] of depth: what is less counts as behind the camera
 _NOWHERE_PX = -1e6
 _WIDEST = 4.0  # normalised radius, 76 degrees off the axis: no lens model of this kind reaches further
@@ -50,6 +51,8 @@ class LineProjection:
     A point that moves by delta to the left of its line, while it stays on its row of the picture, moves by
     `-area / along_v * delta` pixels along that row: shifted by delta n + tau t its row stays where
     v_n delta + v_t tau = 0, and then u_n delta + u_t tau = (u_n v_t - u_t v_n) / v_t * delta.
+
+    `view` is what `project_lines` needs to know of the camera.
     """
 
     def __init__(self, camera: GroundCamera, dtype: type[np.floating[Any]] = np.float64) -> None:
@@ -57,39 +60,29 @@ class LineProjection:
         rotation, matrix = camera.cam_from_body, camera.camera.matrix
         # From (x, y, 1) on the ground, in the body frame, to the camera's frame.
         plane = np.column_stack((rotation[:, 0], rotation[:, 1], -rotation @ camera.centre_m))
-        self._plane: Floats = plane.astype(dtype)
         lens = [*camera.camera.distortion, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
-        self._lens: Floats = np.array(lens, dtype)
-        self._volume = float(np.linalg.det(plane))
-        self._fold2 = min(camera.camera.max_radius, _WIDEST) ** 2
+        fold2 = min(camera.camera.max_radius, _WIDEST) ** 2
+        self.view: View = plane.astype(dtype), np.array(lens, dtype), float(np.linalg.det(plane)), fold2
 
     def project(self, place: Complexes, along: Complexes, aside_m: float) -> ProjectedLine:
         """Two lines `aside_m` to the left and to the right of the one at `place` (n,) with unit tangents `along`.
 
         Both as complex numbers x + i y [m]. The first n of the 2 n points are the left line's.
         """
-        values = np.empty((5, 2 * len(place)), self.dtype)
-        _project(self._plane, self._lens, self._volume, self._fold2, place, along, aside_m, values)
-        return ProjectedLine(values)
+        return ProjectedLine(project_lines(self.view, place, along, aside_m))
 
 
 @compiled
-def _project(
-    plane: Floats,
-    lens: Floats,
-    volume: float,
-    fold2: float,
-    place: Complexes,
-    along: Complexes,
-    aside_m: float,
-    values: Floats,
-) -> None:
-    """Fill in `values` (5, 2 n), as `ProjectedLine` has them, with Brown's distortion.
+def project_lines(view: View, place: Complexes, along: Complexes, aside_m: float) -> Floats:
+    """The values (5, 2 n) of `LineProjection.project`, by Brown's distortion.
 
-    `lens` (9,): k1, k2, p1, p2, k3, focal lengths and centre [px].
+    `view`: the plane's matrix (3, 3); k1, k2, p1, p2, k3, focal lengths and centre [px] (9,); the matrix's determinant;
+    the square of the normalised radius at which the lens model folds back.
     """
+    plane, lens, volume, fold2 = view
     k1, k2, p1, p2, k3, focal_x, focal_y, centre_x, centre_y = lens
     n = len(place)
+    values = np.empty((5, 2 * n), plane.dtype)
     for i in range(2 * n):
         away = aside_m if i < n else -aside_m
         t = along[i % n]
@@ -117,3 +110,4 @@ def _project(
         values[4, i] = volume * nearness**3 * (j_xx * j_yy - j_xy * j_xy) * focal_x * focal_y
         if outside:
             values[0, i] = values[1, i] = _NOWHERE_PX
+    return values

@@ -78,11 +78,12 @@ def judge(values: Single, row: Ints, at: Ints, contrast: float) -> Judged:
 
     Beyond its ends a row goes on as it ends.
     """
-    return Judged(*_judge(values, row, at, contrast))
+    return Judged(*judge_ridges(values, row, at, contrast))
 
 
 @compiled
-def _judge(values: Single, row: Ints, at: Ints, contrast: float) -> tuple[Single, Single, Single, Bools]:
+def judge_ridges(values: Single, row: Ints, at: Ints, contrast: float) -> tuple[Single, Single, Single, Bools]:
+    """What `judge` makes a `Judged` of."""
     n, last = len(at), values.shape[1] - 1
     place, height, edge = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     flags = np.empty((2, n), np.bool_)

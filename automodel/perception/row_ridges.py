@@ -8,48 +8,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-from automodel.perception.ridges import MARGIN, SIDE, WINDOW, Brightness, Judged, judge
+from automodel.perception.ridges import MARGIN, SIDE, WINDOW, Brightness, Judged, judge_ridges
 from automodel.signals import Image
 
 Floats = NDArray[np.floating[Any]]
 Single = NDArray[np.float32]
 Ints = NDArray[np.intp]
+Bools = NDArray[np.bool_]
 
 REACH = 31  # samples to each side of a run's middle
 GATE = 15  # and as far from there a ridge may lie
 
 
 class RowRidges:
-    """Reads runs, at most `runs` at a time, and finds their ridges of at least `contrast` [grey levels]."""
+    """Reads runs and finds their ridges of at least `contrast` [grey levels]."""
 
-    def __init__(self, runs: int, brightness: Brightness, contrast: float) -> None:
-        self._brightness, self._contrast = brightness, contrast
-        self._pixels: Ints = np.empty((runs, 2 * REACH + 1), np.intp)
-        self._runs: Ints = np.arange(runs)
+    def __init__(self, brightness: Brightness, contrast: float) -> None:
+        self._brightness, self.contrast = brightness, contrast
 
     def find(self, image: Image, first: Floats, step: Floats) -> Judged:
-        """The best ridge of each of a k runs, about pixel `first` (a, k), counted row by row; run by run.
+        """The best ridge of each of n runs, about pixel `first` (n,), counted row by row, `step` (n,) [px] a sample."""
+        pixels = np.empty((len(first), 2 * REACH + 1), np.intp)
+        for run, middle, width in zip(pixels, first, step, strict=True):
+            lay_run(run, middle, width)
+        return Judged(*best_ridges(self.read(image, pixels), self.contrast))
 
-        `step` (k,) [px] is the way from sample to sample. Where a run leaves the picture it reads what lies there in
-        memory: what is found there must not count.
+    def read(self, image: Image, pixels: Ints) -> Single:
+        """The brightness of `pixels`.
+
+        Where a run leaves the picture it reads what lies there in memory: what is found there must not count.
         """
-        pixels = self._pixels[: first.size]
-        _lay(first, step, pixels)
-        values = self._brightness.read(image, pixels).astype(np.float32)
-        best = _best(values)
-        judged = judge(values, self._runs[: first.size], best, self._contrast)
-        judged.place += best
-        judged.place -= REACH
-        return judged
+        return self._brightness.read(image, pixels).astype(np.float32)
 
 
 @compiled
-def _lay(first: Floats, step: Floats, pixels: Ints) -> None:
-    """Fill in the runs' pixels (a k, 2 REACH + 1)."""
-    k = first.shape[1]
-    for i in range(first.size):
-        for sample in range(pixels.shape[1]):
-            pixels[i, sample] = int(first[i // k, i % k] + (sample - REACH) * step[i % k])
+def lay_run(pixels: Ints, middle: float, step: float) -> None:
+    """Fill in a run's pixels (2 REACH + 1,) about pixel `middle`, `step` [px] apart."""
+    for sample in range(len(pixels)):
+        pixels[sample] = int(middle + (sample - REACH) * step)
+
+
+@compiled
+def best_ridges(values: Single, contrast: float) -> tuple[Single, Single, Single, Bools]:
+    """The best ridge of each of n runs (n, 2 REACH + 1), as `Judged` has them, by their distance from the middle."""
+    best, runs = _best(values), np.arange(len(values))
+    place, height, edge, flags = judge_ridges(values, runs, best, contrast)
+    for i in range(len(place)):
+        place[i] += best[i] - REACH
+    return place, height, edge, flags
 
 
 @compiled

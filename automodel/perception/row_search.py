@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.estimation.clothoid_pair import PairShape
-from automodel.geometry.line_projection import LineProjection
+from automodel.geometry.line_projection import LineProjection, View, project_lines
 from automodel.perception.ridges import BAR, LINE, MARGIN, PER_MARKING
-from automodel.perception.row_ridges import RowRidges
+from automodel.perception.row_ridges import REACH, RowRidges, best_ridges, lay_run
 from automodel.signals import Image
 
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
+Single = NDArray[np.float32]
+Complexes = NDArray[np.complexfloating[Any, Any]]
 
 FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
 TURN, SLACK = 0.4, 0.5  # how much a ridge may be turned [rad], and be torn (samples): else it is another line's
@@ -47,15 +49,7 @@ class Sighting:
 
     def points(self, shape: PairShape, carrying: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
         """The ridges (j, 2) [m] of `carrying` nodes (k,), left and right line's; lines lie `half_m` from `shape`."""
-        mine = carrying.nonzero()[0]
-        at, n = self.nodes.take(mine), len(shape.place)
-        lefts = int(at.searchsorted(n))
-        aside = self.residual.take(mine)
-        aside[:lefts] += half_m
-        aside[lefts:] -= half_m
-        ridges = shape.place.take(at, mode="wrap") + shape.along.take(at, mode="wrap") * (1j * aside)
-        points = ridges.astype(np.complex128, copy=False).view(np.float64).reshape(-1, 2)
-        return points[:lefts], points[lefts:]
+        return _points(shape.place, shape.along, self.nodes, self.residual, carrying, half_m)
 
 
 class RowSearch:
@@ -87,30 +81,20 @@ class RowSearch:
 
     def look(self, image: Image, shape: PairShape, width_m: float) -> Sighting:
         """The pair `shape` with lines `width_m` apart."""
-        line = self._projection.project(shape.place, shape.along, 0.5 * width_m)
-        nodes, first, column, step, half_m = _lay(line.values, self._half_m, self._sample_m, self._size)
-        ridges = self._ridges.find(image, first, step)
-        least, width = self.BLURRED * self._usual, self._size[1]
+        nodes, pixels, column, step, half_m = _lay(
+            self._projection.view, shape.place, shape.along, 0.5 * width_m, self._half_m, self._sample_m, self._size
+        )
+        values = self._ridges.read(image, pixels)
+        least, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
         found, residual, edge = _agree(
-            ridges.place,
-            ridges.edge,
-            ridges.flags,
-            nodes,
-            column,
-            step,
-            half_m,
-            self._tear,
-            self._sample_m,
-            least,
-            width,
+            values, self._ridges.contrast, nodes, column, step, half_m, tear, self._sample_m, least, width
         )
         return Sighting(nodes=nodes, residual=residual, found=found, edge=edge)
 
     def learn(self, sighting: Sighting, carrying: Bools) -> None:
         """Remember how sharp the ridges are of the nodes (k,) that carry the lane."""
-        count = int(np.count_nonzero(carrying))
+        edge, count = _mean(sighting.edge, carrying)
         if count >= self.FEWEST:
-            edge = float(carrying @ sighting.edge) / count
             self._usual += (self.LEARN if self._usual > 0.0 else 1.0) * (edge - self._usual)
         else:
             self._usual *= 1.0 - self.FADE
@@ -118,14 +102,21 @@ class RowSearch:
 
 @compiled
 def _lay(
-    line: Floats, most_half_m: float, sample_m: float, size: tuple[int, int]
-) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    view: View,
+    place: Complexes,
+    along: Complexes,
+    aside_m: float,
+    most_half_m: float,
+    sample_m: float,
+    size: tuple[int, int],
+) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """The runs about the nodes that can be looked for: they lie in the picture, and their line is steep there.
 
-    `line` (5, 2 n) as `ProjectedLine.values`. Nodes (k,), and of their runs: the middle's pixel (2, k), counted row by
-    row, of the upper one first; the lower one's column (k,); the way from sample to sample (k,) [px], to the left; how
-    far along the line they lie from the node (k,) [m].
+    The lines lie `aside_m` beside the nodes, as in `LineProjection.project`. Nodes (k,), and of their runs: pixels
+    (2 k, s), all upper ones first; the lower one's middle column (k,); the way from sample to sample (k,) [px], to the
+    left; how far along the line they lie from the node (k,) [m].
     """
+    line = project_lines(view, place, along, aside_m)
     height, width = size
     margin = EDGE * height
     most_u, most_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
@@ -137,25 +128,24 @@ def _lay(
         if near and abs(along_u) < -FLATTEST * along_v:
             nodes[k] = i
             k += 1
-    first, column = np.empty((2, k), line.dtype), np.empty(k, line.dtype)
+    pixels, column = np.empty((2 * k, 2 * REACH + 1), np.intp), np.empty(k, line.dtype)
     step, half_m = np.empty(k, line.dtype), np.empty(k, line.dtype)
     for i in range(k):
         u, v, along_u, along_v, area = line[:, nodes[i]]
         down = max(min(along_v * most_half_m, -1.0), -margin)  # the further ahead, the higher up
+        step[i] = -sample_m * area / along_v  # area / along_v is below 0: to the left
         for end in range(2):
             row = np.rint(v + (down if end == 0 else -down))
             column[i] = u + (row - v) * along_u / along_v + 0.5
-            first[end, i] = row * width + column[i]
-        step[i] = -sample_m * area / along_v  # area / along_v is below 0: to the left
+            lay_run(pixels[end * k + i], row * width + column[i], step[i])
         half_m[i] = down / along_v
-    return nodes[:k], first, column, step, half_m
+    return nodes[:k], pixels, column, step, half_m
 
 
 @compiled
 def _agree(
-    place: Floats,
-    edge: Floats,
-    flags: Bools,
+    values: Single,
+    contrast: float,
     nodes: Ints,
     column: Floats,
     step: Floats,
@@ -167,9 +157,9 @@ def _agree(
 ) -> tuple[Floats, Floats, Floats]:
     """What is a line's: nodes (k,) in the picture whose two ridges agree, next to another such node.
 
-    The ridges' `place` [samples], `edge` and `flags` are those of the runs of `_lay`. `found`, `residual` and `edge` as
-    `Sighting` has them.
+    `values` (2 k, s) are those of the runs of `_lay`. `found`, `residual` and `edge` as `Sighting` has them.
     """
+    place, _, edge, flags = best_ridges(values, contrast)
     k = len(nodes)
     found, residual, edges = np.zeros(2 * k, step.dtype), np.empty(2 * k, step.dtype), np.empty(k, edge.dtype)
     marks, means = np.zeros(k, np.bool_), np.empty(k, step.dtype)
@@ -188,3 +178,33 @@ def _agree(
         if marks[i] and marks[i + 1] and abs(means[i + 1] - means[i]) < tear[nodes[i]]:
             found[i] = found[i + 1] = found[k + i] = found[k + i + 1] = 1.0
     return found, residual, edges
+
+
+@compiled
+def _points(
+    place: Complexes, along: Complexes, nodes: Ints, residual: Floats, carrying: Bools, half_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """As `Sighting.points`."""
+    n, lefts = len(place), 0
+    points, count = np.empty((len(nodes), 2)), 0
+    for i in range(len(nodes)):
+        if not carrying[i]:
+            continue
+        left = nodes[i] < n
+        aside = residual[i] + (half_m if left else -half_m)
+        at, t = place[nodes[i] % n], along[nodes[i] % n]
+        points[count, 0], points[count, 1] = at.real - aside * t.imag, at.imag + aside * t.real
+        count += 1
+        lefts += left
+    return points[:lefts], points[lefts:count]
+
+
+@compiled
+def _mean(values: Floats, chosen: Bools) -> tuple[float, int]:
+    """The mean of the `chosen` values (k,), and how many they are."""
+    total, count = 0.0, 0
+    for i in range(len(values)):
+        if chosen[i]:
+            total += values[i]
+            count += 1
+    return total / max(count, 1), count

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.config import CarConfig
 from automodel.curves.deferred import DeferredCurve
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
@@ -32,6 +33,7 @@ from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, La
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Ints = NDArray[np.intp]
 Followed = tuple[PairShape, Sighting, Bools]
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 
@@ -70,7 +72,7 @@ class Contour:
         nodes = self._nodes(camera, car)
         self._tracker = self._make_tracker(nodes, car, dtype)
         self._pair = self._tracker.pair
-        ridges = RowRidges(4 * len(nodes), brightness, options.contrast)
+        ridges = RowRidges(brightness, options.contrast)
         self._search = RowSearch(LineProjection(camera, dtype), ridges, nodes, marking, self._size)
         tried = StartConfig(
             lane_width_m=unit,
@@ -141,7 +143,10 @@ class Contour:
         straight = RoughLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
         self._tracker.begin(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
-        self._follow(nothing, 1)
+        followed = self._follow(nothing, 1)
+        self._count(followed)
+        self._search.learn(followed[1], followed[2])
+        followed[1].points(followed[0], followed[2], self._unit)
         self.reset()
 
     def _advance(self, t_ns: int, motion: Motion) -> None:
@@ -222,8 +227,7 @@ class Contour:
     def _count(self, followed: Followed) -> tuple[int, int]:
         """How many nodes of each line, left and right, carry the lane."""
         _, sighting, carrying = followed
-        left = int(np.count_nonzero(carrying[: sighting.nodes.searchsorted(self._pair.count)]))
-        return left, int(np.count_nonzero(carrying)) - left
+        return _count(carrying, sighting.nodes, self._pair.count)
 
     def _sure(self, counts: tuple[int, int]) -> bool:
         return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
@@ -308,3 +312,13 @@ def _rough(guess: LaneGuess) -> RoughLane:
         sure_m=guess.sure_m,
         share=Contour.FITTED if guess.fitted else 1.0,
     )
+
+
+@compiled
+def _count(carrying: Bools, nodes: Ints, n: int) -> tuple[int, int]:
+    left = right = 0
+    for i in range(len(nodes)):
+        if carrying[i]:
+            left += nodes[i] < n
+            right += nodes[i] >= n
+    return left, right

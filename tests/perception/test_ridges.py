@@ -40,8 +40,8 @@ def row(middle: float, breadth: float = PER_MARKING, paint: float = PAINT) -> ND
 
 def found(picture: NDArray[np.uint8], pixel: int, step: float = 1.0, dark: bool = False) -> tuple[float, bool]:
     """Pixel of the best ridge about `pixel`, and whether it is a line's; the run has samples every `step` px."""
-    ridges = RowRidges(2, Brightness("grey", dark), CONTRAST)
-    judged = ridges.find(picture, np.array([[pixel + 0.5]]), np.array([step]))
+    ridges = RowRidges(Brightness("grey", dark), CONTRAST)
+    judged = ridges.find(picture, np.array([pixel + 0.5]), np.array([step]))
     return pixel + step * float(judged.place[0]), bool(judged.flags[LINE, 0])
 
 
@@ -137,8 +137,8 @@ def test_uniform_rows_and_edges_give_no_line(dark: bool) -> None:
 
 def test_runs_keep_their_order_and_their_rows() -> None:
     picture = np.concatenate([row(100.0 + 50.0 * k + 0.3 * k) for k in range(4)])
-    first = np.array([[100.5, WIDTH + 150.5], [2 * WIDTH + 200.5, 3 * WIDTH + 250.5]])
-    judged = RowRidges(4, Brightness("grey", False), CONTRAST).find(picture, first, np.ones(2))
+    first = np.array([100.5, WIDTH + 150.5, 2 * WIDTH + 200.5, 3 * WIDTH + 250.5])
+    judged = RowRidges(Brightness("grey", False), CONTRAST).find(picture, first, np.ones(4))
     assert judged.flags[LINE].all()
     assert judged.place == pytest.approx(0.3 * np.arange(4), abs=0.25)
 

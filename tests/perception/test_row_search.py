@@ -61,7 +61,7 @@ def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: i
 
 
 def search(lens: str = "none", dark: bool = False) -> RowSearch:
-    ridges = RowRidges(4 * COUNT, Brightness("grey", dark), 20.0)
+    ridges = RowRidges(Brightness("grey", dark), 20.0)
     return RowSearch(LineProjection(camera(lens)), ridges, NODES, MARKING, (HEIGHT, WIDTH))
 
 
@@ -218,9 +218,7 @@ class Noted(Brightness):
 
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     noted, shape = Noted("grey", False), shaped("left")
-    looking = RowSearch(
-        LineProjection(camera("none")), RowRidges(4 * COUNT, noted, 20.0), NODES, MARKING, (HEIGHT, WIDTH)
-    )
+    looking = RowSearch(LineProjection(camera("none")), RowRidges(noted, 20.0), NODES, MARKING, (HEIGHT, WIDTH))
     looking.look(drawn("none", "left"), shape, LANE)
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
