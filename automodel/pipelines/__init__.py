@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from importlib import import_module
 
 from automodel.config import PIPELINES, CarConfig, ConfigError
 from automodel.interfaces import Pipeline
-from automodel.pipelines.centerline import Centerline
-from automodel.pipelines.contour import Contour
-from automodel.pipelines.windows import Windows
 
-MAKERS: dict[str, Callable[[CarConfig], Pipeline]] = {"centerline": Centerline, "contour": Contour, "windows": Windows}
+_CLASSES = {name: name.capitalize() for name in PIPELINES}  # each in a module of its pipeline's name
 
 
 def make_pipeline(name: str, car: CarConfig) -> Pipeline:
-    """The pipeline `name` for a car; raises ConfigError for an unknown name or a camera that it cannot work with."""
-    if name not in MAKERS:
+    """The pipeline `name` for a car; raises ConfigError for an unknown name or a camera that it cannot work with.
+
+    What one pipeline needs (a network's runtime, a compiler) is loaded for that one alone.
+    """
+    if name not in _CLASSES:
         raise ConfigError(f"pipeline {name!r}: none of {', '.join(PIPELINES)}")
+    made = getattr(import_module(f"automodel.pipelines.{name}"), _CLASSES[name])
     try:
-        return MAKERS[name](car)
+        pipeline: Pipeline = made(car)
     except ValueError as error:
         raise ConfigError(f"pipeline {name}: {error}") from None
+    return pipeline

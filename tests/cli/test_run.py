@@ -159,7 +159,7 @@ def test_a_recorder_that_fails_is_told_and_the_car_drives_on(tmp_path: Path, cli
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["run", "--help"], ["replay", "--help"]])
 def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
-    heavy = ["scipy", "onnxruntime", "matplotlib", "can", "cantools", "filterpy"]
+    heavy = ["scipy", "onnxruntime", "matplotlib", "can", "cantools", "filterpy", "numba"]
     if arguments[0] != "replay":
         heavy += ["cv2", "numpy", "serial", "mcap", "rich"]
     program = (
@@ -175,7 +175,7 @@ def test_driving_imports_nothing_heavy() -> None:
     program = (
         "import sys\nfrom automodel.cli.main import run\n"
         "assert run(['run', '--track', 'oval', '--duration', '0.1', '--pipeline', 'windows']) == 0\n"
-        "heavy = ['scipy', 'onnxruntime', 'matplotlib', 'can', 'cantools', 'filterpy']\n"
+        "heavy = ['scipy', 'onnxruntime', 'matplotlib', 'can', 'cantools', 'filterpy', 'numba']\n"
         "loaded = [name for name in heavy if name in sys.modules]\nassert not loaded, loaded\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
