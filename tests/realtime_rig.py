@@ -7,6 +7,7 @@ busy machine makes everything slow, and nothing late.
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import mmap
 import os
@@ -15,24 +16,31 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from avr_board import HeardAvr
 
+from firmware_link import messages
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
+from firmware_link.messages import Command, CommandFlag, Message
 
 TESTS = Path(__file__).parent
 MS = 1_000_000
 NEUTRAL_US = 1500.0
 STEP_MAX_NS = 3 * MS
-PATIENCE_S = 60.0  # real time until a test gives up; nothing is judged by it
+PATIENCE_S = 30.0  # real time until a test gives up; nothing is judged by it
 BOOT_NS = 50 * MS
+REST_NS = 200 * MS  # a car that was neutral for so long has stopped; a gap of a frame or two is none
+TIMER_MS = (
+    130.0  # from the last command to drive to neutral: the board's timer, a servo frame, the line, the pulse itself
+)
 MakeBoard = Callable[[BenchPeripherals], Any]
 
 
@@ -58,17 +66,22 @@ class BoardClock:
 
 
 class Listening:
-    """A board that notes when the host's bytes come."""
+    """A board that notes what the host says, and when."""
 
     def __init__(self, board: Any) -> None:
         self.board = board
-        self.heard_ns: list[int] = []
-        self.reset, self.room = board.reset, board.room
-        self.transmit, self.advance = board.transmit, board.advance
+        self.heard: list[tuple[int, Message]] = []
+        self.opened_ns: list[int] = []
+        self.room, self.transmit, self.advance = board.room, board.transmit, board.advance
+        self._decoder = messages.decoder(on_board=True)
+
+    def reset(self, now_ns: int) -> None:
+        self.opened_ns.append(now_ns)
+        self._decoder.reset()
+        self.board.reset(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        if data:
-            self.heard_ns.append(now_ns)
+        self.heard += [(now_ns, messages.decode(frame)) for frame in self._decoder.feed(data)]
         return self.board.receive(data, now_ns)
 
 
@@ -77,17 +90,23 @@ class Bench:
 
     def __init__(self, make_board: MakeBoard, folder: Path) -> None:
         self.peripherals = BenchPeripherals()
+        self.peripherals.pulses = deque()  # all of them
         self.clock_file = folder / "clock"
         self.clock = BoardClock(self.clock_file)
         self.line = Listening(make_board(self.peripherals))
+        self.asked_ns: list[int] = []  # when a person pressed
         self.pty = PtyBoard(self.line, clock=self.clock)
         self.pty.start()
+
+    @property
+    def board(self) -> Any:
+        return self.line.board
 
     def close(self) -> None:
         self.pty.close()
         self.clock.close()
-        if isinstance(self.line.board, HeardAvr):
-            self.line.board.close()
+        if isinstance(self.board, HeardAvr):
+            self.board.close()
 
     @property
     def driving(self) -> bool:
@@ -95,12 +114,17 @@ class Bench:
 
     def wait(self, ms: float) -> None:
         """So long in the board's time."""
-        end_ns, given_up = self.clock.now_ns + round(ms * MS), time.monotonic() + PATIENCE_S
-        while self.clock.now_ns < end_ns:
-            assert time.monotonic() < given_up, "the board's thread does not run"
+        end_ns = self.clock.now_ns + round(ms * MS)
+        self.until(lambda: self.clock.now_ns >= end_ns, "the board's thread does not run")
+
+    def until(self, wanted: Callable[[], bool], otherwise: str) -> None:
+        """Wait for what must come; how long that takes is not judged."""
+        given_up = time.monotonic() + PATIENCE_S
+        while not wanted():
+            assert time.monotonic() < given_up, otherwise
             time.sleep(0.002)
 
-    def at_fault(self, fault: Callable[[], None]) -> int | None:
+    def at_fault(self, fault: Callable[[], object]) -> int | None:
         """Let it happen while the board stands still; when that was, or None where the car did not drive."""
         at_ns: list[int] = []
 
@@ -112,73 +136,125 @@ class Bench:
         self.pty.call(strike)
         return at_ns[0] if at_ns else None
 
+    def pulses(self) -> list[tuple[int, bool]]:
+        """When which pulse came, and whether the motor turns by it."""
+        noted: list[list[tuple[int, float, float]]] = []
+        self.pty.call(lambda: noted.append(list(self.peripherals.pulses)))
+        return [(t_ns, motor_us not in (0.0, NEUTRAL_US)) for t_ns, _, motor_us in noted[0]]
+
     def stopped_ns(self, since_ns: int) -> int:
         """When the motor's pulse was neutral, or gone, and stayed so; checks that it did not stop before `since_ns`."""
-        pulses = [(t_ns, motor_us) for t_ns, _, motor_us in self.peripherals.pulses if t_ns > since_ns - 25 * MS]
-        driven = [index for index, (_, motor_us) in enumerate(pulses) if motor_us not in (0.0, NEUTRAL_US)]
+        pulses = [(t_ns, drives) for t_ns, drives in self.pulses() if t_ns > since_ns - 25 * MS]
+        driven = [index for index, (_, drives) in enumerate(pulses) if drives]
         assert driven, "it had stopped before"
         assert driven[-1] + 1 < len(pulses), "it drives on"
         return pulses[driven[-1] + 1][0]
 
-    def silent_from_ns(self, since_ns: int, gap_ms: float) -> int:
-        """When the host's last bytes came before it was silent for so long."""
-        heard = [t_ns for t_ns in self.line.heard_ns if t_ns >= since_ns - 50 * MS] + [self.clock.now_ns]
-        return next(a for a, b in itertools.pairwise(heard) if b - a >= gap_ms * MS)
+    def last_drive_ns(self, before_ns: int) -> int:
+        """When the host's last command came that turns the motor."""
+        return max(t_ns for t_ns, said in self.line.heard if t_ns < before_ns and _drives(said))
+
+    def starts_ns(self) -> list[int]:
+        """When the car drove off from rest."""
+        driven = [t_ns for t_ns, drives in self.pulses() if drives]
+        return driven[:1] + [b for a, b in itertools.pairwise(driven) if b - a > REST_NS]
+
+    def check_asked_for(self) -> None:
+        """It has never driven off but when a person had pressed since it last stopped."""
+        driven = [t_ns for t_ns, drives in self.pulses() if drives]
+        for start_ns in self.starts_ns():
+            before_ns = max((t_ns for t_ns in driven if t_ns < start_ns), default=0)
+            assert any(before_ns < asked_ns < start_ns for asked_ns in self.asked_ns), "it drove off by itself"
 
 
-def _signals_of_a_terminal() -> None:
-    """SIGINT is not ignored, as it is in background jobs; what the tests say by SIGUSR is, until it is listened to."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.signal(signal.SIGUSR1, signal.SIG_IGN)
-    signal.signal(signal.SIGUSR2, signal.SIG_IGN)
+def _drives(message: Message) -> bool:
+    return isinstance(message, Command) and bool(message.flags & CommandFlag.FRESH) and message.motor_us != NEUTRAL_US
+
+
+@contextlib.contextmanager
+def _signals_of_a_terminal() -> Iterator[None]:
+    """What a child inherits: SIGINT is not ignored, as it is in background jobs; SIGUSR is, until it listens.
+
+    Not by Popen's preexec_fn, which runs Python between fork and exec: beside a board's thread that may never end.
+    """
+    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGUSR1: signal.SIG_IGN, signal.SIGUSR2: signal.SIG_IGN}
+    former = {number: signal.signal(number, handler) for number, handler in wanted.items()}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)
 
 
 class Car:
-    """A driving program and its board."""
+    """A driving program and its board. What it says goes to a file: a pipe that nobody reads would hold it up."""
 
-    def __init__(self, bench: Bench, command: list[str]) -> None:
+    def __init__(self, bench: Bench, folder: Path, command: list[str]) -> None:
         self.bench = bench
+        self.folder = folder
         path = os.pathsep.join(str(TESTS / name) for name in (".", "cli"))
-        self.child = subprocess.Popen(
-            [sys.executable, *command],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env={**os.environ, "PYTHONPATH": path},
-            start_new_session=True,
-            preexec_fn=_signals_of_a_terminal,
-        )
+        with (folder / "said").open("wb") as said, _signals_of_a_terminal():
+            self.child = subprocess.Popen(
+                [sys.executable, *command],
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONPATH": path},
+                start_new_session=True,
+            )
+
+    @property
+    def said(self) -> str:
+        return (self.folder / "said").read_text()
+
+    @property
+    def alive(self) -> bool:
+        return self.child.poll() is None
 
     def kill(self, number: int) -> None:
         os.kill(self.child.pid, number)
 
+    def press(self) -> None:
+        """A person asks to arm."""
+        self.bench.asked_ns.append(self.bench.clock.now_ns)
+        self.kill(signal.SIGUSR1)
+
     def close(self) -> None:
-        if self.child.poll() is None:
-            self.kill(signal.SIGKILL)
-        if self.child.stdout is not None and not self.child.stdout.closed:
-            self.child.communicate()
+        """Kill it, stopped or not, and everything around it."""
+        try:
+            if self.alive:
+                self.kill(signal.SIGKILL)
+            self.child.wait(PATIENCE_S)
+        finally:
+            self.bench.close()
+
+    def ended(self) -> int:
+        """The exit code, once it has ended by itself."""
+        return self.child.wait(PATIENCE_S)
 
     def until_driving(self, press: bool = False) -> None:
         """Wait until the motor's pulse is not neutral; a person presses again and again where `press`."""
         given_up = time.monotonic() + PATIENCE_S
         while not self.bench.driving:
-            assert self.child.poll() is None, self.child.communicate()[0].decode()
-            assert time.monotonic() < given_up, "it does not drive"
+            assert self.alive, self.said
+            assert time.monotonic() < given_up, f"it does not drive: {self.said[-2000:]}"
             if press:
-                self.kill(signal.SIGUSR1)
-            time.sleep(0.1)
+                self.press()
+            time.sleep(0.05)
 
-    def struck(self, fault: Callable[[], None], phase_ms: float) -> int:
+    def struck(self, fault: Callable[[], object], phase_ms: float, press: bool = True) -> int:
         """Drive, and let the fault happen `phase_ms` later; when that was in the board's time.
 
         A busy machine may stop the car, rightly: then it is armed once more.
         """
-        for _ in range(20):
-            self.until_driving(press=True)
+        given_up = time.monotonic() + PATIENCE_S
+        while time.monotonic() < given_up:
+            self.until_driving(press)
             self.bench.wait(phase_ms)
             at_ns = self.bench.at_fault(fault)
             if at_ns is not None:
                 return at_ns
-        raise AssertionError("the car does not drive for long enough")
+        raise AssertionError(f"the car does not drive for long enough: {self.said[-2000:]}")
 
 
 def emulated(peripherals: BenchPeripherals) -> EmulatedArduino:
