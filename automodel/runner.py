@@ -159,7 +159,8 @@ class Runner:
             )
         arm = self._arm_requested is not None and self._arm_requested()
         was_at_rest = self._at_rest()
-        inputs = SafetyInputs(seen=seen, state=self._state, link_up=self._link.up, faults=faults, arm=arm)
+        state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next turn
+        inputs = SafetyInputs(seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm)
         decision = self._safety.step(inputs, self._clock.now_ns())
         sent, sent_ns = self._send(decision, tick)
         own = frame is not None and tick is not None and sent is tick.command

@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from automodel.clocks import NS_PER_S
 from automodel.interfaces import VehicleLink
+from automodel.loop import state_faults
+from automodel.safety import LINK_SILENCE_S
 from automodel.signals import Command, Event, VehicleState
 
 RECONNECT_S = 0.2  # between two tries to open a port that is gone
@@ -60,6 +62,16 @@ class SupervisedLink:
         self._hello = state is not None
         self._met = self._met or self._hello
         return state
+
+    def newest(self, state: VehicleState | None, now_ns: int) -> VehicleState | None:
+        """`state`, or what the vehicle says now where that one is so old that the vehicle may have fallen silent.
+
+        A loop that was held up since it listened does not take its own delay for the vehicle's silence.
+        """
+        if state is None or now_ns - state.t_ns <= LINK_SILENCE_S * NS_PER_S:
+            return state
+        said = self.poll(now_ns)
+        return state if said is None or state_faults(said) else said
 
     def send(self, command: Command, now_ns: int) -> bool:
         """Whether the command went out."""

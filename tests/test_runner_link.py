@@ -87,6 +87,23 @@ def test_a_board_that_restarts_disarms_or_falls_silent_stops_the_car(what: str, 
     assert_neutral(next(r for r in car.watcher.records if r.decision.mode is STOPPED).sent)
 
 
+def test_a_loop_that_is_held_up_does_not_take_its_own_delay_for_silence() -> None:
+    """The board's last word was a turn old when the loop fell behind: it has said more since, to be heard first."""
+    car = Car(at={60: lambda: car.clock.sleep(0.083)})
+    poll, state = car.link.poll, []
+
+    def poll_less(now_ns):
+        if not state or not 944 * MS <= now_ns < 1000 * MS:
+            state[:] = [poll(now_ns)]
+        return state[0]
+
+    car.link.poll = poll_less
+    car.run()
+    held = next(r for r in car.watcher.records if r.frame is not None and r.frame.index == 60)
+    assert held.t_ns - held.state.t_ns > 100 * MS
+    assert car.kinds() == ["arming", "driving", "hold", "driving", "end"]  # the frame was late, and nothing else
+
+
 def test_a_board_that_does_not_obey_arming() -> None:
     car = Car(auto_arm=False, items=frames(200), arm_requested=lambda: car.clock.now_ns() == 800 * MS)
     car.link.obeys_arm = False
