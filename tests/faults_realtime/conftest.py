@@ -70,9 +70,10 @@ def survivors(request: pytest.FixtureRequest, start_car: Callable[..., Car]) -> 
 def car(survivors: Callable[[], Car]) -> Iterator[Car]:
     """A program that drives, or will; what a test leaves unplugged is put in again. No car drives off by itself."""
     car = survivors()
+    since_ns = car.bench.clock.now_ns
     yield car
     car.bench.pty.replug()
-    car.bench.check_asked_for()
+    car.bench.check_asked_for(since_ns)
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 
 
 BoardFault = Callable[[Any, int], None]
+REBOOT_MS = 200.0  # until the program has heard a board that has started again
 WATCHDOG = 8  # in MCUSR
 BOARD_FAULTS: dict[str, BoardFault] = {
     "hang": lambda board, now_ns: board.hang(now_ns),
@@ -56,5 +57,6 @@ def check_a_fault_of_the_board(car: Car, fault: BoardFault, name: str) -> None:
         fault(bench.board, bench.clock.now_ns)
 
     check_stop(bench, car.struck(strike, phase_ms(name)))
+    bench.wait(REBOOT_MS)
     bench.until(lambda: "stop: " in car.said[said_before[0] :], f"nobody is told: {car.said}")
     car.until_driving(press=True)
