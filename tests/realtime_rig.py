@@ -7,7 +7,6 @@ busy machine makes everything slow, and nothing late.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import mmap
 import os
@@ -17,12 +16,13 @@ import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from avr_board import HeardAvr
+from terminal_signals import signals_of_a_terminal
 
 from firmware_link import messages
 from firmware_link.emulator.bench import BenchPeripherals
@@ -172,21 +172,6 @@ def _drives(message: Message) -> bool:
     return isinstance(message, Command) and bool(message.flags & CommandFlag.FRESH) and message.motor_us != NEUTRAL_US
 
 
-@contextlib.contextmanager
-def _signals_of_a_terminal() -> Iterator[None]:
-    """What a child inherits: SIGINT is not ignored, as it is in background jobs; SIGUSR is, until it listens.
-
-    Not by Popen's preexec_fn, which runs Python between fork and exec: beside a board's thread that may never end.
-    """
-    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGUSR1: signal.SIG_IGN, signal.SIGUSR2: signal.SIG_IGN}
-    former = {number: signal.signal(number, handler) for number, handler in wanted.items()}
-    try:
-        yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)
-
-
 class Car:
     """A driving program and its board. What it says goes to a file: a pipe that nobody reads would hold it up."""
 
@@ -194,7 +179,7 @@ class Car:
         self.bench = bench
         self.folder = folder
         path = os.pathsep.join(str(TESTS / name) for name in ("..", ".", "cli"))
-        with (folder / "said").open("wb") as said, _signals_of_a_terminal():
+        with (folder / "said").open("wb") as said, signals_of_a_terminal():
             self.child = subprocess.Popen(
                 [sys.executable, *command],
                 stdin=subprocess.DEVNULL,

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from terminal_signals import signals_of_a_terminal
 
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
@@ -27,26 +28,16 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 def start(tmp_path: Path, *arguments: str) -> subprocess.Popen[str]:
     """A run in a session of its own, as a terminal starts it; SIGINT is not ignored as it is in background jobs."""
-    return subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "automodel",
-            "run",
-            "--realtime",
-            "--track",
-            "oval",
-            "--pipeline",
-            "windows",
-            *arguments,
-        ],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=environment(tmp_path),
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    run = ["run", "--realtime", "--track", "oval", "--pipeline", "windows", *arguments]
+    with signals_of_a_terminal():
+        return subprocess.Popen(
+            [sys.executable, "-m", "automodel", *run],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(tmp_path),
+            start_new_session=True,
+        )
 
 
 def session(leader: int) -> list[str]:
