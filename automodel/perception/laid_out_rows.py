@@ -28,13 +28,19 @@ class LaidOutRows:
         v = v[np.isfinite(v) & (v >= 0.0) & (v <= camera.camera.height_px - 1.0)]
         if len(v) < 2:
             raise ValueError("pitch_rad: the picture shows no ground where the lane's lines begin")
-        self.rows: Ints = np.unique(np.rint(np.linspace(v.max(), v.min(), count)).astype(np.intp))
+        rows = np.unique(np.rint(np.linspace(v.max(), v.min(), count)).astype(np.intp))
         u = np.linspace(0.0, self._width - 1.0, self._PLACES)
         self._ground: list[tuple[Floats, Floats, Floats]] = []  # y rising, and x and u there
-        for row in self.rows:
+        shown = []
+        for row in rows:
             ground = camera.px_to_ground(np.column_stack((u, np.full_like(u, row))))
             known = np.isfinite(ground[:, 0])
-            self._ground.append((ground[known, 1][::-1], ground[known, 0][::-1], u[known][::-1]))
+            if known.any():  # else rounded to a row above the horizon, in a picture of a few rows
+                self._ground.append((ground[known, 1][::-1], ground[known, 0][::-1], u[known][::-1]))
+                shown.append(row)
+        if not shown:
+            raise ValueError("height_px: the picture has no row that shows where the lane's lines begin")
+        self.rows: Ints = np.array(shown, np.intp)
         self.ahead_m: Floats = np.array([np.interp(0.0, y, x) for y, x, _ in self._ground])
 
     def columns(self, y_m: Floats) -> Floats:

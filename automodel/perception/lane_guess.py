@@ -38,6 +38,6 @@ class StartConfig:
     curvatures: tuple[float, int] = (0.73, 13)  # shares of the tightest bend's
     radius_lanes: float = 1.1  # of that bend
     lateral: tuple[float, int] = (1.4, 57)
-    width_slack: float = 0.3
+    widths: tuple[float, float] = (0.7, 1.43)  # the narrowest and the widest: 0.7 and 1 / 0.7
     pair_rows: int = 3  # rows that show each line of a pair, at least
     single_rows: int = 6  # and a single line

@@ -40,6 +40,7 @@ class RowStart:
     ALONE = 4.0  # a single line loses
     GENTLE_LANES = 15.0  # radius of the tightest bend, in lane widths, from which on rows are summed along lines first
     SHARP, BLURRED = 0.75, 0.5  # the quantile of edges that stands for paint, and the share of it that is none
+    DULL, FINE_PX = 0.42, 2.0  # of its height: a reflection's edge; tells where a sample has so many pixels
 
     def __init__(self, camera: GroundCamera, config: StartConfig, brightness: Brightness) -> None:
         self.config, self._brightness = config, brightness
@@ -49,7 +50,7 @@ class RowStart:
         self._axis_x_m = near + 0.25 * config.ahead * unit
         x, self._rows, self._steps = self._choose_rows(camera, near)
         width = camera.camera.width_px
-        samples = math.ceil(width / self._steps.min())
+        samples = max(math.ceil(width / self._steps.min()), 2 * MARGIN + 1)
         self._judge = RidgeJudge(len(x), samples, config.contrast)
         columns = np.minimum(np.rint(np.arange(samples) * self._steps[:, None]), width - 1.0)
         self._pixels: Ints = (self._rows[:, None] * width + columns).astype(np.intp)
@@ -112,7 +113,8 @@ class RowStart:
         line = judged.flags[LINE]
         edges = judged.edge[line]
         self._edge = float(np.quantile(edges, self.SHARP)) if len(edges) else 0.0
-        line[line] = edges > self.BLURRED * self._edge  # a reflection is fainter than paint, and blurred
+        dull = (self.DULL / WINDOW) * judged.height * (self._steps[row] > self.FINE_PX)
+        line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint, and blurred
         samples = values.shape[1]
         score = np.zeros(values.size + 1, np.int32)
         for share, said in ((1, 1), (2, self.HIT)):
@@ -126,14 +128,14 @@ class RowStart:
         """The best lane whose two lines are seen on rows enough, and its score."""
         config, unit = self.config, self.config.lane_width_m
         step = float(self._lateral[1] - self._lateral[0])
-        narrow, wide = (round((1.0 + sign * config.width_slack) * unit / step) for sign in (-1, 1))
+        narrow, wide = (round(width * unit / step) for width in config.widths)
         best: tuple[float, LaneGuess | None] = -math.inf, None
         for apart in range(narrow, wide + 1):
             right, left = lines[..., :-apart], lines[..., apart:]
             width = apart * step
             offset = self._aside - self._lateral[:-apart] - 0.5 * width
             loss = self._turned + (offset * (math.sqrt(self.LOSS) / self.OFFSET / unit)) ** 2
-            total = right + left - loss - self.LOSS * ((width / unit - 1.0) / self.WIDTH) ** 2
+            total = right + left - loss - self.LOSS * (math.log(width / unit) / self.WIDTH) ** 2
             few = np.minimum(left, right) < config.pair_rows * self.HIT
             total[few | (np.abs(offset) > 0.5 * width)] = -math.inf
             at = np.unravel_index(int(total.argmax()), total.shape)
@@ -184,6 +186,8 @@ class RowStart:
         for r, row in enumerate(self._rows.tolist()):
             ground = camera.px_to_ground(np.stack((u, np.full_like(u, row)), axis=-1))
             known = np.isfinite(ground[:, 0])
+            if not known.any():  # rounded to a row above the horizon, in a picture of a few rows
+                continue
             ground_x, ground_y, ground_u = ground[known, 0][::-1], ground[known, 1][::-1], u[known][::-1]
             x: Any = float(np.median(ground_x))
             for _ in range(3):  # a row of a tilted or distorted picture is no line of equal distance ahead

@@ -34,7 +34,7 @@ class RowSums:
     AHEAD, ASIDE = 9.0, 1.1  # lane widths of ground
     HEADINGS_RAD = np.linspace(-0.12, 0.12, 33)
     CURVATURES = np.linspace(-1.0, 1.0, 7)  # of the tightest bend's
-    WIDTHS = np.linspace(0.8, 1.2, 25)  # lane widths
+    WIDTHS = np.geomspace(0.7, 1.0 / 0.7, 41)  # lane widths
     NOISES, MOST, LEAST = (
         2.0,
         10.0,
@@ -131,7 +131,7 @@ class RowSums:
             apart = round(width * unit / self._step)
             right, left = sigmas[:, :-apart], sigmas[:, apart:]
             offset = (y[:-apart] + 0.5 * width * unit) / unit
-            loss = 0.5 * (offset / self.OFFSET) ** 2 + 0.5 * ((width - 1.0) / self.WIDTH) ** 2
+            loss = 0.5 * (offset / self.OFFSET) ** 2 + 0.5 * (math.log(width) / self.WIDTH) ** 2
             total = 0.5 * (np.minimum(left, right) + left + right) - loss.astype(np.float32) - self._unusual
             total[:, np.abs(offset) > 0.5] = -math.inf
             curve, at = np.unravel_index(int(total.argmax()), total.shape)

@@ -21,6 +21,7 @@ from automodel.curves.deferred import DeferredCurve
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid_tracker import ClothoidTracker
+from automodel.estimation.motion_trust import MotionTrust
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.ridges import Brightness
@@ -50,6 +51,10 @@ class Contour:
     ROUNDS, START_ROUNDS = 3, 4  # of looking and correcting, at most
     SETTLED = 0.5  # markings: a correction that moves no node further is the last
     SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # that start a lane; that make it sure: on each line, on both
+    START_OFFSET, START_HEADING_RAD = (
+        0.4,
+        0.7,
+    )  # lane widths: a car that stands further off stands in no lane of its own
     LINE_NODES = 2  # that make a line seen
     FITTED = 0.15  # of a guess's sigmas where it was fitted to both lines
     MOST_WAY, MOST_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: what is said beyond is not believed
@@ -92,6 +97,7 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
+        self._trust = MotionTrust(sigma)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, law=options.update, radius_lanes=options.radius_lanes),
@@ -101,6 +107,8 @@ class Contour:
     def reset(self) -> None:
         """Forget the lane."""
         self._last_t_ns: int | None = None
+        self._trust.reset()
+        self._led = self._misled = False  # by the motion: in this frame, up to this frame
         self._seen_t_ns = self._confirmed_ns = 0
         self._paired = False
         self._forget()
@@ -125,7 +133,7 @@ class Contour:
                 return self._lost(frame)
             followed, fitted = begun
         else:
-            followed = self._follow(frame.image, self.ROUNDS)
+            followed = self._follow(frame.image, self.ROUNDS, self._led)
             if self._wants_pair(frame.index, self._count(followed)):
                 followed = self._recover(frame.image) or followed
         left, right = self._count(followed)
@@ -143,7 +151,7 @@ class Contour:
         straight = RoughLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
         self._tracker.begin(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
-        followed = self._follow(nothing, 1)
+        followed = self._follow(nothing, 1, True)
         self._count(followed)
         self._search.learn(followed[1], followed[2])
         followed[1].points(followed[0], followed[2], self._unit)
@@ -155,13 +163,14 @@ class Contour:
         if last is None or self._tracker.parameters is None:
             return
         dt_ns = t_ns - last
-        if not 0 < dt_ns <= self.MAX_GAP_NS:
+        if self._misled or not 0 < dt_ns <= self.MAX_GAP_NS:
             self._forget()
             return
         dt_s = dt_ns * 1e-9
         distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        believed = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
-        self._tracker.move(distance if believed else 0.0, turn if believed else 0.0, dt_s, believed)
+        possible = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
+        self._led = led = possible and self._trust.given(t_ns)
+        self._tracker.move(distance if led else 0.0, turn if led else 0.0, dt_s, led)
 
     def _wants_pair(self, index: int, counts: tuple[int, int]) -> bool:
         """Whether to look on whole rows too: no line is seen, or one alone ever was, and any width is possible."""
@@ -178,10 +187,15 @@ class Contour:
         self._restart(guess)
         followed = self._follow(frame.image, self.START_ROUNDS)
         counts = self._count(followed)
-        if max(counts) < self.SINGLE_NODES and not guess.fitted:
+        if (max(counts) < self.SINGLE_NODES and not guess.fitted) or not self._within():
             return None
         self._confirmed_ns = frame.t_ns + (0 if guess.fitted or self._sure(counts) else self.CONFIRM_NS)
         return followed, guess.fitted
+
+    def _within(self) -> bool:
+        """Whether the car stands in the lane, about along it; else it is the neighbour's, or no lane at all."""
+        offset, heading, width, _ = self._tracker.pose()
+        return math.hypot(offset / (self.START_OFFSET * width), heading / self.START_HEADING_RAD) < 1.0
 
     def _look_for(self, image: Image) -> LaneGuess | None:
         """A lane on whole rows, from nothing."""
@@ -210,13 +224,15 @@ class Contour:
         self._tracker, self._search, self._paired = before
         return None
 
-    def _follow(self, image: Image, rounds: int) -> Followed:
-        """Look around the pair and correct it until it stays where it is."""
+    def _follow(self, image: Image, rounds: int, led: bool = False) -> Followed:
+        """Look around the pair and correct it until it stays where it is; `led`: the motion brought it there."""
         tracker, stages = self._tracker, self.stages
-        for _ in range(rounds):
+        for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
             seen = self._search.look(image, shape, tracker.width_m)
+            if led and k == 0:
+                self._misled = self._trust.breaks(self._last_t_ns or 0, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
             carrying = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")
@@ -270,7 +286,7 @@ class Contour:
         """The car's pose in the lane, None where it is none that a car in a lane can have."""
         offset, theta, width, covariance = self._tracker.pose()
         unit = self._unit
-        if not (0.65 * unit < width < 1.35 * unit and abs(offset) < 0.9 * unit and abs(theta) < self.STEEPEST_RAD):
+        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < 0.9 * unit and abs(theta) < self.STEEPEST_RAD):
             return None
         return LanePose(
             offset_m=offset,
@@ -297,7 +313,7 @@ class Contour:
     def _forget(self) -> None:
         self._tracker.forget()
         self._search.forget()
-        self._paired = False
+        self._paired = self._misled = False
 
     def _lost(self, frame: Frame) -> LaneEstimate:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
