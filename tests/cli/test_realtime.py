@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,14 @@ from automodel.signals import Command, Event, Frame
 
 pytestmark = pytest.mark.realtime
 TRIES = 3  # a machine that does something else for a third of a second stops the car, rightly
+LATE = (
+    "the newest frame is ",
+    "no frame",
+    "the loop stood still for ",
+    "the command went stale in the loop",
+    "the vehicle has disarmed itself",
+    "the vehicle has said nothing for ",
+)
 
 
 def environment(tmp_path: Path) -> dict[str, str]:
@@ -63,13 +72,27 @@ def left_behind(tmp_path: Path, leader: int) -> tuple[list[str], list[str]]:
     return processes, files
 
 
-def test_three_seconds_without_a_stop(cli) -> None:
+def reasons(err: str) -> list[str]:
+    """Why the car was held or stopped."""
+    found = (re.search(r": (?:hold|stop): (?:held for [0-9.]+ s: )?(.*)", line) for line in err.splitlines())
+    return [match[1] for match in found if match]
+
+
+@pytest.mark.parametrize("pipeline", ["windows", "centerline"])
+def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
+    """Where the machine has the time. One that has not may be late, and nothing else: no lane is lost by that."""
     for _ in range(TRIES):
-        said = cli("run", "--realtime", "--track", "oval", "--duration", "3", "--json")
+        arguments = ("--realtime", "--track", "oval", "--pipeline", pipeline, "--duration", "3", "--json")
+        said = cli("run", *arguments)
         (row,) = said.rows
-        if row["stops"] == 0:
+        assert all(reason.startswith(LATE) for reason in reasons(said.err)), said.err
+        drove = row["max_abs_offset_m"] is not None
+        if drove and not row["stops"]:
             break
-    assert (said.code, row["stops"], row["left_lane"]) == (0, 0, 0), said.err
+    else:
+        assert os.getloadavg()[0] > (os.cpu_count() or 1), said.err
+        pytest.skip("the machine is too busy to drive in real time")
+    assert (said.code, row["left_lane"]) == (0, 0), said.err
     assert row["max_abs_offset_m"] <= 0.10
     assert 0 < row["latency_p50_ms"] <= row["latency_p99_ms"]
 
