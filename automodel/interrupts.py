@@ -13,6 +13,33 @@ from types import FrameType
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
+_come: list[str] = []  # before a run
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal that ends the command.
+
+    A class of its own, because Python may end a process by the signal even where KeyboardInterrupt itself was caught
+    (it was in flight through an `exec` of text, as imports do); then the exit code would be none of ours.
+    """
+
+
+def interrupt(number: int, _frame: FrameType | None) -> None:
+    """Handles a signal that comes outside a run: notes it, and raises Interrupted.
+
+    It is noted because some imports swallow whatever is raised in them (numpy's among others): the command would go on
+    as if nobody had pressed Ctrl-C.
+    """
+    _come.append(signal.Signals(number).name)
+    raise Interrupted
+
+
+def raise_if_interrupted() -> None:
+    """Raise Interrupted where it has been raised before and swallowed."""
+    if _come:
+        raise Interrupted
+
+
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Callable[[], str | None]]:
     """While inside, SIGINT, SIGTERM and SIGHUP only set a flag; the callable gives the signal's name, None before one.
@@ -20,7 +47,7 @@ def stop_on_signals() -> Iterator[Callable[[], str | None]]:
     A second signal changes nothing, so that it cannot break the clean-up that the first one began. Outside the main
     thread, where Python takes no handlers, nothing is installed and the flag stays unset.
     """
-    caught: list[str] = []
+    caught = _come[:1]  # one that was swallowed counts
 
     def note(number: int, _frame: FrameType | None) -> None:
         caught.append(signal.Signals(number).name)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from automodel import interrupts
 from automodel.interrupts import stop_on_signals
 
 pytestmark = pytest.mark.realtime
@@ -57,6 +58,17 @@ def test_the_flag_and_the_former_handlers() -> None:
         signal.raise_signal(signal.SIGINT)
         assert signalled() == "SIGTERM"
     assert signal.getsignal(signal.SIGTERM) is former
+
+
+def test_a_signal_that_was_swallowed_before_the_run_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by an import that catches everything."""
+    monkeypatch.setattr(interrupts, "_come", [])
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.interrupt(signal.SIGTERM, None)
+    with pytest.raises(interrupts.Interrupted):
+        interrupts.raise_if_interrupted()
+    with stop_on_signals() as signalled:
+        assert signalled() == "SIGTERM"
 
 
 def test_outside_the_main_thread_nothing_is_installed() -> None:

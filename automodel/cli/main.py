@@ -7,7 +7,6 @@ import importlib
 import os
 import signal
 import sys
-import types
 
 # One thread for BLAS: its matrices are tiny here, waking a second core costs more than it saves, and jitters.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -15,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import click
 
 from automodel import __version__
+from automodel.interrupts import interrupt, raise_if_interrupted
 
 COMMANDS = {
     "run": "Drive: the car of car.toml, or a simulated one.",
@@ -44,6 +44,7 @@ class LazyGroup(click.Group):
         if name not in self.commands_help:
             return None
         command: click.Command = importlib.import_module(self.modules + name).command
+        raise_if_interrupted()
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -58,24 +59,12 @@ def cli() -> None:
     """Lane following for scale cars: the lane in metres, and a safe command."""
 
 
-class Interrupted(KeyboardInterrupt):
-    """A signal that ends the command.
-
-    A class of its own, because Python may end a process by the signal even where KeyboardInterrupt itself was caught
-    (it was in flight through an `exec` of text, as imports do); then the exit code would be none of ours.
-    """
-
-
-def _interrupt(_number: int, _frame: types.FrameType | None) -> None:
-    raise Interrupted
-
-
 def main() -> None:
     """Run the command line; the process ends with 0 (done), 1 (the run failed) or 2 (arguments or files are wrong)."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):  # all as Ctrl-C: files are closed, other processes ended
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP: leave that
-            signal.signal(number, _interrupt)
+            signal.signal(number, interrupt)
     code = run(sys.argv[1:])
     sys.exit(_flushed(code))
 
