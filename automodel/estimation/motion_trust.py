@@ -23,7 +23,7 @@ class MotionTrust:
     FEWEST = 3  # nodes that tell something
     SHARE, MOST = 0.3, 6.0  # of a frame in the mean, and what it counts at most [sigmas]
     BROKEN = 2.5  # the mean from which on motion is not trusted
-    AGAIN_NS = 3_000_000_000  # after which it gets another chance
+    AGAIN_NS, CHARY = 5_000_000_000, 0.5  # after which it gets another chance, and the share of `BROKEN` it begins with
 
     def __init__(self, sigma_m: Floats) -> None:
         self._sigma = sigma_m
@@ -37,7 +37,7 @@ class MotionTrust:
     def given(self, t_ns: int) -> bool:
         """Whether the motion up to `t_ns` may be used."""
         if self._broken_ns is not None and not 0 <= t_ns - self._broken_ns < self.AGAIN_NS:
-            self.reset()
+            self._mean, self._broken_ns = self.CHARY * self.BROKEN, None
         return self._broken_ns is None
 
     def breaks(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
@@ -50,7 +50,7 @@ class MotionTrust:
             self._mean += self.SHARE * (min(usual, self.MOST) - self._mean)
         if self._mean < self.BROKEN:
             return False
-        self._mean, self._broken_ns = 0.0, t_ns
+        self._broken_ns = t_ns
         return True
 
 

@@ -38,7 +38,9 @@ class RowStart:
     # a lane loses for one sigma of each.
     WIDTH, OFFSET, HEADING_RAD, CURVATURE, LOSS = 0.15, 0.2, 0.25, 0.44, 2.5
     ALONE = 4.0  # a single line loses
+    THIRD = 0.6  # of the score of a pair's weaker line: a line between them that has so much denies the lane
     GENTLE_LANES = 15.0  # radius of the tightest bend, in lane widths, from which on rows are summed along lines first
+    GENTLE_ROWS = 12  # that are searched one by one after that, so that both together read few pixels
     SHARP, BLURRED = 0.75, 0.5  # the quantile of edges that stands for paint, and the share of it that is none
     DULL, FINE_PX = 0.42, 2.0  # of its height: a reflection's edge; tells where a sample has so many pixels
 
@@ -48,7 +50,7 @@ class RowStart:
         self._sums = RowSums(camera, config, brightness) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
-        x, self._rows, self._steps = self._choose_rows(camera, near)
+        x, self._rows, self._steps = self._choose_rows(camera, near, self.GENTLE_ROWS if gentle else config.rows)
         width = camera.camera.width_px
         samples = max(math.ceil(width / self._steps.min()), 2 * MARGIN + 1)
         self._judge = RidgeJudge(len(x), samples, config.contrast)
@@ -83,7 +85,7 @@ class RowStart:
             lines += score.take(places)
         return max(self._pair(lines), self._single(lines), key=lambda found: found[0])[1]
 
-    def _choose_rows(self, camera: GroundCamera, near_m: float) -> tuple[Floats, Ints, Floats]:
+    def _choose_rows(self, camera: GroundCamera, near_m: float, count: int) -> tuple[Floats, Ints, Floats]:
         """Rows, evenly spaced in the picture: ground ahead [m], row, and a sixth of a marking's width there [px]."""
         config, unit = self.config, self.config.lane_width_m
         x = np.geomspace(near_m, near_m + config.ahead * unit, 8 * config.rows)
@@ -92,7 +94,7 @@ class RowStart:
         good = (v >= 0.0) & (v <= camera.camera.height_px - 1.0)
         if np.count_nonzero(good) < 2:
             raise ValueError("pitch_rad: the picture shows no ground where the lane's lines begin")
-        wanted = np.linspace(v[good].max(), v[good].min(), config.rows)
+        wanted = np.linspace(v[good].max(), v[good].min(), count)
         rows = np.unique(np.rint(wanted).astype(np.intp))
         at = [int(np.argmin(np.where(good, np.abs(v - row), np.inf))) for row in rows]
         step = -line.area[at] / line.along[1, at] * (config.marking_m / PER_MARKING)
@@ -141,7 +143,16 @@ class RowStart:
             at = np.unravel_index(int(total.argmax()), total.shape)
             if total[at] > best[0]:
                 best = float(total[at]), self._guess(at, float(offset[at]), width, True)
-        return best
+                c, h, a = (int(place) for place in at)
+                crossed = self._crossed(lines[c, h], a, a + apart)
+        return (best[0], None) if best[1] is not None and crossed else best
+
+    def _crossed(self, lines: NDArray[np.int32], right: int, left: int) -> bool:
+        """Whether a line of much the same score runs amid the lane between two places of `lines`: joints of tiles."""
+        margin = (left - right) // 4
+        amid = int(lines[max(right + margin, 0) : max(left - margin, 0)].max(initial=0))
+        beside = min(int(lines[place]) for place in (right, left) if 0 <= place < len(lines))
+        return amid >= max(self.THIRD * beside, self.config.pair_rows * self.HIT)
 
     def _single(self, lines: NDArray[np.int32]) -> tuple[float, LaneGuess | None]:
         """The best single line with the car within a lane's width of it, and its score."""
@@ -153,7 +164,11 @@ class RowStart:
         at = np.unravel_index(int(total.argmax()), total.shape)
         if total[at] == -math.inf:
             return -math.inf, None
-        return float(total[at]), self._guess(at, float(offset[at]), unit, False)
+        c, h, a = (int(place) for place in at)
+        apart = round(unit / float(self._lateral[1] - self._lateral[0]))
+        right = a if distance[at] < 0.0 else a - apart
+        crossed = self._crossed(lines[c, h], right, right + apart)
+        return float(total[at]), None if crossed else self._guess(at, float(offset[at]), unit, False)
 
     def _guess(self, at: tuple[Any, ...], offset_m: float, width_m: float, pair: bool) -> LaneGuess:
         """The lane of a place (curvature, heading, lateral) in the table, at the reference point's foot."""

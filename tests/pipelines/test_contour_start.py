@@ -91,7 +91,7 @@ def sound(seen: list[Seen]) -> list[Seen]:
     return seen
 
 
-@pytest.mark.parametrize("factor", [1.0 / 1.3, 0.85, 1.0, 1.15, 1.3])
+@pytest.mark.parametrize("factor", [0.7, 1.0 / 1.3, 0.85, 1.0, 1.15, 1.3, 1.0 / 0.7])
 def test_a_scale_lane_that_is_wider_or_narrower_than_configured(factor: float) -> None:
     drive = RenderedDrive(track=road(line(9.0)), pipeline=Contour(expecting(CAR, factor)))
     seen = sound(drive.run(0.3, 3.0))
@@ -104,7 +104,8 @@ def test_a_scale_lane_that_is_wider_or_narrower_than_configured(factor: float) -
     assert np.abs(np.diff(widths)).max() < 0.01 * 0.4
 
 
-@pytest.mark.parametrize(("factor", "radius_lanes"), [(1.0 / 1.3, 1.4), (1.3, 1.4), (1.0 / 1.3, 50.0), (1.3, 50.0)])
+@pytest.mark.parametrize("radius_lanes", [1.4, 50.0])
+@pytest.mark.parametrize("factor", [0.7, 1.0 / 1.3, 1.3, 1.0 / 0.7])
 def test_a_highway_lane_that_is_wider_or_narrower_than_configured(factor: float, radius_lanes: float) -> None:
     car = expecting(HIGHWAY_CAR, factor, radius_lanes=radius_lanes)
     drive = RenderedDrive(track=HIGHWAY, car=car, pipeline=Contour(car), speed_mps=25.0, swing=0.04)
@@ -206,8 +207,22 @@ def test_zebra_bars_are_driven_over() -> None:
     assert np.mean([abs(s.heading_error_rad) for s in told]) <= math.radians(0.7)
 
 
-def test_few_starts_among_zebra_bars_take_them_for_lines() -> None:
+def test_no_start_among_zebra_bars_takes_them_for_lines() -> None:
     seen = crossing_drive(Anew(), 20.0)
     told = [s for s in seen if s.estimate.valid]
     assert len(told) > 0.4 * len(seen)
-    assert len(false_lanes(seen)) <= 0.08 * len(seen), false_lanes(seen)
+    assert not false_lanes(seen)
+
+
+@pytest.mark.parametrize(
+    ("name", "direction", "from_m", "to_m"), [("tmr", "forward", 2.0, 6.0), ("oval", "reverse", 0.3, 4.0)]
+)
+@pytest.mark.parametrize("swing", [-0.25, 0.25])
+def test_in_a_bend_whose_inner_line_is_out_of_sight_the_neighbours_lane_is_not_taken(
+    name: str, direction: str, from_m: float, to_m: float, swing: float
+) -> None:
+    track = load_track(name)
+    drive = RenderedDrive(track=track, direction=direction, pipeline=Anew(), swing=swing, rate_hz=15.0)
+    seen = drive.run(from_m, to_m)
+    assert not false_lanes(seen)
+    assert sum(s.estimate.valid for s in seen) > 0.4 * len(seen)

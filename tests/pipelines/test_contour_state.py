@@ -290,7 +290,10 @@ def test_nothing_a_camera_or_gyro_says_raises_or_gives_nan(
         check_sound(pipeline.step(Frame(t_ns=t_ns, index=index, image=image), moved), t_ns)
 
 
-@pytest.mark.parametrize(("width_px", "height_px"), [(1, 1), (3, 3), (8, 6), (16, 9), (32, 18), (40, 360), (640, 12)])
+@pytest.mark.parametrize(
+    ("width_px", "height_px"),
+    [(1, 1), (1, 4), (2, 2), (3, 3), (3, 361), (8, 6), (16, 9), (32, 18), (40, 360), (640, 12)],
+)
 def test_a_picture_smaller_than_the_search_is_refused_or_no_lane(width_px: int, height_px: int) -> None:
     """The road's ridges must be there: either a clear error, or a pipeline that says LOST."""
     car = with_camera(camera(width_px, height_px, 0.75 * width_px))

@@ -1,0 +1,61 @@
+"""Trust in an odometer, by where lines lie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from automodel.estimation.motion_trust import MotionTrust
+
+NODES = np.arange(8)
+PERIOD_NS = 33_333_333
+SIGMA_M = np.full(16, 0.002)
+FOUND = np.ones(8)
+
+
+def frames_until_broken(residual: np.ndarray, found: np.ndarray = FOUND, frames: int = 60) -> int | None:
+    trust = MotionTrust(SIGMA_M)
+    return next((k for k in range(frames) if trust.breaks(k * PERIOD_NS, NODES, residual, found)), None)
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 1.0, 2.0])
+def test_lines_about_where_they_are_expected_keep_it(sigmas: float) -> None:
+    residual = sigmas * 0.002 * np.random.default_rng(0).choice([-1.0, 1.0], 8)
+    assert frames_until_broken(residual) is None
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_lines_far_off_break_it_but_not_in_one_frame(sign: float) -> None:
+    broken = frames_until_broken(np.full(8, sign * 0.02))
+    assert broken is not None
+    assert 1 <= broken <= 3
+
+
+def test_some_nodes_on_another_line_do_not() -> None:
+    residual = np.full(8, 0.001)
+    residual[5:] = 0.05
+    assert frames_until_broken(residual) is None
+
+
+def test_two_nodes_tell_nothing() -> None:
+    assert frames_until_broken(np.full(8, 0.05), np.array([1.0, 1.0, 0, 0, 0, 0, 0, 0])) is None
+
+
+def test_it_gets_another_chance_and_breaks_sooner() -> None:
+    trust, far = MotionTrust(SIGMA_M), np.full(8, 0.02)
+    first = next(k for k in range(9) if trust.breaks(k * PERIOD_NS, NODES, far, FOUND))
+    t_ns = first * PERIOD_NS
+    assert not trust.given(t_ns + PERIOD_NS)
+    assert not trust.given(t_ns + MotionTrust.AGAIN_NS - 1)
+    assert trust.given(t_ns + MotionTrust.AGAIN_NS)
+    again = next(k for k in range(9) if trust.breaks(10**11 + k * PERIOD_NS, NODES, far, FOUND))
+    assert again < first
+
+
+@pytest.mark.parametrize("jump_ns", [-1, -(10**12), 10**12])
+def test_time_that_jumps_gives_another_chance(jump_ns: int) -> None:
+    trust, far = MotionTrust(SIGMA_M), np.full(8, 0.02)
+    while not trust.breaks(10**13, NODES, far, FOUND):
+        pass
+    assert not trust.given(10**13)
+    assert trust.given(10**13 + jump_ns)
