@@ -51,10 +51,7 @@ class Contour:
     ROUNDS, START_ROUNDS = 3, 4  # of looking and correcting, at most
     SETTLED = 0.5  # markings: a correction that moves no node further is the last
     SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # that start a lane; that make it sure: on each line, on both
-    START_OFFSET, START_HEADING_RAD = (
-        0.4,
-        0.7,
-    )  # lane widths: a car that stands further off stands in no lane of its own
+    START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: who stands further off stands in no lane of his own
     LINE_NODES = 2  # that make a line seen
     FITTED = 0.15  # of a guess's sigmas where it was fitted to both lines
     MOST_WAY, MOST_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: what is said beyond is not believed
@@ -64,6 +61,8 @@ class Contour:
     ASIDE, TURNED_RAD = 0.3, 0.3  # how far from where it is expected it may be found there: lane widths, its direction
     UNSURE = 0.25  # lane widths: a lane that is not seen and whose offset is less sure is lost
     PIECES = 7  # stations' spacings in the look-ahead, at most
+    FARTHEST, FARTHEST_NEW = 0.9, 0.55  # lane widths that the car may be off the middle: at all, and of a new lane
+    NEW = 2.0  # lane widths of way for which a lane is new
     STEEPEST_RAD = math.radians(60.0)
     BEHIND = 1.0  # lane widths of centerline behind the reference point
 
@@ -110,6 +109,7 @@ class Contour:
         self._trust.reset()
         self._led = self._misled = False  # by the motion: in this frame, up to this frame
         self._seen_t_ns = self._confirmed_ns = 0
+        self._new_m = 0.0  # of way, for which the lane is new
         self._paired = False
         self._forget()
 
@@ -171,6 +171,7 @@ class Contour:
         possible = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
         self._led = led = possible and self._trust.given(t_ns)
         self._tracker.move(distance if led else 0.0, turn if led else 0.0, dt_s, led)
+        self._new_m -= self._tracker.way_m
 
     def _wants_pair(self, index: int, counts: tuple[int, int]) -> bool:
         """Whether to look on whole rows too: no line is seen, or one alone ever was, and any width is possible."""
@@ -205,6 +206,7 @@ class Contour:
 
     def _restart(self, guess: LaneGuess) -> None:
         self._tracker.begin(_rough(guess))
+        self._new_m = self.NEW * self._unit
         self._search.forget(guess.edge)
         self._paired = guess.pair
 
@@ -216,12 +218,12 @@ class Contour:
         aside, turned = self._tracker.apart(_rough(guess))
         if abs(aside) > self.ASIDE * self._unit or abs(turned) > self.TURNED_RAD:
             return None
-        before = copy.copy(self._tracker), copy.copy(self._search), self._paired
+        before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
         self._restart(guess)
         followed = self._follow(image, self.START_ROUNDS)
         if self._sure(self._count(followed)):
             return followed
-        self._tracker, self._search, self._paired = before
+        self._tracker, self._search, self._paired, self._new_m = before
         return None
 
     def _follow(self, image: Image, rounds: int, led: bool = False) -> Followed:
@@ -283,10 +285,14 @@ class Contour:
         )
 
     def _pose(self) -> LanePose | None:
-        """The car's pose in the lane, None where it is none that a car in a lane can have."""
+        """The car's pose in the lane, None where it is none that a car in a lane can have.
+
+        A lane that the car would leave as soon as it was found is a neighbour's.
+        """
         offset, theta, width, covariance = self._tracker.pose()
         unit = self._unit
-        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < 0.9 * unit and abs(theta) < self.STEEPEST_RAD):
+        farthest = (self.FARTHEST_NEW if self._new_m > 0.0 else self.FARTHEST) * unit
+        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < farthest and abs(theta) < self.STEEPEST_RAD):
             return None
         return LanePose(
             offset_m=offset,

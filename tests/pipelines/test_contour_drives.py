@@ -15,6 +15,7 @@ from rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_
 
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.evaluation.accuracy import FALSE_LANE
+from automodel.geometry import SE2
 from automodel.pipelines.contour import Contour
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.appearance import Appearance
@@ -229,6 +230,26 @@ def test_competition_light() -> None:
     settled = seen[10:]
     assert sum(s.estimate.valid for s in settled) >= 0.99 * len(settled)
     check_errors(settled)
+
+
+class Leaving(RenderedDrive):
+    """Along the middle until 3.0 m, then out of the lane to the left."""
+
+    def pose(self, s_m: float) -> SE2:
+        out = max(s_m - 3.0, 0.0)
+        return self.lane.pose(s_m, 0.25 * out, math.atan(0.25) if out > 0.0 else 0.0)
+
+
+def test_a_lane_that_is_left_right_after_it_was_found_is_no_lane_of_the_car() -> None:
+    """But one that was followed for a while is kept."""
+    for from_m, kept in ((2.0, True), (3.4, False)):
+        seen = Leaving(track=road(line(9.0)), pipeline=Contour(CAR)).run(from_m, 4.15)
+        told = [s.estimate.valid and abs(s.offset_error_m) < FALSE_LANE * s.truth.width_m for s in seen]
+        aside = [s.truth.offset_m / s.truth.width_m for s in seen]
+        assert all(mine for mine, away in zip(told, aside, strict=True) if 0.38 < away < 0.52)
+        outside = [mine for mine, away in zip(told, aside, strict=True) if 0.57 < away < 0.7]
+        assert len(outside) >= 5
+        assert outside == [kept] * len(outside)
 
 
 def test_a_full_size_lane() -> None:
