@@ -19,6 +19,7 @@ from automodel.curves.arcs import foot_on_circle
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.lane_guess import LaneGuess, StartConfig
+from automodel.perception.line_votes import Votes, best_pair, best_single, peaks, summed, votes
 from automodel.perception.ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
 from automodel.perception.row_sums import RowSums
 from automodel.signals import Image
@@ -70,19 +71,21 @@ class RowStart:
         kappa, theta = self._kappa[:, None, None], self._theta[None, :, None]
         ahead = config.reference_x_m - self._axis_x_m
         feet = np.vectorize(foot_on_circle)(ahead * np.cos(theta), -ahead * np.sin(theta), kappa)
-        self._way, self._aside = feet  # of the reference point on each axis
-        heading = theta + kappa * self._way
-        self._turned = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa / bend / self.CURVATURE) ** 2)
+        self._way, self._aside = (np.ascontiguousarray(part[..., 0]) for part in feet)  # (c, h), of each axis
+        heading = theta[..., 0] + kappa[..., 0] * self._way
+        self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / bend / self.CURVATURE) ** 2)
+        self._off = self.LOSS / (self.OFFSET * unit) ** 2
+        step = float(self._lateral[1] - self._lateral[0])
+        narrow, wide = (round(width * unit / step) for width in config.widths)
+        self._apart: Ints = np.arange(narrow, wide + 1)
+        self._width_loss = self.LOSS * (np.log(self._apart * step / unit) / self.WIDTH) ** 2
 
     def step(self, image: Image) -> LaneGuess | None:
         """The lane that most rows speak for; None where they speak for none."""
         fitted = self._sums.step(image) if self._sums is not None else None
         if fitted is not None:
             return fitted
-        score = self._score(image)
-        lines = np.zeros(self._table.shape[1:], np.int32)
-        for places in self._table:
-            lines += score.take(places)
+        lines = summed(self._score(image), self._table)
         return max(self._pair(lines), self._single(lines), key=lambda found: found[0])[1]
 
     def _choose_rows(self, camera: GroundCamera, near_m: float, count: int) -> tuple[Floats, Ints, Floats]:
@@ -100,86 +103,65 @@ class RowStart:
         step = -line.area[at] / line.along[1, at] * (config.marking_m / PER_MARKING)
         return x[at], rows, np.abs(step)
 
-    def _score(self, image: Image) -> NDArray[np.int32]:
+    def _score(self, image: Image) -> Votes:
         """What each sample (rows * samples + 1,) says for a line that passes there; the last one stands for nowhere."""
         values = self._brightness.read(image, self._pixels)
         height = self._judge.heights(values, MARGIN, values.shape[1] - MARGIN)
-        best = height > self.config.contrast * WINDOW
-        for k in range(1, PER_MARKING // 2 + 1):
-            best[:, k:] &= height[:, k:] >= height[:, :-k]
-            best[:, :-k] &= height[:, :-k] >= height[:, k:]
-        best &= self._within[:, MARGIN:-MARGIN]
-        row, at = best.nonzero()
+        within = self._within[:, MARGIN:-MARGIN]
+        row, at = peaks(height, within, self.config.contrast * WINDOW, PER_MARKING // 2)
         at += MARGIN
         judged = self._judge.judge(values, row, at)
         line = judged.flags[LINE]
         edges = judged.edge[line]
-        self._edge = float(np.quantile(edges, self.SHARP)) if len(edges) else 0.0
+        self._edge = float(np.sort(edges)[int(self.SHARP * len(edges))]) if len(edges) else 0.0
         dull = (self.DULL / WINDOW) * judged.height * (self._steps[row] > self.FINE_PX)
         line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint, and blurred
-        samples = values.shape[1]
-        score = np.zeros(values.size + 1, np.int32)
-        for share, said in ((1, 1), (2, self.HIT)):
-            for r, place in zip(row[line].tolist(), np.rint(at + judged.place)[line].tolist(), strict=True):
-                reach = int(self._tolerance[r]) // share
-                begin, end = max(int(place) - reach, 0), min(int(place) + reach + 1, samples)
-                score[r * samples + begin : r * samples + end] = said
-        return score
+        return votes(row[line], (at + judged.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
 
-    def _pair(self, lines: NDArray[np.int32]) -> tuple[float, LaneGuess | None]:
+    def _pair(self, lines: Votes) -> tuple[float, LaneGuess | None]:
         """The best lane whose two lines are seen on rows enough, and its score."""
-        config, unit = self.config, self.config.lane_width_m
-        step = float(self._lateral[1] - self._lateral[0])
-        narrow, wide = (round(width * unit / step) for width in config.widths)
-        best: tuple[float, LaneGuess | None] = -math.inf, None
-        for apart in range(narrow, wide + 1):
-            right, left = lines[..., :-apart], lines[..., apart:]
-            width = apart * step
-            offset = self._aside - self._lateral[:-apart] - 0.5 * width
-            loss = self._turned + (offset * (math.sqrt(self.LOSS) / self.OFFSET / unit)) ** 2
-            total = right + left - loss - self.LOSS * (math.log(width / unit) / self.WIDTH) ** 2
-            few = np.minimum(left, right) < config.pair_rows * self.HIT
-            total[few | (np.abs(offset) > 0.5 * width)] = -math.inf
-            at = np.unravel_index(int(total.argmax()), total.shape)
-            if total[at] > best[0]:
-                best = float(total[at]), self._guess(at, float(offset[at]), width, True)
-                c, h, a = (int(place) for place in at)
-                crossed = self._crossed(lines[c, h], a, a + apart)
-        return (best[0], None) if best[1] is not None and crossed else best
+        fewest = self.config.pair_rows * self.HIT
+        grid = self._loss, self._aside, self._lateral
+        score, c, h, a, w = best_pair(lines, fewest, *grid, self._apart, self._width_loss, self._off)
+        if score == -math.inf:
+            return score, None
+        left = a + int(self._apart[w])
+        if self._crossed(lines[c, h], a, left):
+            return score, None
+        right_m, left_m = float(self._lateral[a]), float(self._lateral[left])
+        offset = float(self._aside[c, h]) - 0.5 * (right_m + left_m)
+        return score, self._guess(c, h, offset, left_m - right_m, True)
 
-    def _crossed(self, lines: NDArray[np.int32], right: int, left: int) -> bool:
+    def _crossed(self, lines: Votes, right: int, left: int) -> bool:
         """Whether a line of much the same score runs amid the lane between two places of `lines`: joints of tiles."""
         margin = (left - right) // 4
         amid = int(lines[max(right + margin, 0) : max(left - margin, 0)].max(initial=0))
         beside = min(int(lines[place]) for place in (right, left) if 0 <= place < len(lines))
         return amid >= max(self.THIRD * beside, self.config.pair_rows * self.HIT)
 
-    def _single(self, lines: NDArray[np.int32]) -> tuple[float, LaneGuess | None]:
+    def _single(self, lines: Votes) -> tuple[float, LaneGuess | None]:
         """The best single line with the car within a lane's width of it, and its score."""
-        unit = self.config.lane_width_m
-        distance = self._lateral - self._aside  # of the line, to the left of the car
-        offset = np.where(distance > 0.0, 0.5 * unit - distance, -0.5 * unit - distance)
-        total = lines - self._turned - (offset * (math.sqrt(self.LOSS) / self.OFFSET / unit)) ** 2 - self.ALONE
-        total[(lines < self.config.single_rows * self.HIT) | (np.abs(offset) > 0.45 * unit)] = -math.inf
-        at = np.unravel_index(int(total.argmax()), total.shape)
-        if total[at] == -math.inf:
-            return -math.inf, None
-        c, h, a = (int(place) for place in at)
+        unit, fewest = self.config.lane_width_m, self.config.single_rows * self.HIT
+        grid = self._loss, self._aside, self._lateral
+        score, c, h, a, side = best_single(lines, fewest, *grid, 0.5 * unit, 0.45 * unit, self._off)
+        if score == -math.inf:
+            return score, None
         apart = round(unit / float(self._lateral[1] - self._lateral[0]))
-        right = a if distance[at] < 0.0 else a - apart
-        crossed = self._crossed(lines[c, h], right, right + apart)
-        return float(total[at]), None if crossed else self._guess(at, float(offset[at]), unit, False)
+        right = a if side < 0 else a - apart
+        if self._crossed(lines[c, h], right, right + apart):
+            return score - self.ALONE, None
+        offset = float(self._aside[c, h] - self._lateral[a]) + 0.5 * side * unit
+        return score - self.ALONE, self._guess(c, h, offset, unit, False)
 
-    def _guess(self, at: tuple[Any, ...], offset_m: float, width_m: float, pair: bool) -> LaneGuess:
-        """The lane of a place (curvature, heading, lateral) in the table, at the reference point's foot."""
-        c, h, _ = at
-        kappa, aside = float(self._kappa[c]), float(self._aside[c, h, 0])
+    def _guess(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> LaneGuess:
+        """The lane of a curvature and a heading in the table, at the reference point's foot."""
+        kappa, way = float(self._kappa[c]), float(self._way[c, h])
         return LaneGuess(
             offset_m=offset_m,
-            heading_rad=float(self._theta[h]) + kappa * float(self._way[c, h, 0]),
+            heading_rad=float(self._theta[h]) + kappa * way,
             width_m=width_m,
-            curvature_per_m=kappa / (1.0 - kappa * (aside - offset_m)),
-            sure_m=abs(float(self._way[c, h, 0])),
+            curvature_per_m=kappa / (1.0 - kappa * (float(self._aside[c, h]) - offset_m)),
+            sure_m=abs(way),
             pair=pair,
             edge=self._edge,
         )
