@@ -15,19 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.compiled import compiled
-from automodel.curves.arcs import arc_from, foot_on_circle
+from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
-from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
-from automodel.estimation.update_laws import LAWS, gauss_newton, gradient_descent, posterior
+from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
+from automodel.estimation.clothoid_update import CURVATURE, HEADING, OFFSET, WIDTH, age, correct, drive
+from automodel.estimation.update_laws import LAWS, gradient_descent, posterior
 
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
-
-OFFSET, HEADING, WIDTH, CURVATURE = (int(p) for p in Parameter)
-
 
 _HEADING_TURNED = np.outer((1.0, -1.0, 1.0), (1.0, -1.0, 1.0))
 
@@ -113,7 +110,7 @@ class ClothoidTracker:
         self.blind_m += abs(distance_m)
         unit, config = self.config.lane_width_m, self.config
         way, offset_m, heading_rad = self.way_m / unit, config.blind_offset * unit, config.blind_heading_rad
-        _age(
+        age(
             p,
             self._walk,
             self._floor,
@@ -135,7 +132,7 @@ class ClothoidTracker:
         chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
         dx = chord * math.cos(half) + reference * (math.cos(turn_rad) - 1.0)
         dy = chord * math.sin(half) + reference * math.sin(turn_rad)
-        way = _drive(x, p, dx, dy, self.phase_m, h)
+        way = drive(x, p, dx, dy, self.phase_m, h)
         self.way_m = abs(way)
         self.phase_m += way
         while self.phase_m >= h:
@@ -215,7 +212,7 @@ class ClothoidTracker:
         """
         before, (prior, p) = self.known(), self._prior
         config = self.config
-        self.parameters, self.covariance, count, carrying, missed, self.moved_m = _correct(
+        self.parameters, self.covariance, count, carrying, missed, self.moved_m = correct(
             self._descend,
             before,
             self.covariance,
@@ -244,145 +241,3 @@ class ClothoidTracker:
 
     def _node(self, s_m: float) -> int:
         return int(np.abs(self.pair.nodes_m - s_m).argmin())
-
-
-_foot_on_circle = compiled(foot_on_circle)
-
-
-@compiled
-def _drive(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_m: float) -> float:
-    """Carry parameters and covariance on to the foot of body point (`dx`, `dy`) [m] from the reference point's.
-
-    The foot lies on the circle of the road's curvature on the way there. That way [m]; directions stay in the old body
-    frame.
-    """
-    cos, sin = math.cos(x[HEADING]), math.sin(x[HEADING])
-    ahead, left = dx * cos + dy * sin, dy * cos - dx * sin + x[OFFSET]
-    last = len(x) - CURVATURE - 1
-    place = min(max((phase_m + 0.5 * ahead) / spacing_m, 0.0), float(last))
-    j = min(int(place), last - 1)
-    share = place - j
-    station, after = CURVATURE + j, CURVATURE + j + 1
-    kappa = (1.0 - share) * x[station] + share * x[after]
-    way, x[OFFSET] = _foot_on_circle(ahead, left, kappa)
-    x[HEADING] += kappa * way
-    this, that = (1.0 - share) * way, share * way
-    for k in range(len(x)):  # the derivatives of both, from the left
-        p[OFFSET, k] -= ahead * p[HEADING, k]
-        p[HEADING, k] += this * p[station, k] + that * p[after, k]
-    for k in range(len(x)):  # and from the right
-        p[k, OFFSET] -= ahead * p[k, HEADING]
-        p[k, HEADING] += this * p[k, station] + that * p[k, after]
-    return float(way)
-
-
-@compiled
-def _correct(
-    descend: bool,
-    before: Floats,
-    covariance: Floats,
-    prior: Floats,
-    prior_covariance: Floats,
-    jacobian: Floats,
-    noise: Floats,
-    nodes: Ints,
-    residual: Floats,
-    found: Floats,
-    scales: tuple[float, float, float, float],
-) -> tuple[Floats, Floats, int, Bools, int, float]:
-    """Parameters, covariance, iterations, which nodes (k,) carry the lane, how many do not though found, and `moved_m`.
-
-    The nodes were looked for from `before` and its covariance; both priors are the prediction. The other arrays are as
-    `ClothoidTracker` has them. Robust weights are renewed once, where what is left of the residuals is not small.
-    """
-    gate, agreed, bend, lever_m = scales
-    k = len(nodes)
-    rows, aim, ratio2, precision, limit = _linearise(
-        before, covariance, prior, jacobian, noise, nodes, residual, found, gate
-    )
-    iterations, worst = 0, 0.0
-    for _ in range(2):
-        information, pull, weight = _weigh(rows, aim, ratio2, precision)
-        if descend:
-            change, after, count = gradient_descent(information, pull, prior_covariance)
-        else:
-            change, after, count = gauss_newton(information, pull, prior_covariance)
-        iterations += count
-        for i in range(2 * k):
-            left = aim[i]
-            for a in range(len(change)):
-                left -= rows[i, a] * change[a]
-            ratio2[i] = (left / limit[i]) ** 2
-            worst = max(worst, ratio2[i] * found[i])
-        if worst <= agreed * agreed:
-            break
-    parameters = np.empty_like(prior)
-    for a in range(len(prior)):
-        parameters[a] = prior[a] + change[a]
-        if a >= CURVATURE:
-            parameters[a] = min(max(parameters[a], -bend), bend)
-    carrying, missed = np.empty(k, np.bool_), 0
-    for i in range(k):
-        carrying[i] = weight[i] > 0.1 * precision[i]
-        missed += int(found[i] > 0.0) - int(carrying[i])
-    moved_m = abs(parameters[OFFSET] - before[OFFSET]) + abs(parameters[HEADING] - before[HEADING]) * lever_m
-    return parameters, after, iterations, carrying, missed, float(moved_m)
-
-
-@compiled
-def _age(p: Floats, walk: Floats, floor: Floats, way: float, offset: float, heading: float) -> None:
-    """Add what `way` [lane widths] and a frame bring, and these variances of offset and heading."""
-    for i in range(len(p)):
-        p[i, i] += walk[i] * way + floor[i]
-    p[OFFSET, OFFSET] += offset
-    p[HEADING, HEADING] += heading
-
-
-@compiled
-def _linearise(
-    before: Floats,
-    covariance: Floats,
-    prior: Floats,
-    jacobian: Floats,
-    noise: Floats,
-    nodes: Ints,
-    residual: Floats,
-    found: Floats,
-    gate: float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """The measurements (2 k,) of an update, told from the prediction `prior` and linearised at `before`.
-
-    The arguments as `ClothoidTracker` has them. Jacobian (2 k, m), residuals, their squares in units of what is
-    believed, precision, and the limit for what is left of them.
-    """
-    n, size, k = len(jacobian) // 3, len(before), len(nodes)
-    rows, aim = np.empty((2 * k, size), before.dtype), np.empty(2 * k, before.dtype)
-    ratio2, precision = np.empty(2 * k, before.dtype), np.empty(2 * k, before.dtype)
-    limit = np.empty(2 * k, before.dtype)
-    for i in range(2 * k):
-        row = nodes[i] if i < k else 2 * n + nodes[i - k] % n
-        told, spread2 = residual[i], noise[0, row]
-        for a in range(size):
-            rows[i, a] = jacobian[row, a]
-            told += jacobian[row, a] * (before[a] - prior[a])
-            for b in range(size):
-                spread2 += jacobian[row, a] * covariance[a, b] * jacobian[row, b]
-        aim[i], ratio2[i] = told, residual[i] * residual[i] / (spread2 * gate * gate)
-        precision[i], limit[i] = found[i] / noise[0, row], noise[1, row]
-    return rows, aim, ratio2, precision, limit
-
-
-@compiled
-def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tuple[Floats, Floats, Floats]:
-    """Information (m, m), pull (m,) and weights (2 k,) by Tukey: nothing is left of what reaches its limit (1)."""
-    size = rows.shape[1]
-    information, pull, weight = np.zeros((size, size), aim.dtype), np.zeros(size, aim.dtype), np.empty_like(aim)
-    for i in range(len(aim)):
-        share = max(1.0 - ratio2[i], 0.0)
-        weight[i] = share * share * precision[i]
-        for a in range(size):
-            weighted = weight[i] * rows[i, a]
-            pull[a] += weighted * aim[i]
-            for b in range(size):
-                information[a, b] += weighted * rows[i, b]
-    return information, pull, weight

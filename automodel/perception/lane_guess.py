@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from automodel.estimation.clothoid_config import RoughLane
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneGuess:
@@ -22,6 +24,17 @@ class LaneGuess:
     pair: bool
     edge: float
     fitted: bool = False
+
+    def rough(self, fitted_share: float) -> RoughLane:
+        """The lane for a tracker to start with; `fitted_share` is what is left of its sigmas where it was fitted."""
+        return RoughLane(
+            offset_m=self.offset_m,
+            heading_rad=self.heading_rad,
+            width_m=self.width_m,
+            curvature_per_m=self.curvature_per_m,
+            sure_m=self.sure_m,
+            share=fitted_share if self.fitted else 1.0,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

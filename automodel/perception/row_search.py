@@ -47,6 +47,10 @@ class Sighting:
     found: Floats
     edge: Floats
 
+    def count(self, shape: PairShape, carrying: Bools) -> tuple[int, int]:
+        """How many of the `carrying` nodes (k,) are the left line's and the right line's."""
+        return _count(carrying, self.nodes, len(shape.place))
+
     def points(self, shape: PairShape, carrying: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
         """The ridges (j, 2) [m] of `carrying` nodes (k,), left and right line's; lines lie `half_m` from `shape`."""
         return _points(shape.place, shape.along, self.nodes, self.residual, carrying, half_m)
@@ -208,3 +212,13 @@ def _mean(values: Floats, chosen: Bools) -> tuple[float, int]:
             total += values[i]
             count += 1
     return total / max(count, 1), count
+
+
+@compiled
+def _count(chosen: Bools, nodes: Ints, n: int) -> tuple[int, int]:
+    left = right = 0
+    for i in range(len(nodes)):
+        if chosen[i]:
+            left += nodes[i] < n
+            right += nodes[i] >= n
+    return left, right

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.compiled import compiled
 from automodel.config import CarConfig
 from automodel.curves.deferred import DeferredCurve
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
@@ -34,7 +33,6 @@ from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, La
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 Followed = tuple[PairShape, Sighting, Bools]
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 
@@ -205,7 +203,7 @@ class Contour:
         return guess
 
     def _restart(self, guess: LaneGuess) -> None:
-        self._tracker.begin(_rough(guess))
+        self._tracker.begin(guess.rough(self.FITTED))
         self._new_m = self.NEW * self._unit
         self._search.forget(guess.edge)
         self._paired = guess.pair
@@ -215,7 +213,7 @@ class Contour:
         guess = self._look_for(image)
         if guess is None or not guess.pair:
             return None
-        aside, turned = self._tracker.apart(_rough(guess))
+        aside, turned = self._tracker.apart(guess.rough(self.FITTED))
         if abs(aside) > self.ASIDE * self._unit or abs(turned) > self.TURNED_RAD:
             return None
         before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
@@ -244,8 +242,8 @@ class Contour:
 
     def _count(self, followed: Followed) -> tuple[int, int]:
         """How many nodes of each line, left and right, carry the lane."""
-        _, sighting, carrying = followed
-        return _count(carrying, sighting.nodes, self._pair.count)
+        shape, sighting, carrying = followed
+        return sighting.count(shape, carrying)
 
     def _sure(self, counts: tuple[int, int]) -> bool:
         return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
@@ -323,24 +321,3 @@ class Contour:
 
     def _lost(self, frame: Frame) -> LaneEstimate:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
-
-
-def _rough(guess: LaneGuess) -> RoughLane:
-    return RoughLane(
-        offset_m=guess.offset_m,
-        heading_rad=guess.heading_rad,
-        width_m=guess.width_m,
-        curvature_per_m=guess.curvature_per_m,
-        sure_m=guess.sure_m,
-        share=Contour.FITTED if guess.fitted else 1.0,
-    )
-
-
-@compiled
-def _count(carrying: Bools, nodes: Ints, n: int) -> tuple[int, int]:
-    left = right = 0
-    for i in range(len(nodes)):
-        if carrying[i]:
-            left += nodes[i] < n
-            right += nodes[i] >= n
-    return left, right
