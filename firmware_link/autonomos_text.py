@@ -97,9 +97,9 @@ class OneBoard:
         encoder = _ENCODER.fullmatch(line)
         if encoder is not None:
             return Said(ticks=int(encoder[1]) & 0xFFFF)
-        if line.startswith(_CHATTER):
-            return Said(started=line.startswith(_STARTS))
-        return None
+        if _STARTS in line:  # behind what a line that the reset cut short has left
+            return Said(started=True)
+        return Said() if line.startswith(_CHATTER) else None
 
 
 class TwoBoards:

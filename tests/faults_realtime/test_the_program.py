@@ -47,7 +47,7 @@ def test_a_stall_of_100_ms_in_the_loop(car: Car) -> None:
 
 
 def test_a_collection_over_a_million_objects(make_car: Callable[..., Car]) -> None:
-    """It takes some hundred milliseconds."""
+    """It takes some hundred milliseconds, again and again where the machine is fast."""
     car = make_car(emulated, "collect")
     check_stop_by_the_timer(car.bench, car.struck(lambda: car.kill(signal.SIGUSR2), phase_ms("collect")))
     car.bench.check_asked_for()

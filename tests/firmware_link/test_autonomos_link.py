@@ -219,3 +219,16 @@ def test_damaged_lines_are_counted_and_say_nothing(make_autonomos: Callable[[], 
     assert rig.link.errors.total == 3
     rig.cable.read = read
     assert polled(rig, 100)[-1].faults == ()
+
+
+@pytest.mark.parametrize("part_ms", [0.3, 0.6, 0.9, 1.2, 5.0])
+def test_a_restart_is_seen_though_it_cuts_a_line_short(make_autonomos: Callable[[], Any], part_ms: float) -> None:
+    """A line takes 0.9 ms on the wire, and comes each 10 ms; what is left of it stands before the next one."""
+    rig = make_autonomos()
+    rig.drive(*LEFT, rig.driven[0])
+    rig.link.poll(rig.now_ns())
+    rig.t_ns = rig.board._report_due_ns + round(part_ms * MS)
+    rig.link.poll(rig.now_ns())
+    rig.board.brown_out(rig.now_ns())
+    state = rig.until(lambda s: s is not None and "board_restarted" in s.faults, LEFT)
+    assert not state.armed
