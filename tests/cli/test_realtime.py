@@ -104,9 +104,9 @@ def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) ->
     """Ctrl-C and a closed terminal reach the whole group, `kill` one process."""
     record = tmp_path / "run.mcap"
     number = signal.Signals[name]
-    with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:
+    with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:  # 14 MB a second
         deadline = time.monotonic() + 60
-        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
+        while not (record.exists() and record.stat().st_size > 24_000_000) and time.monotonic() < deadline:
             time.sleep(0.05)
         (os.killpg if whole_group else os.kill)(child.pid, number)
         out, err = child.communicate(timeout=60)
@@ -146,7 +146,7 @@ def test_a_run_that_is_killed_leaves_no_process(tmp_path: Path) -> None:
     record = tmp_path / "run.mcap"
     with start(tmp_path, "--duration", "60", "--record", str(record)) as child:
         deadline = time.monotonic() + 60
-        while not (record.exists() and record.stat().st_size > 8_000_000) and time.monotonic() < deadline:
+        while not (record.exists() and record.stat().st_size > 24_000_000) and time.monotonic() < deadline:
             time.sleep(0.05)
         child.kill()
         child.communicate(timeout=60)
