@@ -19,10 +19,9 @@ Image = NDArray[np.uint8]
 
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim != len(shape) or any(
-        want is not None and got != want for got, want in zip(array.shape, shape, strict=True)
-    ):
+    array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
+    wanted = tuple([got if want is None else want for got, want in zip(array.shape, shape, strict=False)])
+    if array.ndim != len(shape) or array.shape != wanted:
         raise ValueError(f"{name}: shape {array.shape} where {shape} is wanted")
     array.flags.writeable = False
     return array

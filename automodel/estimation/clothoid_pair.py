@@ -76,7 +76,7 @@ class ClothoidPair:
         self.stations = int(np.ceil(nodes[-1] / spacing_m)) + 2  # the last one ahead of the last node at any phase
         self._first = max(int(np.ceil(nodes[0] / (0.5 * spacing_m))), 1)
         s = np.concatenate((np.linspace(0.0, nodes[0], self._first, endpoint=False), nodes))
-        self._complexes = np.result_type(dtype, np.complex64)
+        self._none: Complexes = np.empty(0, np.result_type(dtype, np.complex64))  # tells the type of what is laid
         self._steps: Floats = np.diff(s).astype(dtype)
         self._parts, self._slopes = self._tables(s)
         n, size = self.count, Parameter.CURVATURE + self.stations
@@ -86,10 +86,9 @@ class ClothoidPair:
 
     def shape(self, parameters: Floats, phase_m: float) -> PairShape:
         """The pair that `parameters` (3 + m,) mean while the reference point is `phase_m` past station 0."""
-        place, along = np.empty((2, self.count), self._complexes)
         at = phase_m / self.spacing_m * self.PHASES
-        _lay(parameters, at, self._parts, self._slopes, self._steps, self._first, self._jacobian, place, along)
-        place += self.reference_x_m
+        tables = self._parts, self._slopes, self._steps
+        place, along = _lay(parameters, at, *tables, self._first, self.reference_x_m, self._jacobian, self._none)
         return PairShape(place=place, along=along, jacobian=self._jacobian)
 
     def _tables(self, s: FloatArray) -> tuple[Floats, Floats]:
@@ -152,18 +151,19 @@ def _lay(
     slopes: Floats,
     steps: Floats,
     first: int,
+    reference_x_m: float,
     jacobian: Floats,
-    place: Complexes,
-    along: Complexes,
-) -> None:
-    """Fill in `place`, `along` (n,) and `jacobian`, as `PairShape` has them, but from the reference point on.
+    none: Complexes,
+) -> tuple[Complexes, Complexes]:
+    """`place` and `along` (n,), as `PairShape` has them and of the type of `none`; `jacobian` is filled in.
 
     By eq. (2.4)-(2.6): headings at the integration's points (k,), of which the last n are measured, and trapezoids
     `steps` (k - 1,) apart. `at` is the place in the tables of the turns (k, 1 + m) and of their slopes.
     """
     q = min(int(at), len(slopes) - 1)
     share = at - q
-    points, size, n = parts.shape[1], parts.shape[2], len(place)
+    points, size, n = parts.shape[1], parts.shape[2], len(jacobian) // 3
+    place, along = np.empty(n, none.dtype), np.empty(n, none.dtype)
     turns, turns_before = np.empty(size, x.dtype), np.zeros(size, x.dtype)
     moments = np.zeros((size, 2), x.dtype)  # of the unit tangent times each parameter's turn
     cos = sin = cos_before = sin_before = start_cos = start_sin = 0.0
@@ -186,7 +186,7 @@ def _lay(
         node = i - first
         if node < 0:
             continue
-        place[node] = complex(moments[0, 0] + x[0] * start_sin, moments[0, 1] - x[0] * start_cos)
+        place[node] = complex(reference_x_m + moments[0, 0] + x[0] * start_sin, moments[0, 1] - x[0] * start_cos)
         along[node] = complex(cos, sin)
         for row in (node, node + n):  # the left line moves as the right one does, but for the width
             jacobian[row, 0] = -(cos * start_cos + sin * start_sin)
@@ -195,3 +195,4 @@ def _lay(
                 jacobian[row, 2 + j] = cos * moments[j, 0] + sin * moments[j, 1]
         for j in range(1, size):
             jacobian[node + 2 * n, 2 + j] = turns[j]
+    return place, along

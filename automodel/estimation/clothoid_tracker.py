@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
-from automodel.estimation.clothoid_update import CURVATURE, HEADING, OFFSET, WIDTH, age, correct, drive
+from automodel.estimation.clothoid_update import CURVATURE, HEADING, OFFSET, WIDTH, age, correct, drive, heading_turned
 from automodel.estimation.update_laws import LAWS, gradient_descent, posterior
 
 Floats = NDArray[np.floating[Any]]
 FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
-
-_HEADING_TURNED = np.outer((1.0, -1.0, 1.0), (1.0, -1.0, 1.0))
 
 
 class ClothoidTracker:
@@ -182,8 +180,9 @@ class ClothoidTracker:
 
     def curvature(self) -> float:
         """The centerline's curvature [1/m] at the reference point's foot."""
-        x, share = self.known(), self.phase_m / self.pair.spacing_m
-        return float((1.0 - share) * x[CURVATURE] + share * x[CURVATURE + 1])
+        share = self.phase_m / self.pair.spacing_m
+        first, second = self.known()[CURVATURE : CURVATURE + 2].tolist()
+        return float((1.0 - share) * first + share * second)
 
     def pose(self) -> tuple[float, float, float, FloatArray]:
         """Offset [m], the lane's heading in the body frame [rad], width [m].
@@ -191,7 +190,7 @@ class ClothoidTracker:
         And the covariance (3, 3) of offset, -heading and width.
         """
         offset, heading, width = self.known()[:CURVATURE].tolist()
-        return offset, heading, width, self.covariance[:CURVATURE, :CURVATURE] * _HEADING_TURNED
+        return offset, heading, width, heading_turned(self.covariance)
 
     def known(self) -> Floats:
         """The parameters; raises ValueError while there are none."""

@@ -14,6 +14,7 @@ from automodel.estimation.clothoid_pair import Parameter
 from automodel.estimation.update_laws import gauss_newton, gradient_descent
 
 Floats = NDArray[np.floating[Any]]
+FloatArray = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 
@@ -159,3 +160,13 @@ def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tupl
             for b in range(size):
                 information[a, b] += weighted * rows[i, b]
     return information, pull, weight
+
+
+@compiled
+def heading_turned(p: Floats) -> FloatArray:
+    """The covariance (3, 3) of offset, -heading and width."""
+    turned = np.empty((CURVATURE, CURVATURE))
+    for i in range(CURVATURE):
+        for j in range(CURVATURE):
+            turned[i, j] = p[i, j] if (i == HEADING) == (j == HEADING) else -p[i, j]
+    return turned

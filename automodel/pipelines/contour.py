@@ -149,6 +149,7 @@ class Contour:
         straight = RoughLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
         self._tracker.begin(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
+        self._tracker.pose()
         followed = self._follow(nothing, 1, True)
         self._count(followed)
         self._search.learn(followed[1], followed[2])
