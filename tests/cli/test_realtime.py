@@ -18,7 +18,7 @@ from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
 
 pytestmark = pytest.mark.realtime
-TRIES = 3  # a machine that does something else for a third of a second stops the car, rightly
+TRIES = 5  # a machine that does something else for a third of a second stops the car, rightly
 LATE = (
     "the newest frame is ",
     "no frame",
@@ -102,17 +102,24 @@ def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) -> None:
     """Ctrl-C and a closed terminal reach the whole group, `kill` one process."""
-    record = tmp_path / "run.mcap"
-    number = signal.Signals[name]
-    with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:  # 14 MB a second
-        deadline = time.monotonic() + 60
-        while not (record.exists() and record.stat().st_size > 24_000_000) and time.monotonic() < deadline:
-            time.sleep(0.05)
-        (os.killpg if whole_group else os.kill)(child.pid, number)
-        out, err = child.communicate(timeout=60)
+    record, number = tmp_path / "run.mcap", signal.Signals[name]
+    for _ in range(TRIES):
+        with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:  # 14 MB a second
+            deadline = time.monotonic() + 60
+            while child.poll() is None and time.monotonic() < deadline:
+                if record.exists() and record.stat().st_size > 24_000_000:
+                    break
+                time.sleep(0.05)
+            (os.killpg if whole_group else os.kill)(child.pid, number)
+            out, err = child.communicate(timeout=60)
+        if "the car has stood for" not in err:  # held or stopped too often to get anywhere
+            break
+        record.unlink()
+    else:
+        pytest.skip("the machine is too busy to drive in real time")
     (row,) = json.loads(out)["rows"]
     assert child.returncode == int(bool(row["stops"] or row["left_lane"])), err
-    late = [line for line in err.splitlines() if re.search(": (hold|stop|disarmed): ", line)]
+    late = [line for line in err.splitlines() if re.search(": (hold|stop|disarmed|vehicle-fault): ", line)]
     lines = [line for line in err.splitlines() if line not in late]
     assert lines[0] == f"stopped by {name}"
     assert lines[1].startswith(f"{record}: ")
@@ -135,7 +142,7 @@ def test_a_signal_while_starting(name: str, after_s: float, tmp_path: Path) -> N
         os.killpg(child.pid, signal.Signals[name])
         _, err = child.communicate(timeout=60)
     assert child.returncode in (0, 1), err
-    said = [line for line in err.splitlines() if line and not re.search(": (hold|stop|disarmed): ", line)]
+    said = [line for line in err.splitlines() if line and not re.search(": (hold|stop|disarmed|vehicle-fault): ", line)]
     assert said in (["automodel: interrupted"], [f"stopped by {name}"])
     assert left_behind(tmp_path, child.pid) == ([], [])
 
