@@ -10,12 +10,9 @@ import enum
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves.base import Curve
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.types import FloatArray
 from calibration.servo import ServoTable
 from calibration.servo_log import MOVING_MPS, ServoLog
-
-FloatArray = NDArray[np.float64]
 
 _STEP_NS = 2_500_000  # of the model's grid
 _BLOCK_NS = 1_000_000_000  # readings within so long share their errors

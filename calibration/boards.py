@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from automodel.types import FloatArray, Image, IntArray
 
 __all__ = ["DICTIONARIES", "Board", "FoundBoard", "find_board", "other_dictionary"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Image = NDArray[np.uint8]
 
 DICTIONARIES = (
     *(f"{bits}_{count}" for bits in ("4x4", "5x5", "6x6", "7x7") for count in (50, 100, 250, 1000)),

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import Intrinsics
+from automodel.types import FloatArray
 from calibration.boards import Board
 from calibration.views import CalibrationError, Refused, View
 
 __all__ = ["CameraCalibration", "ViewError", "calibrate_camera"]
 
-FloatArray = NDArray[np.float64]
 
 _FEWEST_VIEWS = 4
 _FOLDS = 5

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from automodel.signals import Image
+from automodel.types import Image
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

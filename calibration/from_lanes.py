@@ -13,16 +13,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera
-from automodel.signals import Image
+from automodel.types import FloatArray, Image
 from calibration.lane_widths import Attitude, solve_attitude
 from calibration.pencils import BENDING, Pencil, fit_pencil
 from calibration.picture_lines import Rays, common_vanishing_point
-
-FloatArray = NDArray[np.float64]
 
 SLACK = 0.02  # of the picture's width: how far the vanishing point moves as the car turns and nods, one sigma
 ASTRAY, STRAY_SIGMAS = (

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera
+from automodel.types import FloatArray
 from calibration.pose_fit import NAMES, fit_poses, on_ground, pose_of, projected, start_pose
 from calibration.views import CalibrationError
 
 __all__ = ["GroundCalibration", "GroundPoints", "camera_from_points", "distances_m"]
 
-FloatArray = NDArray[np.float64]
 
 _ROUNDS = 400  # of the bootstrap
 _PRIOR_WEIGHT = 2.0  # the stated accuracy of tape and pixels counts like so many measurements

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.geometry.birdseye import BirdsEye, View
-from automodel.signals import Image
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 _REACH_HEIGHTS = 4.5  # how far the view reaches beyond the first visible ground, in camera heights

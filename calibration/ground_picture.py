@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
+from automodel.types import FloatArray, Image
 from calibration.ground import distances_m
 from calibration.pictures import in_bgr, write_text
 
 __all__ = ["ground_picture"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _LINE, _AXIS, _SEEN, _MODEL = (110, 210, 110), (60, 170, 255), (80, 80, 255), (255, 220, 60)
 

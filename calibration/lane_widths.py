@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import cam_from_body_rotation
+from automodel.types import FloatArray
 from calibration.pencils import Pencil
-
-FloatArray = NDArray[np.float64]
 
 WIDTHS = np.geomspace(0.9, 9.0, 231)  # of a lane, in heights of the camera: 1 % apart
 AGREED = 0.04  # of a lane's width: how much lanes differ, one sigma

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 _SPREAD = 0.03  # runs that differ by more from their median contradict each other
 _BAND_US = 5.0  # a band around neutral narrower than this is none

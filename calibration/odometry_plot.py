@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from automodel.signals import Image
+from automodel.types import Image
 from calibration.figure_picture import picture_of
 from calibration.odometry import MotorTable, SteadySpeed, TicksPerMetre, Way
 

@@ -5,12 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from automodel.types import FloatArray, Ints
 from calibration.picture_lines import BELOW, Rays, usual
-
-FloatArray = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 MOST_LINES = 8
 LEAST_WEIGHT = 3.0  # chance's sigmas by which a line's points outnumber those around it

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
-from automodel.signals import Image
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
 
 BREADTHS_PX = (3, 5, 9, 15, 25)

@@ -7,16 +7,14 @@ from collections.abc import Iterable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
+from automodel.types import Image
 from calibration.camera import CameraCalibration
 from calibration.views import CELLS, View, coverage
 
 __all__ = ["coverage_picture", "in_bgr", "residual_picture", "undistorted_picture", "write_text"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _WHITE, _GREY = (255, 255, 255), (90, 90, 90)
 

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
+from automodel.types import FloatArray
 from calibration.camera import CameraCalibration
 from calibration.views import coverage
 
 __all__ = ["Check", "check_camera", "field_of_view_deg"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel
+from automodel.types import FloatArray
 from calibration.views import CalibrationError
 
 __all__ = ["NAMES", "fit_poses", "on_ground", "pose_of", "projected", "start_pose"]
 
-FloatArray = NDArray[np.float64]
 
 NAMES = ("x_m", "y_m", "z_m", "pitch_rad", "yaw_rad", "roll_rad")  # a pose's six numbers, in the body frame
 _STEP = 1e-6  # of the numeric derivatives, metres and radians

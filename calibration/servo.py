@@ -11,11 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calibration.servo_log import Hold, IntArray, ServoLog, holds_of
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray, IntArray
+from calibration.servo_log import Hold, ServoLog, holds_of
 
 LEAST_PULSES = 6
 LEAST_RANGE_RAD = 0.035  # a servo that moves the wheels less than 2 deg over all pulses does not move them

@@ -7,10 +7,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from automodel.types import FloatArray, IntArray
 
 STILL_MPS = 0.02
 _STILL_NS = 500_000_000  # a car that stood for less says nothing of the gyro

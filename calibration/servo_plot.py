@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from automodel.signals import Image
+from automodel.types import Image
 from calibration.actuator import Actuator, modelled_yaw_rates
 from calibration.figure_picture import picture_of
 from calibration.servo import ServoTable
@@ -16,7 +15,6 @@ from calibration.servo_log import ServoLog, holds_of
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FloatArray = NDArray[np.float64]
 _SHOWN_S = 6.0
 
 

@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel
+from automodel.types import FloatArray, Image
 from calibration.boards import DICTIONARIES, Board, dictionary_of, find_board
 from calibration.ground import GroundCalibration, GroundPoints, camera_from_points
 from calibration.views import CalibrationError
 
 __all__ = ["ArucoSheet", "SeenSheet", "SheetPlace", "camera_from_sheet", "find_sheet"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 _CORNER_PX = 0.5  # how exactly a corner is found, paper that is not quite flat included
 _MOST_TURNED_RAD = math.radians(40.0)  # of the camera to the side; beyond, the sheet's turn would be mistaken

@@ -11,12 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.types import FloatArray, Image
 from calibration.boards import Board, FoundBoard, find_board
 
 __all__ = ["CalibrationError", "Refused", "View", "Views", "coverage", "missing_sights", "settle"]
 
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 CELLS = (5, 8)  # rows and columns of the picture's cells that coverage counts
 _BLURRED_PX = 5.0  # width of a square's edge; a sharp picture has 1 to 2

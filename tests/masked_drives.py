@@ -13,10 +13,11 @@ from automodel.config import CarConfig, LaneConfig
 from automodel.geometry import SE2
 from automodel.interfaces import Pipeline
 from automodel.pipelines.centerline import Centerline
-from automodel.signals import Frame, Image, LaneEstimate, LaneStatus, Motion, MotionSource
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.renderer import Renderer
 from automodel.sim.track import Lane, Track, parse_track
 from automodel.sim.truth import TruthFollower
+from automodel.types import Image
 
 PERIOD_NS = 33_333_333
 

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 # layer -> what it may import of ours; a package may always import itself
 GROUND = {
     "automodel.signals",
+    "automodel.types",
     "automodel.reading",
     "automodel.compiled",
     "automodel.config",
@@ -19,12 +20,13 @@ GROUND = {
     "automodel.geometry",
 }
 ALLOWED: dict[str, set[str]] = {
+    "automodel.types": set(),
     "automodel.reading": set(),
     "automodel.compiled": set(),
-    "automodel.config": {"automodel.reading"},
-    "automodel.curves": set(),
-    "automodel.signals": {"automodel.curves"},
-    "automodel.geometry": {"automodel.config", "automodel.compiled"},
+    "automodel.config": {"automodel.types", "automodel.reading"},
+    "automodel.curves": {"automodel.types"},
+    "automodel.signals": {"automodel.curves", "automodel.types"},
+    "automodel.geometry": {"automodel.types", "automodel.config", "automodel.compiled"},
     "automodel.interfaces": {"automodel.signals"},
     "automodel.clocks": set(),
     "automodel.interrupts": set(),
@@ -36,8 +38,9 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.recording": GROUND | {"automodel.interfaces", "automodel.sources", "automodel.viewer", "automodel"},
     "automodel.viewer": GROUND,
     "automodel.sim": GROUND | {"automodel.clocks", "automodel.interrupts", "automodel.sources"},
-    "automodel.checks": {"automodel.signals", "automodel.config"},
+    "automodel.checks": {"automodel.types", "automodel.signals", "automodel.config"},
     "automodel.faults": {
+        "automodel.types",
         "automodel.signals",
         "automodel.curves",
         "automodel.interfaces",
@@ -49,8 +52,14 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.doctor": GROUND,
     "automodel.safety": {"automodel.signals", "automodel.config", "automodel.clocks"},
     "automodel.loop": {"automodel.signals", "automodel.config", "automodel.clocks", "automodel.interfaces"},
-    "firmware_link": {"automodel.signals", "automodel.config", "automodel.geometry"},
-    "calibration": {"automodel.signals", "automodel.config", "automodel.geometry", "automodel.reading"},
+    "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
+    "calibration": {
+        "automodel.types",
+        "automodel.signals",
+        "automodel.config",
+        "automodel.geometry",
+        "automodel.reading",
+    },
 }
 RUNNER_LAYER = {  # one thing in several files: its modules know each other, and what they drive by interface only
     "automodel.runner",

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
+from automodel.types import FloatArray
 
-Floats = NDArray[np.float64]
 LENSES = {
     "none": (0.0, 0.0, 0.0, 0.0, 0.0),
     "barrel": (-0.28, 0.07, 0.0, 0.0, 0.0),
@@ -29,7 +29,7 @@ def camera(lens: str) -> GroundCamera:
     return GroundCamera(CameraModel(intrinsics, 640, 360), mounted)
 
 
-def pixels(ground: GroundCamera, points: NDArray[np.complex128]) -> Floats:
+def pixels(ground: GroundCamera, points: NDArray[np.complex128]) -> FloatArray:
     """Ground points (n,) as complex numbers -> pixels (2, n)."""
     return ground.ground_to_px(np.stack((points.real, points.imag), axis=-1)).T
 
@@ -53,7 +53,7 @@ def test_tangents_and_areas_are_the_differences_of_pixels(lens: str) -> None:
     line = LineProjection(ground).project(PLACE, ALONG, ASIDE)
     points, along = both_lines()
 
-    def slope(way: NDArray[np.complex128]) -> Floats:
+    def slope(way: NDArray[np.complex128]) -> FloatArray:
         return (pixels(ground, points + STEP * way) - pixels(ground, points - STEP * way)) / (2.0 * STEP)
 
     assert line.along == pytest.approx(slope(along), rel=1e-6, abs=1e-4)

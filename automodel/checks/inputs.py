@@ -6,7 +6,8 @@ from automodel.checks.lane_jump import LaneJumpCheck
 from automodel.checks.picture import PictureCheck
 from automodel.checks.steering import SteeringCheck
 from automodel.config import CarConfig
-from automodel.signals import Frame, Image, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import Frame, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.types import Image
 
 
 class InputChecks:

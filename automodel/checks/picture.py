@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from automodel.signals import Image
+from automodel.types import Image
 
 FLAT_LEVELS = 6  # grey levels between the brightest and the darkest part of a picture that shows nothing
 _COARSE_PX = (16, 9)  # each of these parts is the mean of many pixels, so that noise makes none of them stand out

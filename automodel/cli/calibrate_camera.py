@@ -21,9 +21,9 @@ from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError, load_car
 from automodel.geometry import CameraModel
 from automodel.reading import parse_toml, read_text
-from automodel.signals import Image
 from automodel.sources.errors import SourceError
 from automodel.sources.images import SUFFIXES
+from automodel.types import Image
 from calibration.boards import DICTIONARIES, Board, other_dictionary
 from calibration.camera import CameraCalibration, ViewError, calibrate_camera
 from calibration.pictures import coverage_picture, residual_picture, undistorted_picture

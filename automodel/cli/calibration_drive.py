@@ -22,7 +22,8 @@ from automodel.loop import Loop
 from automodel.run_values import RunConfig, RunEnd, RunParts, TickRecord
 from automodel.runner import Runner
 from automodel.safety import Safety, SafetyMode
-from automodel.signals import Command, Frame, Image, LaneEstimate, LanePose, LaneStatus, Motion, VehicleState
+from automodel.signals import Command, Frame, LaneEstimate, LanePose, LaneStatus, Motion, VehicleState
+from automodel.types import Image
 from calibration.drive_plan import DrivePlan, Leg
 
 PERIOD_S = 0.02  # of the turns where no camera gives the pace

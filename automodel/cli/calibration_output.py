@@ -11,7 +11,7 @@ import cv2
 
 from automodel.cli.telling import say
 from automodel.config import ConfigError
-from automodel.signals import Image
+from automodel.types import Image
 from calibration.car_file import check_car_file, update_car_file
 
 FOLDER = "calibration_pictures"

@@ -13,11 +13,11 @@ from automodel.cli.parts import car_of, make_camera
 from automodel.clocks import MonotonicClock, VirtualClock
 from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera
-from automodel.signals import Image
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
 from automodel.sources.capture import CaptureThread
+from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
 from firmware_link.board_log import LoggedTransport
 from firmware_link.emulator.board import EmulatedArduino

@@ -12,11 +12,12 @@ from automodel.cli.recordings import open_source
 from automodel.config import CarConfig, ConfigError
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
-from automodel.signals import Frame, Image
+from automodel.signals import Frame
 from automodel.sources.capture import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.images import SUFFIXES, natural_key
 from automodel.sources.pictures import read_picture
+from automodel.types import Image
 
 LIVE = "live"
 _FRAMES = 120  # of a video or recording that are looked at, spread over its length

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.cli.figures import show
 from automodel.cli.progress import progress
@@ -35,8 +34,7 @@ from automodel.sim.racetrack import read_racetrack
 from automodel.sim.track import Track, load_track
 from automodel.sim.trajectory import STYLES, CommandedMotion, DrivenPose, Odometer
 from automodel.sim.truth import TruthFollower
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 COMMAND = "bench accuracy"
 TRACK_A = "circuit"

@@ -34,7 +34,7 @@ from automodel.doctor.machine import (
 from automodel.perception.self_test import drawn_lines
 from automodel.perception.unet import PROVIDERS, MarkingNetwork, UnetConfig
 from automodel.recording.images import ImageCodec
-from automodel.signals import Image
+from automodel.types import Image
 
 _OTHER_OPENCV = ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
 _PICTURES = 7  # through the network, for its time

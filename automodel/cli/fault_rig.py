@@ -33,7 +33,7 @@ from automodel.pipelines import make_pipeline
 from automodel.run_values import RunParts, TickRecord
 from automodel.runner import Runner
 from automodel.safety import Safety
-from automodel.signals import Event, Image
+from automodel.signals import Event
 from automodel.sim.appearance import Appearance
 from automodel.sim.lockstep import LockStepSource
 from automodel.sim.plant import Plant, PlantConfig
@@ -43,6 +43,7 @@ from automodel.sim.true_lane import TrueLane
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError
+from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.faulty_board import FaultyBoard

@@ -12,21 +12,19 @@ from typing import Any
 
 import click
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.cli.calibrate_camera import board_of
 from automodel.cli.progress import progress
 from automodel.config import CarConfig, ConfigError, Extrinsics
 from automodel.geometry import CameraModel
-from automodel.signals import Image
 from automodel.sources.errors import SourceError
+from automodel.types import FloatArray, Image
 from calibration.boards import Board
 from calibration.from_lanes import LanesCalibration, camera_from_lanes
 from calibration.ground import GroundCalibration, GroundPoints, camera_from_points
 from calibration.sheets import ArucoSheet, SheetPlace, camera_from_sheet, find_sheet
 from calibration.views import CalibrationError
 
-FloatArray = NDArray[np.float64]
 Pictures = Iterator[tuple[str, Image]]
 
 HEADER = ("x_m", "y_m", "u_px", "v_px")

@@ -23,10 +23,11 @@ from automodel.interfaces import Source
 from automodel.loop import Tick
 from automodel.recording.poses_csv import PosesCsv
 from automodel.recording.reader import RecordingSource
-from automodel.signals import Frame, Image, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.motion_csv import MotionTable, read_motion_csv
 from automodel.sources.pictures import check_size
+from automodel.types import Image
 from automodel.viewer.overlay import draw
 from automodel.viewer.video import VideoWriter
 

@@ -19,9 +19,10 @@ from automodel.cli.keys import ArmKey, has_terminal
 from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera
-from automodel.signals import Frame, Image, VehicleState
+from automodel.signals import Frame, VehicleState
 from automodel.sim.hidden import hidden_servo
 from automodel.sim.plant import PlantConfig
+from automodel.types import Image
 from calibration.actuator import Actuator, fit_actuator
 from calibration.drive_plan import servo_plan
 from calibration.ground_motion import floor_view, motion_of

@@ -17,7 +17,6 @@ from automodel.cli.telling import say
 from automodel.config import CameraConfig, CarConfig, ConfigError, Extrinsics, Intrinsics
 from automodel.evaluation.tusimple import (
     NONE,
-    FloatArray,
     Label,
     Score,
     centre_error_pct,
@@ -29,9 +28,10 @@ from automodel.evaluation.tusimple import (
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.pipelines import make_pipeline
 from automodel.reading import read_text
-from automodel.signals import Frame, Image, LaneEstimate, Motion, MotionSource
+from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.images import natural_key
 from automodel.sources.pictures import read_picture
+from automodel.types import FloatArray, Image
 from automodel.viewer.contact_sheet import GREEN, RED, Picture, write_sheet
 from calibration.from_lanes import camera_from_lanes
 

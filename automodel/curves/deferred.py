@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from automodel.curves.base import FloatArray
 from automodel.curves.tabulated import TabulatedCurve
+from automodel.types import FloatArray
 
 Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 

@@ -7,7 +7,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves.base import Curve, FloatArray
+from automodel.curves.base import Curve
+from automodel.types import FloatArray
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(4)
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves.base import Curve, FloatArray
+from automodel.curves.base import Curve
+from automodel.types import FloatArray
 
 
 class JoinedCurve(Curve):

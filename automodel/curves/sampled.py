@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves.base import Curve, FloatArray
+from automodel.curves.base import Curve
+from automodel.types import FloatArray
 
 _SPLIT = 16  # parts of a spline's interval in the table of arc lengths
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves.base import Curve, FloatArray
+from automodel.curves.base import Curve
+from automodel.types import FloatArray
 
 
 class TabulatedCurve(Curve):

@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves.base import Curve, FloatArray
+from automodel.curves.base import Curve
+from automodel.types import FloatArray
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 _MAX_TURN_PER_STEP_RAD = 0.35  # 8-point Gauss-Legendre is exact to 1e-15 of the length up to here

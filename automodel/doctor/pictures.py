@@ -6,11 +6,9 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 BLACK = 30  # grey level; a picture that is hardly anywhere above it shows nothing
 DARK = 70  # markings on a lit floor are far above it

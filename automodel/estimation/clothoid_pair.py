@@ -20,13 +20,10 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
+from automodel.types import Complexes, FloatArray, Floats
 
-Floats = NDArray[np.floating[Any]]
-FloatArray = NDArray[np.float64]
-Complexes = NDArray[np.complexfloating[Any, Any]]
 _LEAST_STRETCH = 0.05  # of an arc length beside the centerline: nearer to the centre of curvature no curve is drawn
 
 

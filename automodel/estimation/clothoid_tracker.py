@@ -10,21 +10,15 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid_update import CURVATURE, HEADING, OFFSET, WIDTH, age, correct, drive, heading_turned
 from automodel.estimation.update_laws import LAWS, gradient_descent, posterior
-
-Floats = NDArray[np.floating[Any]]
-FloatArray = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
+from automodel.types import Bools, FloatArray, Floats, Ints
 
 
 class ClothoidTracker:

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.curves.arcs import foot_on_circle
 from automodel.estimation.clothoid_pair import Parameter
 from automodel.estimation.update_laws import gauss_newton, gradient_descent
-
-Floats = NDArray[np.floating[Any]]
-FloatArray = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
+from automodel.types import Bools, FloatArray, Floats, Ints
 
 OFFSET, HEADING, WIDTH, CURVATURE = (int(p) for p in Parameter)
 

@@ -19,14 +19,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.estimation.pose_filter import LinePoint
 from automodel.estimation.theta_line import ThetaLine
 from automodel.estimation.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 SAMPLES = 24  # of each line
 REACH_LANES = (1.5, 8.0)  # behind and ahead of the car: where the centerline is wanted

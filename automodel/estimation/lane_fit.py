@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 
 from automodel.curves import TabulatedCurve
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from automodel.types import Bools, FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +68,7 @@ class LaneSolution:
 
     parameters: FloatArray
     information: FloatArray
-    inliers: BoolArray
+    inliers: Bools
 
     @property
     def offset_m(self) -> float:

@@ -18,8 +18,7 @@ from automodel.estimation.lane_fit import (
     LineSamples,
 )
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

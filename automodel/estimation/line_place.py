@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.line_spline import SampledLine
 from automodel.estimation.theta_line import ThetaLine
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 NEAR_SAMPLES = 16  # of a line that does not reach the car: those next to it
 

@@ -17,9 +17,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 MIN_POINTS = 4
 MAX_INTERVALS, MAX_PER_INTERVAL = 16, 32

@@ -6,15 +6,10 @@ never changes. Lines that lie far from where the motion puts them, frame after f
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-
-Floats = NDArray[np.floating[Any]]
-Ints = NDArray[np.intp]
+from automodel.types import Floats, Ints
 
 
 class MotionTrust:

@@ -13,13 +13,11 @@ from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.pose_model import State, carried, expectation
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 _LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
 _DIRECTION = slice(4, 5)

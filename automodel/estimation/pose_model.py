@@ -19,11 +19,9 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry.se2 import wrap_angle
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 _LEAST_RADIUS = 0.05  # of the centerline's: nearer to its centre of curvature the Jacobian is cut off
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike | None = None) -> FloatArray:

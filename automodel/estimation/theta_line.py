@@ -14,13 +14,12 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.curves import Curve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
 from automodel.curves.deferred import DeferredCurve
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 ORDER = 4  # coefficients of the cubic
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)

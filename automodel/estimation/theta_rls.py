@@ -18,14 +18,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.line_place import NEAR_SAMPLES, locate
 from automodel.estimation.line_spline import SampledLine
 from automodel.estimation.theta_line import ORDER, ThetaLine, shift_matrix
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 BEARING_RAD = 0.02  # how far off the direction between the foot and a sample may be at least
 BEND = 0.25  # [lane widths] how far a line strays in a lane width beyond its last point

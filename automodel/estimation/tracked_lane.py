@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.concentric import Centerline
 from automodel.estimation.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
@@ -14,8 +13,7 @@ from automodel.estimation.theta_line import ThetaLine
 from automodel.estimation.theta_rls import ThetaRlsConfig
 from automodel.estimation.tracked_line import UNKNOWN_WAY_LANES, SeenLine, TrackedLine, carry
 from automodel.geometry import SE2
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 class TrackedLane:

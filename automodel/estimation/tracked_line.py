@@ -6,14 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.line_spline import smooth
 from automodel.estimation.theta_line import ThetaLine
 from automodel.estimation.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 FORGET_UNKNOWN = 8.0  # times as fast a line is forgotten while the motion is not known
 UNKNOWN_LANES = 0.5  # what its distance may change in a second then
 UNKNOWN_WAY_LANES = 3.0  # a second; what counts as driven then

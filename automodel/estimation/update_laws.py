@@ -6,14 +6,10 @@ steps. Both give x (m,), its covariance (A + P^-1)^-1 (m, m), and the number of 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-
-Floats = NDArray[np.floating[Any]]
+from automodel.types import Floats
 
 MOST_STEPS = 1000
 CONVERGED = 1e-5  # of a prior's sigma: steps below that are the end

@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves.base import Curve
 from automodel.geometry import GroundCamera
 from automodel.reading import ConfigError
 from automodel.signals import LaneEstimate
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 NONE = -2  # stands in the files where a lane has no point
 TOLERANCE_PX, MISSING_PX, OF_WIDTH_PX = 20.0, -100.0, 1280.0  # a missing point is taken for one at -100 px

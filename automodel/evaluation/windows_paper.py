@@ -20,13 +20,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.curves import GraphCurve
 from automodel.estimation.regression import evaluate_polynomial
 from automodel.signals import Crossing, LaneEstimate, LaneLine
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Row = dict[str, object]
 
 # MAE and RMSE [px] by section and line. Table II heads its columns wrongly; Table I's pictures show that they are MAE

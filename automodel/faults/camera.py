@@ -8,8 +8,9 @@ from random import Random
 import numpy as np
 
 from automodel.faults.hooks import CameraHook
-from automodel.signals import Frame, Image
+from automodel.signals import Frame
 from automodel.sources.errors import SourceError
+from automodel.types import Image
 
 Spoil = Callable[[Frame], Frame | None]
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from automodel.config import CameraConfig, Intrinsics
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 class CameraModel:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.config import CameraConfig, Extrinsics
 from automodel.geometry.camera import CameraModel
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 def cam_from_body_rotation(extrinsics: Extrinsics) -> FloatArray:

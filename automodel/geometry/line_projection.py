@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.geometry.ground import GroundCamera
+from automodel.types import Complexes, Floats
 
-Floats = NDArray[np.floating[Any]]
-Complexes = NDArray[np.complexfloating[Any, Any]]
 View = tuple[Floats, Floats, float, float]
 _NEAREST = 1e-3  # [m] of depth: what is less counts as behind the camera
 _NOWHERE_PX = -1e6

@@ -13,9 +13,7 @@ from automodel.estimation.lane_fit import LaneShape
 from automodel.estimation.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

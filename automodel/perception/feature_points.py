@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import BirdsEye, GroundCamera, View
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 
 def resized_camera(camera: CameraConfig, width_px: int, height_px: int) -> CameraConfig:

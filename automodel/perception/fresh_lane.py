@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.lane_fit import LaneSolution
 from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
@@ -14,9 +13,7 @@ from automodel.estimation.regression import fit_polynomial
 from automodel.perception.crossings import Crossed
 from automodel.perception.lane_lines import LaneLines
 from automodel.perception.sliding_windows import HistogramStart
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

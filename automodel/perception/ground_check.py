@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import SE2, View
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 
 @dataclass(slots=True)

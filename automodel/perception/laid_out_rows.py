@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
-
-Floats = NDArray[np.floating[Any]]
-Ints = NDArray[np.intp]
+from automodel.types import Floats, Ints
 
 
 class LaidOutRows:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.lane_fit import LaneShape
 from automodel.estimation.lane_tracker import Observation
 from automodel.geometry import View
 from automodel.perception.sliding_windows import SlidingWindows
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 class LaneLines:

@@ -13,11 +13,9 @@ from automodel.perception.line_guide import ExpectedLine, Guide
 from automodel.perception.line_starts import LineStart, LineStarts
 from automodel.perception.line_walk import LineWalk, Walker, WalkPoint, WalkSettings
 from automodel.perception.line_windows import LineWindows
+from automodel.types import FloatArray, Image
 
 __all__ = ["ExpectedLine", "FollowedLine", "LineFollowing", "LineStart"]
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

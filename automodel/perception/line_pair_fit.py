@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.perception.laid_out_rows import LaidOutRows
 from automodel.perception.lane_guess import StartConfig
 from automodel.perception.ridges import MARGIN, PER_MARKING, Brightness, RidgeJudge
-from automodel.signals import Image
-
-Floats = NDArray[np.floating[Any]]
-Bools = NDArray[np.bool_]
+from automodel.types import Floats, Image
 
 
 @dataclass(frozen=True, slots=True)

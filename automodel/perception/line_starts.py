@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import View
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,16 +5,12 @@ A table's lines have a curvature c, a heading h and a lateral place a; `lines` (
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
+from automodel.types import Bools, Floats, Ints
 
-Floats = NDArray[np.floating[Any]]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 Votes = NDArray[np.int32]
 Best = tuple[float, int, int, int, int]
 

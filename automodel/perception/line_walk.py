@@ -7,13 +7,9 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from automodel.perception.line_guide import Guide
 from automodel.perception.line_windows import Glimpse, LineWindows
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import View
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 
 class Glimpse(NamedTuple):

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.geometry import GroundCamera
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 def apparent_width_px(camera: GroundCamera, marking_width_m: float) -> FloatArray:

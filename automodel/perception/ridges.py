@@ -14,12 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-from automodel.signals import Image
+from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
-Floats = NDArray[np.floating[Any]]
-Single = NDArray[np.float32]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
 Sums = NDArray[np.int32]
 
 PER_MARKING = 6  # samples
@@ -73,7 +69,7 @@ class Judged:
     flags: Bools
 
 
-def judge(values: Single, row: Ints, at: Ints, contrast: float) -> Judged:
+def judge(values: Float32Array, row: Ints, at: Ints, contrast: float) -> Judged:
     """The ridges (n,) in the middle of samples `at` of `row` in `values` (r, k), of at least `contrast` [grey levels].
 
     Beyond its ends a row goes on as it ends.
@@ -82,7 +78,9 @@ def judge(values: Single, row: Ints, at: Ints, contrast: float) -> Judged:
 
 
 @compiled
-def judge_ridges(values: Single, row: Ints, at: Ints, contrast: float) -> tuple[Single, Single, Single, Bools]:
+def judge_ridges(
+    values: Float32Array, row: Ints, at: Ints, contrast: float
+) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
     """What `judge` makes a `Judged` of."""
     n, last = len(at), values.shape[1] - 1
     place, height, edge = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)

@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.perception.ridges import MARGIN, SIDE, WINDOW, Brightness, Judged, judge_ridges
-from automodel.signals import Image
-
-Floats = NDArray[np.floating[Any]]
-Single = NDArray[np.float32]
-Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
+from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 REACH = 31  # samples to each side of a run's middle
 GATE = 15  # and as far from there a ridge may lie
@@ -33,7 +25,7 @@ class RowRidges:
             lay_run(run, middle, width)
         return Judged(*best_ridges(self.read(image, pixels), self.contrast))
 
-    def read(self, image: Image, pixels: Ints) -> Single:
+    def read(self, image: Image, pixels: Ints) -> Float32Array:
         """The brightness of `pixels`.
 
         Where a run leaves the picture it reads what lies there in memory: what is found there must not count.
@@ -49,7 +41,7 @@ def lay_run(pixels: Ints, middle: float, step: float) -> None:
 
 
 @compiled
-def best_ridges(values: Single, contrast: float) -> tuple[Single, Single, Single, Bools]:
+def best_ridges(values: Float32Array, contrast: float) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
     """The best ridge of each of n runs (n, 2 REACH + 1), as `Judged` has them, by their distance from the middle."""
     best, runs = _best(values), np.arange(len(values))
     place, height, edge, flags = judge_ridges(values, runs, best, contrast)
@@ -59,7 +51,7 @@ def best_ridges(values: Single, contrast: float) -> tuple[Single, Single, Single
 
 
 @compiled
-def _best(values: Single) -> Ints:
+def _best(values: Float32Array) -> Ints:
     """The sample (n,) of each run at which its middle stands out most of the brighter of its two sides."""
     best = np.empty(len(values), np.intp)
     begin, end = REACH - GATE - MARGIN, REACH + GATE + MARGIN + 1

@@ -8,24 +8,15 @@ reflection) is told from the line.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.estimation.clothoid_pair import PairShape
 from automodel.geometry.line_projection import LineProjection, View, project_lines
 from automodel.perception.ridges import BAR, LINE, MARGIN, PER_MARKING
 from automodel.perception.row_ridges import REACH, RowRidges, best_ridges, lay_run
-from automodel.signals import Image
-
-Floats = NDArray[np.floating[Any]]
-FloatArray = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Ints = NDArray[np.intp]
-Single = NDArray[np.float32]
-Complexes = NDArray[np.complexfloating[Any, Any]]
+from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
 
 FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
 TURN, SLACK = 0.4, 0.5  # how much a ridge may be turned [rad], and be torn (samples): else it is another line's
@@ -148,7 +139,7 @@ def _lay(
 
 @compiled
 def _agree(
-    values: Single,
+    values: Float32Array,
     contrast: float,
     nodes: Ints,
     column: Floats,

@@ -22,12 +22,9 @@ from automodel.perception.lane_guess import LaneGuess, StartConfig
 from automodel.perception.line_votes import Votes, best_pair, best_single, peaks, summed, votes
 from automodel.perception.ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
 from automodel.perception.row_sums import RowSums
-from automodel.signals import Image
+from automodel.types import Floats, Image, Ints
 
 __all__ = ["LaneGuess", "RowStart", "StartConfig"]
-
-Floats = NDArray[np.floating[Any]]
-Ints = NDArray[np.intp]
 
 
 class RowStart:

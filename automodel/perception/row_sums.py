@@ -9,22 +9,16 @@ the ridges on short runs of these rows and of as many in between.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.perception.laid_out_rows import LaidOutRows
 from automodel.perception.lane_guess import LaneGuess, StartConfig
 from automodel.perception.line_pair_fit import PairFit, RoughPair
 from automodel.perception.ridges import MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
-from automodel.signals import Image
-
-Floats = NDArray[np.floating[Any]]
-Ints = NDArray[np.intp]
-Single = NDArray[np.float32]
+from automodel.types import Float32Array, Image, Ints
 
 
 class RowSums:
@@ -69,9 +63,9 @@ class RowSums:
         self._pad = int(np.abs(shift).max()) + 1
         self._shifts: Ints = shift.astype(np.intp) + self._pad
         counted = self._sums(self._inside.astype(np.float32))
-        self._weight: Single = np.float32(1.0) / np.sqrt(np.maximum(counted, np.float32(self.FEWEST)))
+        self._weight: Float32Array = np.float32(1.0) / np.sqrt(np.maximum(counted, np.float32(self.FEWEST)))
         usual = (self._theta / self.HEADING_RAD) ** 2 + (self._kappa / bend / self.CURVATURE) ** 2
-        self._unusual: Single = (0.5 * usual).astype(np.float32)[:, None]
+        self._unusual: Float32Array = (0.5 * usual).astype(np.float32)[:, None]
 
     def step(self, image: Image) -> LaneGuess | None:
         """The lane whose lines stand out most; None where none does."""
@@ -95,7 +89,7 @@ class RowSums:
             fitted=fitted.both,
         )
 
-    def _evidence(self, image: Image) -> tuple[Single, Single]:
+    def _evidence(self, image: Image) -> tuple[Float32Array, Float32Array]:
         """How much samples (r, n) stand out, in noises of their row, less what noise does; and the noises (r,)."""
         values = self._brightness.read(image, self._pixels)
         samples = values.shape[1]
@@ -109,7 +103,7 @@ class RowSums:
         evidence[:, 1:-1] = np.maximum(np.maximum(evidence[:, :-2], evidence[:, 2:]), evidence[:, 1:-1])
         return evidence, noise
 
-    def _sums(self, values: Single) -> Single:
+    def _sums(self, values: Float32Array) -> Float32Array:
         """Sums (k, n) of `values` (r, n) along the k curves of the table, by where they begin."""
         count = values.shape[1]
         padded = np.pad(values, ((0, 0), (self._pad, self._pad)))
@@ -118,7 +112,7 @@ class RowSums:
             sums += sliding_window_view(row, count)[shift]
         return sums
 
-    def _pair(self, sums: Single) -> RoughPair | None:
+    def _pair(self, sums: Float32Array) -> RoughPair | None:
         """The two lines that together stand out most, a lane apart."""
         sample = sums[::3, ::3]
         middle = float(np.median(sample))

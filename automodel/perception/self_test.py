@@ -6,9 +6,8 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 FOUND = 0.6  # share of the lines' pixels that must be marked
 ELSEWHERE = 0.03  # share of all other pixels that may be marked

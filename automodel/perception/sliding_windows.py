@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import View
-
-FloatArray = NDArray[np.float64]
-Image = NDArray[np.uint8]
+from automodel.types import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 SURE, LEAST = 160, 70  # of 255: probabilities that count by themselves, and with what is around
 ABOVE = 34  # by how much the less sure ones must exceed the mean around them

@@ -15,13 +15,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.perception.onnx_check import INPUT, OUTPUT, check_onnx
 from automodel.perception.self_test import self_test
 from automodel.reading import ConfigError, not_negative
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 SIZES = {"512x256": (512, 256), "256x128": (256, 128)}  # width, height [px]
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}

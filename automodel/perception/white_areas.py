@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import BirdsEye
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 
 class WhiteAreas:

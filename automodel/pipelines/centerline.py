@@ -23,9 +23,9 @@ from automodel.perception.ridge import RidgeMarkings
 from automodel.perception.standing_out import standing_out
 from automodel.perception.unet import MarkingNetwork, UnetConfig
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 NO_POINTS: FloatArray = np.empty((0, 2))
 
 

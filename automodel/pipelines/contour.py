@@ -13,7 +13,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import CarConfig
 from automodel.curves.deferred import DeferredCurve
@@ -28,11 +27,9 @@ from automodel.perception.row_ridges import RowRidges
 from automodel.perception.row_search import RowSearch, Sighting
 from automodel.perception.row_start import LaneGuess, RowStart, StartConfig
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.types import Bools, FloatArray, Floats, Image
 
-Floats = NDArray[np.floating[Any]]
-FloatArray = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 Followed = tuple[PairShape, Sighting, Bools]
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 

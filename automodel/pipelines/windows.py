@@ -12,7 +12,6 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import CarConfig
 from automodel.curves import Curve, GraphCurve
@@ -26,9 +25,9 @@ from automodel.perception.ground_check import GroundCheck
 from automodel.perception.lane_lines import LaneLines
 from automodel.perception.white_areas import WhiteAreas
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Crossing, Frame, Image, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 NO_POINTS: FloatArray = np.empty((0, 2))
 
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves import Curve, GraphCurve, JoinedCurve, TabulatedCurve, ThetaCurve
 from automodel.signals import (
@@ -26,10 +25,10 @@ from automodel.signals import (
     MotionSource,
     VehicleState,
 )
+from automodel.types import FloatArray
 
 Value: TypeAlias = Motion | VehicleState | LaneEstimate | Command | Event
 Json: TypeAlias = dict[str, Any]
-FloatArray = NDArray[np.float64]
 
 TOPICS: dict[type[Value], str] = {
     Motion: "/motion",

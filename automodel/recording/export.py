@@ -9,8 +9,9 @@ from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
 from automodel.recording.poses_csv import PosesCsv
 from automodel.recording.reader import Recording, Step
-from automodel.signals import Frame, Image, StereoFrame
+from automodel.signals import Frame, StereoFrame
 from automodel.sources.pictures import check_size
+from automodel.types import Image
 from automodel.viewer.overlay import draw
 from automodel.viewer.video import VideoWriter
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from automodel.config import RecordingConfig
-from automodel.signals import Image
+from automodel.types import Image
 
 CAMERA, LEFT, RIGHT = "/camera", "/camera/left", "/camera/right"
 CAMERA_TOPICS = (CAMERA, LEFT, RIGHT)

@@ -18,18 +18,9 @@ from zstandard import ZstdError
 from automodel.recording.codec import TOPICS, Value, decode
 from automodel.recording.images import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, decode_image
 from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
-from automodel.signals import (
-    Command,
-    Event,
-    Frame,
-    Image,
-    LaneEstimate,
-    Motion,
-    MotionSource,
-    StereoFrame,
-    VehicleState,
-)
+from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
+from automodel.types import Image
 
 _DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError, RuntimeError, ZstdError)
 

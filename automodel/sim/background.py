@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
+from automodel.types import FloatArray, Image
 
-Image = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 TURN = 2.0 * math.pi

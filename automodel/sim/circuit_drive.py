@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.interpolate import CubicSpline
 from scipy.sparse.linalg import splu
@@ -14,8 +14,7 @@ from scipy.sparse.linalg import splu
 from automodel.curves import SplineCurve
 from automodel.sim.track import Lane
 from automodel.sim.trajectory import STYLES, DrivenPose
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 MAX_HEADING_RAD = math.radians(40.0)  # of the oscillating style
 _STEP_M = 1.0  # between the path's knots

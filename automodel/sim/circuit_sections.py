@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.reading import not_negative, positive
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

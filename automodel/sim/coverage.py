@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import SE2
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 BLOCK_ROWS = 16

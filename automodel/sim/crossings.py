@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from automodel.curves import Curve
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 _MAX_SAMPLES = 1000
 

@@ -14,10 +14,9 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.background import TURN, directions
 from automodel.sim.coverage import PolygonSet, covered_softly
 from automodel.sim.ground_projection import GroundProjection
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
-Image = NDArray[np.uint8]
 
 COARSE = 4  # smooth light is computed for one pixel in 4 x 4
 MIRROR_PER_RAD = 1024 / TURN

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Edges = tuple[FloatArray, FloatArray]
 
 PIECE_PX = 8.0  # with distortion, the picture of a straight edge is a chain of pieces about this long

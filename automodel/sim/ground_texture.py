@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import SE2
+from automodel.types import FloatArray, Image
 
-Image = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 SIDE_PX = 1024  # texels of a pattern's period

@@ -8,12 +8,9 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import SE2, GroundCamera
-
-Image = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray, Image
 
 FRACTION_BITS = 6
 

@@ -7,14 +7,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves import Curve, OffsetCurve
 from automodel.sim.broken_lines import broken_spans
 from automodel.sim.crossings import RoadCrossing, distance_beside
 from automodel.sim.track_sections import LINES, Marking, StopLine, TrackFile, ZebraPattern
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Span = tuple[float, float]
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from automodel.geometry import SE2
 from automodel.sim.coverage import PolygonSet, covered
 from automodel.sim.ground_projection import GroundProjection
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 COLOURS = ("white", "yellow", "red", "asphalt")  # asphalt: bare ground, on which nothing is painted

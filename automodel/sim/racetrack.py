@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from automodel.curves import SplineCurve
@@ -18,8 +18,7 @@ from automodel.sim.paint import Grain, Paint, on_line, paint_line
 from automodel.sim.roadside import build_roadside
 from automodel.sim.track import Lane, Track, lane_between, reversed_lane
 from automodel.sim.track_sections import Marking
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 EDGE = Marking(style="solid", width_m=0.15)

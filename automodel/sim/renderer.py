@@ -18,9 +18,8 @@ from automodel.sim.ground_texture import NEUTRAL, GroundSampler, MipPattern, flo
 from automodel.sim.obstacle_boxes import Prism, draw_obstacles
 from automodel.sim.paint_view import Painted, PaintView
 from automodel.sim.sensor_effects import SensorEffects, exposure
+from automodel.types import FloatArray, Image
 
-Image = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 
 GREY_OF_BGR = np.array([0.114, 0.587, 0.299])

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from automodel.curves import Curve
 from automodel.sim.circuit_sections import RoadsideSection
 from automodel.sim.paint import Paint
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Width = Callable[[ArrayLike], FloatArray]
 
 _PIECE_M = 20.0  # length of a piece of asphalt

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.sim.appearance import Appearance
+from automodel.types import Image
 
-Image = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
 
 POOL_MARGIN = (251, 509)  # rows and columns by which noise is shifted from picture to picture

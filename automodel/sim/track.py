@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.curves import Curve, OffsetCurve, ReversedCurve
 from automodel.geometry import SE2
@@ -20,8 +20,7 @@ from automodel.sim.paint import Paint, paint_road
 from automodel.sim.roadside import build_roadside
 from automodel.sim.track_reading import read_track
 from automodel.sim.track_sections import Box, TrackFile
-
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves import Curve, SplineCurve
 from automodel.signals import Motion, MotionSource
 from automodel.sim.track import Lane
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 STYLES = ("centred", "oscillating", "racing")
 
 

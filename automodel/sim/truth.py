@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import VehicleConfig
 from automodel.sim.track import Lane
-
-FloatArray = NDArray[np.float64]
 
 _STEP_M = 1e-3
 _MAX_SAMPLES = 60_000

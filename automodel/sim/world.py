@@ -6,9 +6,10 @@ import threading
 from dataclasses import dataclass
 from typing import Protocol
 
-from automodel.signals import BoardSensors, Image
+from automodel.signals import BoardSensors
 from automodel.sim.plant import CarState, Plant
 from automodel.sim.truth import Truth, TruthFollower
+from automodel.types import Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,8 +15,9 @@ import time
 import numpy as np
 
 from automodel.config import CameraConfig
-from automodel.signals import Frame, Image
+from automodel.signals import Frame
 from automodel.sources.errors import SourceError
+from automodel.types import Image
 
 _PIPE_BYTES = 1 << 20  # a frame fits in one go; the kernel's default of 64 KiB takes a switch per piece
 _STOP_S = 2.0

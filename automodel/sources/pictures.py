@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 
 from automodel.config import CameraConfig
-from automodel.signals import Frame, Image
+from automodel.signals import Frame
 from automodel.sources.errors import SourceError
+from automodel.types import Image
 
 _TAIL_BYTES = 4096  # cameras may write a few bytes after a picture's end mark
 _JPEG = (b"\xff\xd8", b"\xff\xd9")

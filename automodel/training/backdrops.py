@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 
 from automodel.training.indoors import hall, room
-from automodel.training.noise import Grey
 from automodel.training.outdoors import outdoors
 from automodel.training.sketching import bar, box
+from automodel.types import Image
 
 Rng = np.random.Generator
 
 
-def backdrop(rng: Rng, width_px: int, height_px: int, horizon_v: float) -> Grey:
+def backdrop(rng: Rng, width_px: int, height_px: int, horizon_v: float) -> Image:
     """A whole picture (h, w) uint8 to be seen where there is no ground.
 
     `horizon_v` is the row [px] of the horizon; it may lie above or below the picture.
@@ -36,7 +36,7 @@ def backdrop(rng: Rng, width_px: int, height_px: int, horizon_v: float) -> Grey:
     return picture
 
 
-def _clutter(picture: Grey, foot: int, rng: Rng) -> None:
+def _clutter(picture: Image, foot: int, rng: Rng) -> None:
     """Anything: boxes and bars of every grey, so that only the horizon tells them from lines."""
     width = picture.shape[1]
     for _ in range(int(rng.integers(5, 40))):

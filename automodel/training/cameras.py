@@ -6,12 +6,12 @@ import math
 from enum import Enum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 _WIDEST_RAD = 1.45  # off the line of sight, at the picture's corners: short of the rays that run beside the camera
 
 

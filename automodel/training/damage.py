@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from automodel.training import noise
 from automodel.training.lighting import light
-from automodel.training.noise import Grey
+from automodel.types import FloatArray, Image
 
 __all__ = ["damage", "light"]
 
 Rng = np.random.Generator
-Levels = NDArray[np.float64]
-_LEVELS: Levels = np.arange(256, dtype=np.float64)
+_LEVELS: FloatArray = np.arange(256, dtype=np.float64)
 
 
-def damage(picture: Grey, rng: Rng, metered: Grey | None = None) -> Grey:
+def damage(picture: Image, rng: Rng, metered: Image | None = None) -> Image:
     """A picture (h, w) uint8 as a real camera would have delivered it; the input stays as it is.
 
     About one picture in seven comes out almost clean. The exposure is taken from `metered` (h, w) when it is given: two
@@ -40,11 +39,11 @@ def damage(picture: Grey, rng: Rng, metered: Grey | None = None) -> Grey:
     return out
 
 
-def _as_grey(picture: object) -> Grey:
+def _as_grey(picture: object) -> Image:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _lens(picture: Grey, rng: Rng) -> Grey:
+def _lens(picture: Image, rng: Rng) -> Image:
     """Dirt, drops and haze before the lens; then its bloom, softness and vignette, and the motion."""
     out = picture
     if rng.random() < 0.1:
@@ -62,7 +61,7 @@ def _lens(picture: Grey, rng: Rng) -> Grey:
     return out
 
 
-def _haze(picture: Grey, rng: Rng) -> Grey:
+def _haze(picture: Image, rng: Rng) -> Image:
     """Fog or a veil of stray light, thickest at a random height of the picture."""
     height = picture.shape[0]
     rows = (np.arange(height) / height - rng.uniform(0.2, 0.6)) / rng.uniform(0.1, 0.6)
@@ -71,7 +70,7 @@ def _haze(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(picture * (1.0 - thickness) + veil * thickness)
 
 
-def _spots_on_glass(picture: Grey, rng: Rng) -> Grey:
+def _spots_on_glass(picture: Image, rng: Rng) -> Image:
     """Drops of water (another part of the picture, blurred) or dirt on the glass."""
     height, width = picture.shape
     mask = np.zeros_like(picture)
@@ -90,7 +89,7 @@ def _spots_on_glass(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(picture + weight * (behind - picture))
 
 
-def _bloom(picture: Grey, rng: Rng) -> Grey:
+def _bloom(picture: Image, rng: Rng) -> Image:
     """Bright spots flow over into what lies around them."""
     height, width = picture.shape
     quarter = cv2.resize(picture, (width // 4, height // 4), interpolation=cv2.INTER_AREA)
@@ -101,7 +100,7 @@ def _bloom(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(cv2.add(picture, np.clip(halo, 0, 255).astype(np.uint8)))
 
 
-def _motion(picture: Grey, rng: Rng) -> Grey:
+def _motion(picture: Image, rng: Rng) -> Image:
     """Blur along one direction, or away from the vanishing point as when driving on."""
     length = int(rng.integers(3, 16))
     if rng.random() < 0.35:
@@ -115,7 +114,7 @@ def _motion(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(cv2.filter2D(picture, -1, kernel / kernel.sum()))
 
 
-def _zoomed(picture: Grey, rng: Rng, length: int) -> Grey:
+def _zoomed(picture: Image, rng: Rng, length: int) -> Image:
     """The mean of pictures from a little smaller to a little larger about the vanishing point: all stays in place."""
     height, width = picture.shape
     u, v = width * rng.uniform(0.3, 0.7), height * rng.uniform(0.1, 0.5)
@@ -126,13 +125,13 @@ def _zoomed(picture: Grey, rng: Rng, length: int) -> Grey:
     return out
 
 
-def _scaled(picture: Grey, scale: float, about: tuple[float, float]) -> Grey:
+def _scaled(picture: Image, scale: float, about: tuple[float, float]) -> Image:
     height, width = picture.shape
     matrix = np.array([[scale, 0.0, about[0] * (1.0 - scale)], [0.0, scale, about[1] * (1.0 - scale)]])
     return _as_grey(cv2.warpAffine(picture, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
 
 
-def _vignette(picture: Grey, rng: Rng) -> Grey:
+def _vignette(picture: Image, rng: Rng) -> Image:
     height, width = picture.shape
     u = np.linspace(-1.0, 1.0, width) + rng.normal(0, 0.1)
     v = np.linspace(-1.0, 1.0, height) + rng.normal(0, 0.1)
@@ -141,7 +140,7 @@ def _vignette(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(picture * gain)
 
 
-def _tone(picture: Grey, metered: Grey, rng: Rng) -> Grey:
+def _tone(picture: Image, metered: Image, rng: Rng) -> Image:
     """Exposure, gamma, contrast and quantisation in one table of 256 levels."""
     middle, high = np.percentile(metered[metered.shape[0] // 2 :: 6, ::6], (50, 97))  # the ground, then its paint
     levels = _LEVELS
@@ -169,7 +168,7 @@ def _tone(picture: Grey, metered: Grey, rng: Rng) -> Grey:
     return _as_grey(out)
 
 
-def _legible(levels: Levels, middle: float, high: float) -> Levels:
+def _legible(levels: FloatArray, middle: float, high: float) -> FloatArray:
     """A table (256,) clipped to 0..255 and held back where it would drown the ground's paint in white or black."""
     at = (round(middle), round(high))
     if levels[at[0]] > 205.0:
@@ -180,12 +179,12 @@ def _legible(levels: Levels, middle: float, high: float) -> Levels:
     return levels
 
 
-def _levelled(picture: Grey, rng: Rng) -> Grey:
+def _levelled(picture: Image, rng: Rng) -> Image:
     """Contrast made even over the picture, as some cameras do."""
     return _as_grey(cv2.createCLAHE(rng.uniform(1.0, 4.0), (4, 4)).apply(picture))
 
 
-def _sampled(picture: Grey, rng: Rng) -> Grey:
+def _sampled(picture: Image, rng: Rng) -> Image:
     """The picture of a smaller sensor, with or without the stairs of poor scaling."""
     height, width = picture.shape
     scale = rng.uniform(0.31, 0.9)
@@ -194,7 +193,7 @@ def _sampled(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(cv2.resize(picture, size, interpolation=method))
 
 
-def _sensor(picture: Grey, rng: Rng) -> Grey:
+def _sensor(picture: Image, rng: Rng) -> Image:
     """Noise, fields and bands of the sensor; sharpening and JPEG of what follows it."""
     out = picture
     if rng.random() < 0.07:
@@ -210,7 +209,7 @@ def _sensor(picture: Grey, rng: Rng) -> Grey:
     return out
 
 
-def _noise(picture: Grey, rng: Rng, strength: float) -> Grey:
+def _noise(picture: Image, rng: Rng, strength: float) -> Image:
     """Read and shot noise [grey levels], fine or smeared by the camera's own filter."""
     height, width = picture.shape
     bank = noise.white(int(rng.integers(2)))
@@ -227,7 +226,7 @@ def _noise(picture: Grey, rng: Rng, strength: float) -> Grey:
     return _as_grey(cv2.add(picture, noisy, dtype=cv2.CV_8U))
 
 
-def _interlaced(picture: Grey, rng: Rng) -> Grey:
+def _interlaced(picture: Image, rng: Rng) -> Image:
     """Every other row taken a little later, while the car turned."""
     out, shift = picture.copy(), int(rng.integers(-5, 6))
     out[0::2] = np.roll(out[0::2], -(shift // 2), axis=1)
@@ -235,7 +234,7 @@ def _interlaced(picture: Grey, rng: Rng) -> Grey:
     return out
 
 
-def _bands(picture: Grey, rng: Rng) -> Grey:
+def _bands(picture: Image, rng: Rng) -> Image:
     """Stripes of a rolling shutter under lamps on the mains, or of a poor sensor's rows."""
     height = picture.shape[0]
     if rng.random() < 0.5:
@@ -247,12 +246,12 @@ def _bands(picture: Grey, rng: Rng) -> Grey:
     return _as_grey(np.clip(picture * gain[:, None].astype(np.float32), 0, 255))
 
 
-def _sharpened(picture: Grey, rng: Rng) -> Grey:
+def _sharpened(picture: Image, rng: Rng) -> Image:
     amount = rng.uniform(0.3, 1.5)
     soft = cv2.GaussianBlur(picture, (0, 0), rng.uniform(0.7, 2.0))
     return _as_grey(cv2.addWeighted(picture, 1.0 + amount, soft, -amount, 0.0))
 
 
-def _compressed(picture: Grey, rng: Rng) -> Grey:
+def _compressed(picture: Image, rng: Rng) -> Image:
     _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(15, 96))])
     return _as_grey(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))

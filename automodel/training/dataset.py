@@ -15,12 +15,10 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.reading import ConfigError
 from automodel.training.scenes import make_sample
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 WIDTH_PX, HEIGHT_PX = 512, 256  # of every picture kept; a smaller network learns from them made smaller
 SHARD = 128
@@ -33,7 +31,7 @@ class Drawn(Protocol):
 
     @property
     def image(self) -> Image:
-        """Grey."""
+        """Image."""
         ...
 
     @property

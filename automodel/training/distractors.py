@@ -6,14 +6,13 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.training.cameras import Kind
 from automodel.training.roads import Road
 from automodel.training.shapes import Ink, Patch, Stripe, box
 from automodel.training.signs import arrow, hatching, somewhere_ahead, stop_line, triangles, writing, zebra
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Shape = Stripe | Patch
 Rng = np.random.Generator
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.training.shapes import UNKNOWN
-
-Image = NDArray[np.uint8]
+from automodel.types import Image
 
 HALF = 128  # probability and coverage of one half
 FAINT = 26  # coverage of a tenth: near a pixel like this a mark is not false

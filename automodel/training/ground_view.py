@@ -6,12 +6,10 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
+from automodel.types import FloatImage, Image
 
-FloatImage = NDArray[np.float32]
-Grey = NDArray[np.uint8]
 _CELL_PX = 8  # rays are computed this far apart and interpolated between
 _TILE_PX = 512
 _LEVELS = 6  # a tile and its halvings
@@ -44,7 +42,7 @@ class GroundView:
             np.maximum(self.distance, self.height) ** 1.5 / (math.sqrt(self.height) * across)
         )
 
-    def laid(self, atlas: Grey, size: float, turn_rad: float, shift: tuple[float, float]) -> Grey:
+    def laid(self, atlas: Image, size: float, turn_rad: float, shift: tuple[float, float]) -> Image:
         """An `atlas` of a tile whose side is `size` long, repeated over the ground, as the camera sees it (h, w)."""
         cos, sin = math.cos(turn_rad) / size, math.sin(turn_rad) / size
         u = self._x * np.float32(cos) + self._y * np.float32(sin) + np.float32(shift[0])
@@ -82,7 +80,7 @@ def _layout() -> tuple[list[int], list[int], list[int]]:
 _SIDES, _LEFTS, _TOPS = (np.array(values, dtype=np.float32) for values in _layout())
 
 
-def atlas(tile: Grey) -> Grey:
+def atlas(tile: Image) -> Image:
     """A tile (512, 512) and its halvings in one picture, each with a border that repeats it."""
     picture = np.empty((_TILE_PX + 2, _TILE_PX + 2 + _TILE_PX // 2 + 2), dtype=np.uint8)
     level = tile

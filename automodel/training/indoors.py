@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from automodel.training import noise
-from automodel.training.noise import Grey
 from automodel.training.sketching import bar, box, low_strip, unit, windows
+from automodel.types import Image
 
 Rng = np.random.Generator
 
 
-def hall(picture: Grey, foot: int, rng: Rng) -> None:
+def hall(picture: Image, foot: int, rng: Rng) -> None:
     """A sports or exhibition hall: lamps and beams above, bright windows, stands and people at the floor's edge."""
     width = picture.shape[1]
     picture[:] = int(rng.choice((rng.uniform(2, 45), rng.uniform(60, 200))))
@@ -35,7 +35,7 @@ def hall(picture: Grey, foot: int, rng: Rng) -> None:
         low_strip(picture, foot, rng)
 
 
-def _ceiling_lamps(picture: Grey, foot: int, rng: Rng) -> None:
+def _ceiling_lamps(picture: Image, foot: int, rng: Rng) -> None:
     """Rows of tubes or round lamps that shrink towards the horizon."""
     height, width = picture.shape
     round_ones, grey = rng.random() < 0.5, rng.uniform(190, 255)
@@ -51,7 +51,7 @@ def _ceiling_lamps(picture: Grey, foot: int, rng: Rng) -> None:
                 bar(picture, (u - size * 1.5, v), (u + size * 1.5, v + size * 0.1), grey, size / 3)
 
 
-def _many_lamps(picture: Grey, foot: int, rng: Rng) -> None:
+def _many_lamps(picture: Image, foot: int, rng: Rng) -> None:
     """A large hall's many small lamps in rows, and bright odds and ends lower down."""
     width = picture.shape[1]
     rows = foot * (1.0 - np.sort(rng.uniform(0.0, 1.0, int(rng.integers(2, 7))) ** 2))
@@ -67,7 +67,7 @@ def _many_lamps(picture: Grey, foot: int, rng: Rng) -> None:
         box(picture, u, v, u + rng.uniform(1, 9), min(v + rng.uniform(1, 9), foot), rng.uniform(0, 255))
 
 
-def _furniture(picture: Grey, foot: int, rng: Rng) -> None:
+def _furniture(picture: Image, foot: int, rng: Rng) -> None:
     """Tables, chairs, fences and flags along the floor's far edge: many thin bars."""
     width = picture.shape[1]
     size = unit(picture, foot, rng) * 0.5
@@ -81,7 +81,7 @@ def _furniture(picture: Grey, foot: int, rng: Rng) -> None:
             bar(picture, (u, foot - tall * 0.3), (u + wide, foot - tall * 0.3), grey, rng.uniform(0.5, 3))
 
 
-def _people(picture: Grey, foot: int, rng: Rng) -> None:
+def _people(picture: Image, foot: int, rng: Rng) -> None:
     """Standing people, or only their legs when the camera is low."""
     width = picture.shape[1]
     size = unit(picture, foot, rng) * rng.choice((0.6, 1.0, 3.0))
@@ -97,7 +97,7 @@ def _people(picture: Grey, foot: int, rng: Rng) -> None:
         cv2.ellipse(picture, centre, (int(tall * 0.06) + 1, int(tall * 0.08) + 1), 0, 0, 360, rng.uniform(20, 210), -1)
 
 
-def room(picture: Grey, foot: int, rng: Rng) -> None:
+def room(picture: Image, foot: int, rng: Rng) -> None:
     """A wall with a skirting board, doors, windows, posters, sockets, and furniture before it."""
     height, width = picture.shape
     wall = rng.uniform(40, 245)

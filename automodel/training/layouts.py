@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from automodel.training.cameras import Kind
 from automodel.training.roads import LineStyle, Road, edge_style, inner_style, painted, paved, random_ribbon
 from automodel.training.shapes import Ribbon, Stripe
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 _LANE_CHANCES = {
     Kind.SCALE: (0.4, 0.45, 0.15, 0.0, 0.0),
     Kind.ROAD: (0.1, 0.3, 0.25, 0.2, 0.15),

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.training import noise
-from automodel.training.noise import Grey
+from automodel.types import FloatArray, FloatImage, Image
 
 Rng = np.random.Generator
-Picture = NDArray[np.float32]
-Points = NDArray[np.float64]
 
 
-def light(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
+def light(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     """Light the ground in a picture (h, w) float32 of grey 0 to 255, in place; lengths in lane widths."""
     if rng.random() < 0.4:
         _gradient(picture, rng)
@@ -34,7 +32,7 @@ def light(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
     np.clip(picture, 0.0, 255.0, out=picture)
 
 
-def _gradient(picture: Picture, rng: Rng) -> None:
+def _gradient(picture: FloatImage, rng: Rng) -> None:
     """Brightness that changes along and across the picture."""
     height, width = picture.shape
     along = np.exp(rng.normal(0.0, 0.25) * np.linspace(-1, 1, height))
@@ -43,13 +41,13 @@ def _gradient(picture: Picture, rng: Rng) -> None:
     picture *= across.astype(np.float32)[None, :]
 
 
-def _scale(picture: Picture, mask: Grey, gain: float) -> None:
+def _scale(picture: FloatImage, mask: Image, gain: float) -> None:
     """Multiply by `gain` where the mask is 255, by 1 where it is 0."""
     table = (1.0 + (gain - 1.0) * np.arange(256) / 255.0).astype(np.float32)
     cv2.multiply(picture, cv2.LUT(mask, table), dst=picture)
 
 
-def _outlines(camera: GroundCamera, quads: Points) -> list[NDArray[np.int32]]:
+def _outlines(camera: GroundCamera, quads: FloatArray) -> list[NDArray[np.int32]]:
     """Ground quads (n, 4, 2) as polygons of pixels in sixteenths, their edges sampled so that lenses bend them."""
     steps = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
     after = np.roll(quads, -1, axis=1)
@@ -59,7 +57,7 @@ def _outlines(camera: GroundCamera, quads: Points) -> list[NDArray[np.int32]]:
     return [np.rint(np.clip(p, -4000, 4000) * 16).astype(np.int32) for p in found if len(p) >= 3]
 
 
-def _patterns(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
+def _patterns(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     """Hard or soft shapes on the ground, darker or brighter than the rest."""
     kind = rng.random()
     if kind < 0.4:
@@ -84,7 +82,7 @@ def _patterns(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
         _scale(picture, mask, rng.uniform(0.2, 0.8))
 
 
-def _stripes(rng: Rng) -> Points:
+def _stripes(rng: Rng) -> FloatArray:
     """Bands across the road at any angle: poles, trunks, rails, or the light between them. Ground quads (n, 4, 2)."""
     count = int(rng.integers(1, 12))
     angle = rng.choice((math.pi / 2, rng.uniform(0, math.pi)))
@@ -103,7 +101,7 @@ def _stripes(rng: Rng) -> Points:
     return np.stack((start - half, start + half, end + half * taper, end - half * taper), axis=1)
 
 
-def _window_panes(rng: Rng) -> Points:
+def _window_panes(rng: Rng) -> FloatArray:
     """The light of a barred window on the floor: a sheared grid of panes. Ground quads (n, 4, 2)."""
     rows, columns = int(rng.integers(1, 5)), int(rng.integers(1, 5))
     pane = rng.uniform(0.08, 0.8, 2)
@@ -114,11 +112,11 @@ def _window_panes(rng: Rng) -> Points:
     corner = np.stack(np.meshgrid(np.arange(rows), np.arange(columns)), axis=-1).reshape(-1, 1, 2) * pane
     shape = np.array([[0, 0], [0, 1], [1, 1], [1, 0]]) * pane * (1.0 - gap)
     where = np.array([rng.uniform(0.4, 4.0), rng.uniform(-1.5, 1.5)])
-    quads: Points = (corner + shape) @ turn.T + where
+    quads: FloatArray = (corner + shape) @ turn.T + where
     return quads
 
 
-def _big_shade(rng: Rng) -> Points:
+def _big_shade(rng: Rng) -> FloatArray:
     """The shade of a bridge, a house or a wall beside the road. Ground quads (1, 4, 2)."""
     if rng.random() < 0.5:
         near, lean = rng.uniform(0.3, 6.0), rng.normal(0.0, 1.5)
@@ -128,14 +126,14 @@ def _big_shade(rng: Rng) -> Points:
     return np.array([[[0.1, edge], [40, edge + lean], [40, side * 40], [0.1, side * 40]]])
 
 
-def _own_shadow(camera: GroundCamera, rng: Rng) -> Points:
+def _own_shadow(camera: GroundCamera, rng: Rng) -> FloatArray:
     """The shadow that the car itself throws ahead. Ground quads (1, 4, 2)."""
     x, y = camera.centre_m[0], camera.centre_m[1] + rng.normal(0, 0.3)
     reach, half, lean = rng.uniform(0.3, 2.0), rng.uniform(0.15, 0.5), rng.normal(0, 0.3)
     return np.array([[[x, y - half], [x, y + half], [x + reach, y + half + lean], [x + reach, y - half + lean]]])
 
 
-def _dapples(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
+def _dapples(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     """Light through leaves, or clouds' soft shade, laid on the ground in perspective."""
     height, width = picture.shape
     size_lanes = rng.uniform(1.5, 9.0)
@@ -154,7 +152,7 @@ def _dapples(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
     _scale(picture, mask, rng.uniform(0.3, 0.85) if rng.random() < 0.75 else rng.uniform(1.15, 1.8))
 
 
-def _soft_shadows(picture: Picture, rng: Rng) -> None:
+def _soft_shadows(picture: FloatImage, rng: Rng) -> None:
     """Shade without an edge, and the worn sheen of a floor."""
     height, width = picture.shape
     part = noise.crop(noise.fractal(1.8, noise.variant(rng)), rng, 128, 256)
@@ -162,7 +160,7 @@ def _soft_shadows(picture: Picture, rng: Rng) -> None:
     _scale(picture, mask, rng.uniform(0.3, 1.6))
 
 
-def _headlamps(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
+def _headlamps(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     """Night: only what the headlamps and a little ambient light reach."""
     height, width = picture.shape
     u, v = np.meshgrid(np.linspace(0, width - 1, 24), np.linspace(0, height - 1, 20))
@@ -175,7 +173,7 @@ def _headlamps(picture: Picture, camera: GroundCamera, rng: Rng) -> None:
     picture *= cv2.resize(gain.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _reflections(picture: Picture, rng: Rng) -> None:
+def _reflections(picture: FloatImage, rng: Rng) -> None:
     """Lamps and windows mirrored in a shiny floor: streaks drawn out upright, soft, wavy."""
     height, width = picture.shape
     glow = np.zeros((height // 2, width // 2), dtype=np.float32)

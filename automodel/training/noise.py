@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Grey = NDArray[np.uint8]
+from automodel.types import Image
 
 SIDE_PX = 512
 MIDDLE = 128.0
@@ -21,7 +21,7 @@ SPREAD = 40.0
 VARIANTS = 3
 
 
-def _repeated(tile: NDArray[np.generic]) -> Grey:
+def _repeated(tile: NDArray[np.generic]) -> Image:
     layer = np.tile(np.clip(np.rint(tile), 0, 255).astype(np.uint8), (2, 2))
     layer.setflags(write=False)
     return layer
@@ -42,26 +42,26 @@ def _frequencies(stretch: float) -> NDArray[np.float64]:
 
 
 @cache
-def band(cycles: float, stretch: float = 1.0, variant: int = 0) -> Grey:
+def band(cycles: float, stretch: float = 1.0, variant: int = 0) -> Image:
     """Signed noise with about `cycles` waves a tile, drawn out `stretch` times along the rows."""
     octaves = np.log2(_frequencies(stretch) / cycles)
     return _repeated(MIDDLE + SPREAD * _filtered(np.exp(-((octaves / 0.8) ** 2)), 1000 + variant))
 
 
 @cache
-def fractal(slope: float = 1.4, variant: int = 0) -> Grey:
+def fractal(slope: float = 1.4, variant: int = 0) -> Image:
     """Signed noise whose amplitude falls with frequency to the power `slope`: clouds, dirt, uneven paint."""
     return _repeated(MIDDLE + SPREAD * _filtered(_frequencies(1.0) ** -slope, 2000 + variant))
 
 
 @cache
-def stains(variant: int = 0) -> Grey:
+def stains(variant: int = 0) -> Image:
     """A mask of soft blots that cover about a sixth of the tile."""
     return _repeated(110.0 * (_filtered(_frequencies(1.0) ** -1.8, 3000 + variant) - 0.9))
 
 
 @cache
-def leaves(variant: int = 0) -> Grey:
+def leaves(variant: int = 0) -> Image:
     """A mask of hard-edged blots of many sizes, half of the tile: foliage against the sky, dappled light."""
     octaves = np.log2(_frequencies(1.0) / 20.0)
     amplitude = np.exp(-((octaves / 1.6) ** 2)) * _frequencies(1.0) ** -0.5
@@ -69,7 +69,7 @@ def leaves(variant: int = 0) -> Grey:
 
 
 @cache
-def specks(percent: float, variant: int = 0) -> Grey:
+def specks(percent: float, variant: int = 0) -> Image:
     """A mask of small bright dots that cover about `percent` of the tile: stones, dust, litter."""
     rng = np.random.default_rng(5000 + variant)
     dots = (rng.random((SIDE_PX, SIDE_PX)) < percent / 400.0).astype(np.float32)
@@ -92,7 +92,7 @@ def _walk(rng: np.random.Generator, steps: int, step_px: float, wander_rad: floa
     return start + np.cumsum(step_px * np.column_stack((np.cos(heading), np.sin(heading))), axis=0)
 
 
-def _draw_wrapped(mask: Grey, path: NDArray[np.float64], grey: int, width_px: int) -> None:
+def _draw_wrapped(mask: Image, path: NDArray[np.float64], grey: int, width_px: int) -> None:
     """Draw a path of pixels (n, 2) on a periodic tile."""
     low = np.floor(path.min(axis=0) / SIDE_PX).astype(int)
     high = np.floor(path.max(axis=0) / SIDE_PX).astype(int)
@@ -103,7 +103,7 @@ def _draw_wrapped(mask: Grey, path: NDArray[np.float64], grey: int, width_px: in
 
 
 @cache
-def cracks(paths: int, width_px: int, wander_rad: float, variant: int = 0) -> Grey:
+def cracks(paths: int, width_px: int, wander_rad: float, variant: int = 0) -> Image:
     """A mask of wandering lines: cracks (much wander), tar seams (some), skid marks and scratches (little)."""
     rng = np.random.default_rng(7000 + variant)
     mask = np.zeros((SIDE_PX, SIDE_PX), dtype=np.uint8)
@@ -119,7 +119,7 @@ def variant(rng: np.random.Generator) -> int:
     return int(rng.integers(VARIANTS))
 
 
-def crop(layer: Grey, rng: np.random.Generator, height_px: int = SIDE_PX, width_px: int = SIDE_PX) -> Grey:
+def crop(layer: Image, rng: np.random.Generator, height_px: int = SIDE_PX, width_px: int = SIDE_PX) -> Image:
     """A view of a layer (height, width) from a random place; a layer too small for it is enlarged first."""
     if max(height_px, width_px) > SIDE_PX:
         small = crop(layer, rng)
@@ -128,12 +128,12 @@ def crop(layer: Grey, rng: np.random.Generator, height_px: int = SIDE_PX, width_
     return layer[y : y + height_px, x : x + width_px]
 
 
-def add(picture: Grey, layer: Grey, spread: float, rng: np.random.Generator) -> None:
+def add(picture: Image, layer: Image, spread: float, rng: np.random.Generator) -> None:
     """Add a random crop of a signed layer in place, scaled to a standard deviation of `spread` grey levels."""
     part = crop(layer, rng, *picture.shape[:2])
     cv2.addWeighted(picture, 1.0, part, spread / SPREAD, -MIDDLE * spread / SPREAD, dst=picture)
 
 
-def add_mask(picture: Grey, layer: Grey, change: float, rng: np.random.Generator) -> None:
+def add_mask(picture: Image, layer: Image, change: float, rng: np.random.Generator) -> None:
     """Add `change` grey levels in place where a random crop of a mask is full."""
     cv2.addWeighted(picture, 1.0, crop(layer, rng, *picture.shape[:2]), change / 255.0, 0.0, dst=picture)

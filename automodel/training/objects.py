@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.training import noise, solids, vehicles
-from automodel.training.noise import Grey
 from automodel.training.solids import Solid
+from automodel.types import FloatArray, Image
 
 Rng = np.random.Generator
-Points = NDArray[np.float64]
 Pixels = list[NDArray[np.int32]]
 
 
-def draw_objects(picture: Grey, mask: Grey, camera: GroundCamera, rng: Rng, road_reach: float) -> None:
+def draw_objects(picture: Image, mask: Image, camera: GroundCamera, rng: Rng, road_reach: float) -> None:
     """Draw up to six solid things and parts of the own car in place; `mask` becomes 0 where they cover it.
 
     `picture` and `mask` are (h, w) uint8 of the size of `camera`, whose lengths are in lane widths; `road_reach`
@@ -38,7 +37,7 @@ def draw_objects(picture: Grey, mask: Grey, camera: GroundCamera, rng: Rng, road
         _dashboard_reflection(picture, rng)
 
 
-def _place(camera: GroundCamera, rng: Rng, reach: float, in_lane: float) -> Points:
+def _place(camera: GroundCamera, rng: Rng, reach: float, in_lane: float) -> FloatArray:
     """A point (2,) of the ground, mostly beside the lane."""
     x = camera.centre_m[0] + float(np.exp(rng.uniform(math.log(0.7), math.log(max(reach, 1.0)))))
     if rng.random() < in_lane:
@@ -81,7 +80,7 @@ def _wall_beside(camera: GroundCamera, rng: Rng, reach: float) -> Solid:
     return build(rng, x, side * rng.uniform(0.65, 3.0), yaw, length)
 
 
-def _polygons(camera: GroundCamera, outlines: Points) -> Pixels:
+def _polygons(camera: GroundCamera, outlines: FloatArray) -> Pixels:
     """Outlines (n, k, 3) as polygons in sixteenths of a pixel, edges sampled for bent lenses; empty: unseen."""
     steps = np.linspace(0.0, 1.0, 5, endpoint=False)[:, None]
     after = np.roll(outlines, -1, axis=1)
@@ -92,7 +91,7 @@ def _polygons(camera: GroundCamera, outlines: Points) -> Pixels:
     return [p[s] if s.sum() >= 3 else np.empty((0, 2), dtype=np.int32) for p, s in zip(whole, seen, strict=True)]
 
 
-def _facing(solid: Solid, eye: Points) -> NDArray[np.bool_]:
+def _facing(solid: Solid, eye: FloatArray) -> NDArray[np.bool_]:
     """Which faces (n,) turn towards the camera's centre (3,)."""
     if solid.two_sided:
         return np.ones(len(solid.quads), dtype=np.bool_)
@@ -115,7 +114,7 @@ def _box_around(polygons: Pixels, shape: tuple[int, ...], margin_px: int) -> tup
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
-def _paint(picture: Grey, mask: Grey, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
+def _paint(picture: Image, mask: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
     shown = _facing(solid, camera.centre_m)
     polygons = _polygons(camera, solid.quads[shown])
     box = _box_around(polygons, picture.shape, 1)
@@ -136,7 +135,7 @@ def _paint(picture: Grey, mask: Grey, camera: GroundCamera, solid: Solid, rng: R
     mask[box][hidden > 0] = 0
 
 
-def _shade(picture: Grey, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
+def _shade(picture: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
     """The dark ground under and beside a thing; lines in it stay lines."""
     if not len(solid.footprint):
         return
@@ -154,7 +153,7 @@ def _shade(picture: Grey, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
     picture[box] = (picture[box] * cv2.LUT(soft, table)).astype(np.uint8)
 
 
-def _own_car(picture: Grey, mask: Grey, rng: Rng) -> None:
+def _own_car(picture: Image, mask: Image, rng: Rng) -> None:
     """The own bonnet or bumper along the bottom edge, with a highlight."""
     height, width = picture.shape
     tall, u = rng.uniform(0.02, 0.16) * height, width * rng.uniform(0.35, 0.65)
@@ -176,7 +175,7 @@ def _own_car(picture: Grey, mask: Grey, rng: Rng) -> None:
         )
 
 
-def _wiper(picture: Grey, mask: Grey, rng: Rng) -> None:
+def _wiper(picture: Image, mask: Image, rng: Rng) -> None:
     """A wiper's arm in front of the picture."""
     height, width = picture.shape
     start = (int(rng.uniform(0, width)), height + 5)
@@ -186,7 +185,7 @@ def _wiper(picture: Grey, mask: Grey, rng: Rng) -> None:
     cv2.line(mask, start, end, 0.0, thick + 1)
 
 
-def _dashboard_reflection(picture: Grey, rng: Rng) -> None:
+def _dashboard_reflection(picture: Image, rng: Rng) -> None:
     """Faint bright edges of the dashboard mirrored in the windscreen; the lines behind stay visible."""
     height, width = picture.shape
     veil = np.zeros((height // 2, width // 2), dtype=np.uint8)

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 
 from automodel.training import noise
-from automodel.training.noise import Grey
 from automodel.training.sketching import bar, box, low_strip, windows
+from automodel.types import Image
 
 Rng = np.random.Generator
 
 
-def outdoors(picture: Grey, foot: int, rng: Rng) -> None:
+def outdoors(picture: Image, foot: int, rng: Rng) -> None:
     """Draw a sky, and what stands under it above the row `foot`."""
     sky = _sky(picture, rng)
     if rng.random() < 0.5:
@@ -36,7 +36,7 @@ def outdoors(picture: Grey, foot: int, rng: Rng) -> None:
         low_strip(picture, foot, rng)
 
 
-def _sky(picture: Grey, rng: Rng) -> float:
+def _sky(picture: Image, rng: Rng) -> float:
     """A gradient with clouds over the whole picture; returns its grey at the bottom."""
     height, width = picture.shape
     top = rng.uniform(2, 40) if rng.random() < 0.12 else rng.uniform(70, 245)
@@ -50,7 +50,7 @@ def _sky(picture: Grey, rng: Rng) -> float:
     return low
 
 
-def _skyline(picture: Grey, foot: int, tall: float, grey: float, slope: float, rng: Rng) -> None:
+def _skyline(picture: Image, foot: int, tall: float, grey: float, slope: float, rng: Rng) -> None:
     """A filled silhouette whose upper edge wanders; `tall` is its share of the height above the horizon."""
     height, width = picture.shape
     row = noise.crop(noise.fractal(slope, noise.variant(rng)), rng, 1, min(width, noise.SIDE_PX))[0].astype(np.float32)
@@ -61,7 +61,7 @@ def _skyline(picture: Grey, foot: int, tall: float, grey: float, slope: float, r
     cv2.fillPoly(picture, [np.rint(outline * 16).astype(np.int32)], float(np.clip(grey, 0, 255)), cv2.LINE_AA, 4)
 
 
-def _trees(picture: Grey, foot: int, rng: Rng) -> None:
+def _trees(picture: Image, foot: int, rng: Rng) -> None:
     """A ragged line of trees, or single crowns, mottled with leaves."""
     height, width = picture.shape
     mask = np.zeros((height, width), dtype=np.uint8)
@@ -85,7 +85,7 @@ def _trees(picture: Grey, foot: int, rng: Rng) -> None:
     cv2.copyTo(leafy, mask, picture)
 
 
-def _house(picture: Grey, foot: int, rng: Rng) -> None:
+def _house(picture: Image, foot: int, rng: Rng) -> None:
     height, width = picture.shape
     tall = rng.uniform(0.15, 1.1) * max(foot, height / 5)
     left, wide = rng.uniform(-0.2, 1.0) * width, rng.uniform(0.08, 0.5) * width
@@ -98,7 +98,7 @@ def _house(picture: Grey, foot: int, rng: Rng) -> None:
         windows(picture, (left, foot - tall, left + wide, foot), rng)
 
 
-def _poles(picture: Grey, foot: int, rng: Rng) -> None:
+def _poles(picture: Image, foot: int, rng: Rng) -> None:
     """Lamp posts, flag poles, white posts; with arms, lamps and signs."""
     height, width = picture.shape
     grey, count = rng.choice((rng.uniform(0, 80), rng.uniform(150, 255))), int(rng.integers(1, 8))
@@ -117,7 +117,7 @@ def _poles(picture: Grey, foot: int, rng: Rng) -> None:
             box(picture, u + lean - s / 2, foot - tall - s / 4, u + lean + s / 2, foot - tall, rng.uniform(20, 255))
 
 
-def _gantry(picture: Grey, foot: int, rng: Rng) -> None:
+def _gantry(picture: Image, foot: int, rng: Rng) -> None:
     """Signs over the road with text, on a frame of thin bars."""
     height, width = picture.shape
     top = foot - rng.uniform(0.3, 0.9) * max(foot, height / 4)
@@ -139,7 +139,7 @@ def _gantry(picture: Grey, foot: int, rng: Rng) -> None:
             bar(picture, (u + 4, v), (u + 4 + (wide - 8) * rng.uniform(0.3, 1), v), 235, rng.uniform(1, 3))
 
 
-def _bridge(picture: Grey, foot: int, rng: Rng) -> None:
+def _bridge(picture: Image, foot: int, rng: Rng) -> None:
     """A deck across the picture with a railing, on piers."""
     height, width = picture.shape
     tall = rng.uniform(0.15, 0.8) * max(foot, height / 5)
@@ -155,7 +155,7 @@ def _bridge(picture: Grey, foot: int, rng: Rng) -> None:
         box(picture, u, v + deep + tilt * u / width, u + wide, foot, grey * rng.uniform(0.5, 1.1))
 
 
-def _traffic(picture: Grey, foot: int, rng: Rng) -> None:
+def _traffic(picture: Image, foot: int, rng: Rng) -> None:
     """Cars so far away that they are a few pixels: dark below, a bright roof or window above."""
     height, width = picture.shape
     size = rng.uniform(0.01, 0.05) * height + 2
@@ -167,7 +167,7 @@ def _traffic(picture: Grey, foot: int, rng: Rng) -> None:
         box(picture, u, v - size * 0.35, u + wide, v, rng.uniform(0, 50))
 
 
-def _wires(picture: Grey, foot: int, rng: Rng) -> None:
+def _wires(picture: Image, foot: int, rng: Rng) -> None:
     """Power lines that sag from one side of the picture to the other."""
     width = picture.shape[1]
     grey, count = rng.uniform(0, 90), int(rng.integers(1, 6))

@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.training.shapes import Ink, Patch, Stripe, dense
+from automodel.types import FloatArray, FloatImage, Image
 
-FloatArray = NDArray[np.float64]
-FloatImage = NDArray[np.float32]
-Grey = NDArray[np.uint8]
 _FINER = 2  # the layers' pixels a picture's pixel
 _BITS = 4  # of a pixel's fraction in drawn coordinates
 _LABEL_PX = 3.0  # least width of a drawn label, in the layers' pixels
@@ -32,8 +30,8 @@ class Canvas:
     def __init__(self, camera: GroundCamera) -> None:
         self._camera = camera
         self._size = (camera.camera.height_px * _FINER, camera.camera.width_px * _FINER)
-        self._layers: dict[Ink, Grey] = {}
-        self._label: Grey = np.zeros(self._size, dtype=np.uint8)
+        self._layers: dict[Ink, Image] = {}
+        self._label: Image = np.zeros(self._size, dtype=np.uint8)
 
     def stripe(self, stripe: Stripe) -> None:
         """Draws a stripe, and its label when it is a marking."""
@@ -68,7 +66,7 @@ class Canvas:
         layer = self._layers.get(ink)
         return None if layer is None else self._reduced(layer).astype(np.float32) * np.float32(1.0 / 255.0)
 
-    def label(self) -> Grey:
+    def label(self) -> Image:
         """How much of each pixel (h, w) is marking, 0..255."""
         return self._reduced(self._label)
 
@@ -104,12 +102,12 @@ class Canvas:
         """Height and width of the layers [px]."""
         return self._size
 
-    def _layer(self, ink: Ink) -> Grey:
+    def _layer(self, ink: Ink) -> Image:
         if ink not in self._layers:
             self._layers[ink] = np.zeros(self._size, dtype=np.uint8)
         return self._layers[ink]
 
-    def _reduced(self, layer: Grey) -> Grey:
+    def _reduced(self, layer: Image) -> Image:
         size = (self._size[1] // _FINER, self._size[0] // _FINER)
         return np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
@@ -210,7 +208,7 @@ def _fixed(px: FloatArray) -> NDArray[np.int32]:
     return np.round(px * (1 << _BITS)).astype(np.int32)
 
 
-def _fill(layer: Grey, quads: FloatArray, alpha: FloatArray) -> None:
+def _fill(layer: Image, quads: FloatArray, alpha: FloatArray) -> None:
     """Fills quads (n, 4, 2) with their coverage (n,), leaving out those that cover nothing."""
     values = np.round(255.0 * alpha).astype(int)
     for quad, value in zip(_fixed(quads), values.tolist(), strict=True):
@@ -218,7 +216,7 @@ def _fill(layer: Grey, quads: FloatArray, alpha: FloatArray) -> None:
             cv2.fillConvexPoly(layer, quad, (value,), lineType=cv2.LINE_8, shift=_BITS)
 
 
-def worn(noise: Grey, lost: float, softness: float) -> Grey:
+def worn(noise: Image, lost: float, softness: float) -> Image:
     """A tile (512, 512) of how much paint is left, 0..255, when the share `lost` of it has gone.
 
     `noise` is a tile whose lowest places lose their paint first.

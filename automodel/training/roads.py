@@ -6,13 +6,12 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import SE2
 from automodel.training.cameras import Kind
 from automodel.training.shapes import Ink, Ribbon, Stripe
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 _BEHIND = 4.0  # how far a road reaches behind the car
 
 

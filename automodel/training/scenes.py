@@ -14,7 +14,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.training import noise
@@ -29,10 +28,9 @@ from automodel.training.painting import Canvas, worn
 from automodel.training.roads import Road
 from automodel.training.shapes import UNKNOWN, Ink, Patch, Stripe
 from automodel.training.textures import floor_tile, roadside_tile
+from automodel.types import FloatImage, Image
 
 Rng = np.random.Generator
-Grey = NDArray[np.uint8]
-FloatImage = NDArray[np.float32]
 _TILES = 160  # different floors; each is seen at many sizes, turns and tones
 _FAINT = 2.2  # grey levels that paint must add to be seen,
 _SURE = 40  # of 255: a mask's value from which on a pixel is marking
@@ -46,8 +44,8 @@ class Sample:
     `UNKNOWN` in the mask: a marking is there that nobody can see.
     """
 
-    image: Grey
-    mask: Grey
+    image: Image
+    mask: Image
 
 
 def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
@@ -65,7 +63,7 @@ def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
     return photographed(layers, int(rng.integers(2**62)))
 
 
-def photographed(layers: tuple[Grey, Grey, FloatImage, FloatImage], damage_seed: int) -> Sample:
+def photographed(layers: tuple[Image, Image, FloatImage, FloatImage], damage_seed: int) -> Sample:
     """The picture as the camera delivers it, and the mask, `UNKNOWN` where nobody could see the marking that is there.
 
     The same damage is done to the picture with whole paint and with none: where both look alike, nothing can be learnt.
@@ -86,7 +84,7 @@ def photographed(layers: tuple[Grey, Grey, FloatImage, FloatImage], damage_seed:
     return Sample(image=image, mask=shown)
 
 
-def _stands_out(picture: Grey, without: Grey, needed: FloatImage, around_px: int) -> FloatImage:
+def _stands_out(picture: Image, without: Image, needed: FloatImage, around_px: int) -> FloatImage:
     """Whether paint is to be seen at or near each pixel (h, w), 0..1."""
     signal = cv2.dilate(cv2.blur(cv2.subtract(picture, without), (3, 3)), np.ones((around_px, around_px), np.uint8))
     return np.asarray(np.clip((signal - needed) / (0.5 * needed), 0.0, 1.0), dtype=np.float32)
@@ -99,8 +97,8 @@ class Ground:
     `seen` is what the worn paint adds, `whole` what it would add if none of it were worn.
     """
 
-    picture: Grey
-    mask: Grey
+    picture: Image
+    mask: Image
     seen: FloatImage
     whole: FloatImage
 
@@ -137,7 +135,7 @@ def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stri
 
 
 @lru_cache(maxsize=2 * _TILES)
-def _ground_atlas(number: int, roadside: bool) -> tuple[Grey, float, float]:
+def _ground_atlas(number: int, roadside: bool) -> tuple[Image, float, float]:
     """A floor or roadside: its atlas, its mean grey and its size; a few hundred of them are kept."""
     rng = np.random.default_rng((number, int(roadside)))
     tile = roadside_tile(rng) if roadside else floor_tile(rng)
@@ -196,7 +194,7 @@ def _painted(
 
 
 def _contrast(rng: Rng, ink: Ink, base: float) -> float:
-    """Grey levels between the floor and an ink on it."""
+    """Image levels between the floor and an ink on it."""
     if ink is Ink.DARK:
         return -base * rng.uniform(0.15, 0.85)
     if ink is Ink.BRIGHT:
@@ -220,7 +218,7 @@ def _wear(rng: Rng, view: GroundView) -> FloatImage:
     return np.asarray(least + (1.0 - least) * keep, dtype=np.float32)
 
 
-def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Grey:
+def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Image:
     """The backdrop (h, w), bent so that its horizon is where the camera sees the horizon."""
     height, width = view.share.shape
     focal = float(camera.camera.matrix[1, 1])
@@ -231,7 +229,7 @@ def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Grey:
     return np.asarray(cv2.remap(flat, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
 
 
-def _bent(rng: Rng, layers: tuple[Grey, Grey, FloatImage, FloatImage]) -> tuple[Grey, Grey, FloatImage, FloatImage]:
+def _bent(rng: Rng, layers: tuple[Image, Image, FloatImage, FloatImage]) -> tuple[Image, Image, FloatImage, FloatImage]:
     """The layers with their rows shifted smoothly: hills ahead, a car that nods while the shutter rolls."""
     height, width = layers[0].shape
     rows = np.arange(height) / height
@@ -242,7 +240,7 @@ def _bent(rng: Rng, layers: tuple[Grey, Grey, FloatImage, FloatImage]) -> tuple[
     u = (np.arange(width)[None, :] + (slope * width)[:, None]).astype(np.float32)
     way = cv2.convertMaps(u, v, cv2.CV_16SC2)
 
-    def bent(layer: Grey | FloatImage) -> cv2.typing.MatLike:
+    def bent(layer: Image | FloatImage) -> cv2.typing.MatLike:
         return cv2.remap(layer, *way, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     picture, mask, seen, whole = layers

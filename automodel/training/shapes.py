@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from automodel.types import FloatArray
+
 UNKNOWN = 1  # in a mask: a marking is there, but the picture does not show it; neither answer is wrong
 
 

@@ -8,12 +8,11 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.training.roads import Road
 from automodel.training.shapes import Ink, Patch, box
+from automodel.types import FloatArray
 
-FloatArray = NDArray[np.float64]
 Rng = np.random.Generator
 
 

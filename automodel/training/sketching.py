@@ -5,28 +5,28 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from automodel.training.noise import Grey
+from automodel.types import Image
 
 Rng = np.random.Generator
 
 
-def box(picture: Grey, left: float, top: float, right: float, bottom: float, grey: float) -> None:
+def box(picture: Image, left: float, top: float, right: float, bottom: float, grey: float) -> None:
     """A filled upright rectangle."""
     cv2.rectangle(picture, (int(left), int(top)), (int(right), int(bottom)), float(np.clip(grey, 0, 255)), -1)
 
 
-def bar(picture: Grey, start: tuple[float, float], end: tuple[float, float], grey: float, width: float) -> None:
+def bar(picture: Image, start: tuple[float, float], end: tuple[float, float], grey: float, width: float) -> None:
     """A straight bar `width` thick between two points (u, v)."""
     ends = [(round(u * 16), round(v * 16)) for u, v in (start, end)]
     cv2.line(picture, ends[0], ends[1], float(np.clip(grey, 0, 255)), max(1, round(width)), cv2.LINE_AA, 4)
 
 
-def unit(picture: Grey, foot: int, rng: Rng) -> float:
+def unit(picture: Image, foot: int, rng: Rng) -> float:
     """A random size [px] to scale things by, tied to the picture and not only to the strip above the horizon."""
     return float(max(6.0, rng.uniform(0.35, 1.0) * max(foot, picture.shape[0] / 5)))
 
 
-def windows(picture: Grey, area: tuple[float, float, float, float], rng: Rng) -> None:
+def windows(picture: Image, area: tuple[float, float, float, float], rng: Rng) -> None:
     """Rows of windows with frames in a rectangle (left, top, right, bottom)."""
     left, top, right, bottom = area
     columns, rows = int(rng.integers(1, 9)), int(rng.integers(1, 5))
@@ -44,7 +44,7 @@ def windows(picture: Grey, area: tuple[float, float, float, float], rng: Rng) ->
                 bar(picture, (u - du, v + dv), (u + du, v + dv), frame, thick)
 
 
-def low_strip(picture: Grey, foot: int, rng: Rng) -> None:
+def low_strip(picture: Image, foot: int, rng: Rng) -> None:
     """What is far away and low: a wall, a fence, parked cars, a guard rail, bright roofs."""
     height, width = picture.shape
     tall = rng.uniform(0.02, 0.12) * height

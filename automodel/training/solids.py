@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from automodel.types import FloatArray
 
 Rng = np.random.Generator
-Points = NDArray[np.float64]
 
 WHOLE = (0.0, 1.0, 0.0, 1.0)
 UPRIGHT = (0.0, 0.0, 0.0)
@@ -24,9 +25,9 @@ class Solid:
     `footprint` (m, 2) is the ground that it darkens, empty for none; `two_sided` shows faces from behind too.
     """
 
-    quads: Points
-    greys: Points
-    footprint: Points
+    quads: FloatArray
+    greys: FloatArray
+    footprint: FloatArray
     two_sided: bool = False
 
 
@@ -37,7 +38,7 @@ class Builder:
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
         self._turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         self._at = np.array([x, y, 0.0])
-        self._quads: list[Points] = []
+        self._quads: list[FloatArray] = []
         self._greys: list[float] = []
         self._light = 0.35 * math.sin(3.0 * x + 2.0 * y)  # which side the light comes from
 
@@ -77,7 +78,7 @@ def _corners(a: float, b: float, c: float, d: float) -> tuple[tuple[float, float
     return (a, c), (b, c), (b, d), (a, d)
 
 
-def box_faces(low: ArrayLike, high: ArrayLike, inset: tuple[float, float, float] = UPRIGHT) -> dict[str, Points]:
+def box_faces(low: ArrayLike, high: ArrayLike, inset: tuple[float, float, float] = UPRIGHT) -> dict[str, FloatArray]:
     """The five upper faces (4, 3) of a box, seen counter-clockwise from outside; the rear is the one towards -x.
 
     `inset` is how far the top's rear, front and side edges are drawn in.
@@ -94,7 +95,7 @@ def box_faces(low: ArrayLike, high: ArrayLike, inset: tuple[float, float, float]
     return {**walls, "top": np.array(top)}
 
 
-def rectangle(x0: float, x1: float, half: float) -> Points:
+def rectangle(x0: float, x1: float, half: float) -> FloatArray:
     """A footprint (4, 2) from x0 to x1, `half` wide to each side."""
     return np.array([[x0, -half], [x1, -half], [x1, half], [x0, half]])
 
@@ -156,7 +157,9 @@ def wall(rng: Rng, x: float, y: float, yaw_rad: float, length: float) -> Solid:
     return build.solid(rectangle(0.0, length, thick * 1.5))
 
 
-def _billboard(rng: Rng, at: Points, eye: Points, profile: list[tuple[float, float, float]], lean: float) -> Solid:
+def _billboard(
+    rng: Rng, at: FloatArray, eye: FloatArray, profile: list[tuple[float, float, float]], lean: float
+) -> Solid:
     """A round thing as the camera at `eye` (2,) sees it: `profile` rows of height, half width and grey above that."""
     build = Builder(float(at[0]), float(at[1]), math.atan2(*(at - eye)[::-1]))
     shade = rng.uniform(0.55, 1.0)
@@ -169,7 +172,7 @@ def _billboard(rng: Rng, at: Points, eye: Points, profile: list[tuple[float, flo
     return build.solid(rectangle(-half, half, half), two_sided=True)
 
 
-def cone(rng: Rng, at: Points, eye: Points) -> Solid:
+def cone(rng: Rng, at: FloatArray, eye: FloatArray) -> Solid:
     """A traffic cone with white bands on a dark foot."""
     tall = rng.uniform(0.1, 0.45)
     base, red, white = tall * rng.uniform(0.22, 0.4), rng.uniform(45, 140), rng.uniform(170, 255)
@@ -178,7 +181,7 @@ def cone(rng: Rng, at: Points, eye: Points) -> Solid:
     return _billboard(rng, at, eye, [*profile, (tall, base * 0.15, red)], 0.0)
 
 
-def post(rng: Rng, at: Points, eye: Points) -> Solid:
+def post(rng: Rng, at: FloatArray, eye: FloatArray) -> Solid:
     """A delineator, pole, bollard, tree trunk or lamp post."""
     tall = float(np.exp(rng.uniform(math.log(0.15), math.log(4.0))))
     half, grey = rng.uniform(0.01, 0.06), rng.choice((rng.uniform(0, 90), rng.uniform(150, 255)))
@@ -187,7 +190,7 @@ def post(rng: Rng, at: Points, eye: Points) -> Solid:
     return _billboard(rng, at, eye, profile, rng.normal(0, 0.02))
 
 
-def legs(rng: Rng, at: Points, eye: Points) -> Solid:
+def legs(rng: Rng, at: FloatArray, eye: FloatArray) -> Solid:
     """A person's feet and legs beside a small track, or a whole person beside a road."""
     tall = rng.choice((rng.uniform(0.4, 0.55), rng.uniform(1.5, 5.0)))
     shoe, trousers, shirt = rng.uniform(0, 255), rng.uniform(0, 200), rng.uniform(0, 255)

@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 
 from automodel.training import noise
-from automodel.training.noise import SIDE_PX, Grey
+from automodel.training.noise import SIDE_PX
+from automodel.types import Image
 
 Rng = np.random.Generator
 
@@ -21,7 +22,7 @@ class Tile:
     `image` is (512, 512) uint8 grey; `size_lanes` is the length of its side in lane widths.
     """
 
-    image: Grey
+    image: Image
     size_lanes: float
 
 
@@ -48,7 +49,7 @@ def _finished(tile: Tile, rng: Rng) -> Tile:
     return Tile(image=image, size_lanes=tile.size_lanes)
 
 
-def _plain(grey: float) -> Grey:
+def _plain(grey: float) -> Image:
     return np.full((SIDE_PX, SIDE_PX), int(np.clip(grey, 0, 255)), dtype=np.uint8)
 
 
@@ -56,13 +57,13 @@ def _log_uniform(rng: Rng, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _grid(rows: int, columns: int, spread: float, rng: Rng) -> Grey:
+def _grid(rows: int, columns: int, spread: float, rng: Rng) -> Image:
     """A signed layer (512, 512) of `rows` x `columns` blocks, each of its own grey."""
     blocks = np.clip(rng.normal(noise.MIDDLE, spread, (rows, columns)), 0, 255).astype(np.uint8)
     return np.asarray(cv2.resize(blocks, (SIDE_PX, SIDE_PX), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
 
 
-def _add_signed(image: Grey, layer: Grey, gain: float = 1.0) -> None:
+def _add_signed(image: Image, layer: Image, gain: float = 1.0) -> None:
     cv2.addWeighted(image, 1.0, layer, gain, -noise.MIDDLE * gain, dst=image)
 
 
@@ -70,13 +71,13 @@ def _edges(count: int) -> list[int]:
     return [round(i * SIDE_PX / count) for i in range(count)]
 
 
-def _shift(image: Grey, rows: slice, columns: slice, change: float) -> None:
+def _shift(image: Image, rows: slice, columns: slice, change: float) -> None:
     """Add `change` grey levels to a rectangle of the tile."""
     part = image[rows, columns]
     image[rows, columns] = np.clip(part.astype(np.int16) + int(change), 0, 255)
 
 
-def _joints(image: Grey, rows: int, columns: int, width_px: int, change: float) -> None:
+def _joints(image: Image, rows: int, columns: int, width_px: int, change: float) -> None:
     """Straight joints along every row and column edge of a grid (0: none that way)."""
     for y in _edges(rows):
         _shift(image, slice(y, y + width_px), slice(None), change)
@@ -84,7 +85,7 @@ def _joints(image: Grey, rows: int, columns: int, width_px: int, change: float) 
         _shift(image, slice(None), slice(x, x + width_px), change)
 
 
-def _wear(image: Grey, rng: Rng, strength: float) -> None:
+def _wear(image: Image, rng: Rng, strength: float) -> None:
     """Traces of use that any floor may show: stains, scuffs, dust."""
     if rng.random() < 0.5:
         noise.add_mask(image, noise.stains(noise.variant(rng)), strength * rng.normal(0.0, 30.0), rng)
@@ -95,7 +96,7 @@ def _wear(image: Grey, rng: Rng, strength: float) -> None:
         noise.add_mask(image, noise.specks(1.0, noise.variant(rng)), strength * rng.normal(10.0, 40.0), rng)
 
 
-def _patches(image: Grey, rng: Rng, spread: float) -> None:
+def _patches(image: Image, rng: Rng, spread: float) -> None:
     """Mended rectangles, with or without a sealed border."""
     for _ in range(int(rng.integers(1, 4))):
         w, h = (int(v) for v in rng.integers(40, 330, 2))

@@ -15,7 +15,6 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -25,8 +24,8 @@ from automodel.training.export import onnx_bytes
 from automodel.training.figures import Figures, measured
 from automodel.training.shapes import UNKNOWN
 from automodel.training.unet import MarkingNet
+from automodel.types import Image
 
-Image = NDArray[np.uint8]
 T = TypeVar("T")
 
 FOCUS = (

@@ -74,9 +74,9 @@ class Up(nn.Module):
 
 
 class MarkingNet(nn.Module):
-    """Grey pictures (n, 1, h, w) -> logits of "this pixel is lane marking", same shape; h and w are multiples of 8.
+    """Image pictures (n, 1, h, w) -> logits of "this pixel is lane marking", same shape; h and w are multiples of 8.
 
-    Grey values are 0..255, uint8 or floating point. Each picture is brought to mean 0 and deviation 1 first, so that
+    Image values are 0..255, uint8 or floating point. Each picture is brought to mean 0 and deviation 1 first, so that
     exposure has little say.
     """
 

@@ -8,12 +8,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import ConfigError
-from automodel.signals import Image
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Colour = tuple[int, int, int]
 
 GREEN: Colour = (80, 220, 60)

@@ -6,13 +6,12 @@ import math
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves import Curve
 from automodel.geometry import GroundCamera
-from automodel.signals import Command, Crossing, Image, LaneEstimate, LaneLine, LaneStatus
+from automodel.signals import Command, Crossing, LaneEstimate, LaneLine, LaneStatus
+from automodel.types import FloatArray, Image
 
-FloatArray = NDArray[np.float64]
 Colour = tuple[int, int, int]  # BGR
 
 GREEN: Colour = (60, 220, 60)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from automodel.config import ConfigError
-from automodel.signals import Image
+from automodel.types import Image
 
 
 class VideoWriter:

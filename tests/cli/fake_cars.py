@@ -7,8 +7,9 @@ from pathlib import Path
 
 from automodel.cli.simulated import Simulation, build_world
 from automodel.config import CarConfig
-from automodel.signals import Frame, Image
+from automodel.signals import Frame
 from automodel.sources.errors import SourceError
+from automodel.types import Image
 
 PERIOD_NS = 16_666_667
 CAR_TOML = """

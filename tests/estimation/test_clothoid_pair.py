@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
+from automodel.types import FloatArray
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 REFERENCE, SPACING = 0.17, 0.25
 NODES = np.geomspace(0.3, 1.4, 15)
@@ -21,15 +21,17 @@ BENDS = {
 }
 
 
-def pair(nodes: Floats = NODES, spacing: float = SPACING) -> ClothoidPair:
+def pair(nodes: FloatArray = NODES, spacing: float = SPACING) -> ClothoidPair:
     return ClothoidPair(nodes, spacing, REFERENCE)
 
 
-def parameters(bend: str, count: int) -> Floats:
+def parameters(bend: str, count: int) -> FloatArray:
     return np.concatenate(((0.06, -0.2, 0.44), BENDS[bend][:count]))
 
 
-def integrated(x: Floats, phase: float, reach: Floats, fine: int = 40_001) -> tuple[Complexes, Floats, Floats]:
+def integrated(
+    x: FloatArray, phase: float, reach: FloatArray, fine: int = 40_001
+) -> tuple[Complexes, FloatArray, FloatArray]:
     """Centerline, heading and curvature at the arc lengths `reach`, by the midpoint rule from the foot on."""
     s = np.linspace(0.0, reach.max(), fine)
     stations = np.arange(len(x) - 3) * SPACING - phase
@@ -65,7 +67,7 @@ def test_the_trapezoids_error_falls_with_the_square_of_the_step() -> None:
     assert errors[1] / errors[2] == pytest.approx(4.0, rel=0.1)
 
 
-def nodes_of_both(x: Floats, shape: PairShape) -> Complexes:
+def nodes_of_both(x: FloatArray, shape: PairShape) -> Complexes:
     half = 0.5j * x[Parameter.WIDTH] * shape.along
     return np.concatenate((shape.place + half, shape.place - half))
 

@@ -7,14 +7,13 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
 from automodel.estimation.clothoid_pair import ClothoidPair, Parameter
 from automodel.estimation.clothoid_tracker import ClothoidTracker
+from automodel.types import FloatArray
 
-Floats = NDArray[np.float64]
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
 NODES = np.geomspace(0.3, 1.4, 15)
 COUNT = len(NODES)
@@ -53,7 +52,7 @@ def circle(offset: float, heading: float, curvature: float) -> complex:
     return REFERENCE - offset * normal + normal / curvature
 
 
-def residuals(made: ClothoidTracker, truth: Floats) -> Floats:
+def residuals(made: ClothoidTracker, truth: FloatArray) -> FloatArray:
     """What a perfect search would say of a lane with the parameters `truth`: distances (2 n,), then angles (2 n,)."""
     pair, x, phase = made.pair, made.known(), made.phase_m
     fine = ClothoidPair(np.linspace(0.005, 1.6, 800), SPACING, REFERENCE)
@@ -70,7 +69,7 @@ def residuals(made: ClothoidTracker, truth: Floats) -> Floats:
     return np.array(away + turned)
 
 
-def see(made: ClothoidTracker, truth: Floats, times: int = 1) -> None:
+def see(made: ClothoidTracker, truth: FloatArray, times: int = 1) -> None:
     for _ in range(times):
         made.update(made.shape(), EVERY, residuals(made, truth), np.ones(4 * COUNT))
 
@@ -132,7 +131,7 @@ def test_the_covariance_is_carried_along_with_the_derivatives_of_the_drive() -> 
     made.move(distance, 0.03, 0.02, known=True)
     after = made.covariance
 
-    def driven(change: Floats) -> Floats:
+    def driven(change: FloatArray) -> FloatArray:
         moved = tracker(lane=(0.0, 0.0, 0.0))
         moved.parameters = moved.known() + change
         moved.move(distance, 0.03, 0.02, known=True)

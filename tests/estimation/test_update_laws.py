@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from automodel.estimation.update_laws import LAWS, gauss_newton, gradient_descent, posterior, solved
+from automodel.types import FloatArray
 
-Floats = NDArray[np.float64]
 SCALES = np.array([0.02, 0.3, 1.0, 5.0])  # sigmas of very different units
 
 
-def problem(seed: int) -> tuple[Floats, Floats, Floats]:
+def problem(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Information of six measurements (4, 4), their pull (4,), and a correlated prior covariance (4, 4)."""
     rng = np.random.default_rng(seed)
     rows, values = rng.normal(size=(6, 4)) / SCALES, rng.normal(size=6)
@@ -22,7 +22,7 @@ def problem(seed: int) -> tuple[Floats, Floats, Floats]:
     return rows.T @ rows, rows.T @ values, mixed @ mixed.T * np.outer(SCALES, SCALES)
 
 
-def least(information: Floats, pull: Floats, covariance: Floats) -> Floats:
+def least(information: FloatArray, pull: FloatArray, covariance: FloatArray) -> FloatArray:
     """Where the gradient of the cost is zero, by least squares over the stacked square roots of both terms."""
     white = np.linalg.solve(np.linalg.cholesky(covariance), np.eye(4))
     root = np.linalg.cholesky(information).T

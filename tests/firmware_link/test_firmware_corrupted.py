@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from automodel.types import Image
 from firmware_link import messages
 
-Frames = NDArray[np.uint8]
-Damage = Callable[[np.random.Generator, Frames], bytes]
+Damage = Callable[[np.random.Generator, Image], bytes]
 BATCH = 100_000
 CHECK_BITS = 24
 
 
-def command_frames(rng: np.random.Generator, count: int) -> Frames:
+def command_frames(rng: np.random.Generator, count: int) -> Image:
     """(count, 15): frames of random commands; 15 bytes, the first and the last are the delimiters."""
     wires = []
     for servo, motor, deadline, flags, counter in rng.integers(
@@ -35,7 +34,7 @@ def command_frames(rng: np.random.Generator, count: int) -> Frames:
     return np.array(wires)
 
 
-def wrong_bits(rng: np.random.Generator, frames: Frames) -> bytes:
+def wrong_bits(rng: np.random.Generator, frames: Image) -> bytes:
     """One to five, anywhere between the delimiters."""
     count, length = len(frames), frames.shape[1] - 2
     wrong = np.zeros((count, length), dtype=np.uint8)
@@ -45,7 +44,7 @@ def wrong_bits(rng: np.random.Generator, frames: Frames) -> bytes:
     return flipped(frames, wrong)
 
 
-def burst(rng: np.random.Generator, frames: Frames) -> bytes:
+def burst(rng: np.random.Generator, frames: Image) -> bytes:
     """Wrong bits within 16 that follow each other on the line, where the lowest of a byte comes first.
 
     Within what the check takes in without a break: it takes the first byte last.
@@ -57,13 +56,13 @@ def burst(rng: np.random.Generator, frames: Frames) -> bytes:
     return flipped(frames, np.packbits(pattern, axis=1, bitorder="little"))
 
 
-def noise(rng: np.random.Generator, frames: Frames) -> bytes:
+def noise(rng: np.random.Generator, frames: Image) -> bytes:
     """Each bit wrong once in a hundred times."""
     wrong = rng.integers(100, size=(len(frames), 8 * (frames.shape[1] - 2)), dtype=np.uint8) == 0
     return flipped(frames, np.packbits(wrong, axis=1))
 
 
-def lost_bytes(rng: np.random.Generator, frames: Frames) -> bytes:
+def lost_bytes(rng: np.random.Generator, frames: Image) -> bytes:
     """One to three, not the delimiters."""
     kept = np.ones(frames.shape, dtype=bool)
     for _ in range(3):
@@ -71,14 +70,14 @@ def lost_bytes(rng: np.random.Generator, frames: Frames) -> bytes:
     return frames[kept].tobytes()
 
 
-def doubled_byte(rng: np.random.Generator, frames: Frames) -> bytes:
+def doubled_byte(rng: np.random.Generator, frames: Image) -> bytes:
     """One, not the delimiters."""
     times = np.ones(frames.shape, dtype=np.intp)
     times[np.arange(len(frames)), rng.integers(1, frames.shape[1] - 1, len(frames))] = 2
     return np.repeat(frames.ravel(), times.ravel()).tobytes()
 
 
-def cut(rng: np.random.Generator, frames: Frames) -> bytes:
+def cut(rng: np.random.Generator, frames: Image) -> bytes:
     """The end or the beginning is missing, not the delimiters."""
     count, length = frames.shape
     place = np.arange(length)
@@ -89,7 +88,7 @@ def cut(rng: np.random.Generator, frames: Frames) -> bytes:
     return frames[kept].tobytes()
 
 
-def flipped(frames: Frames, wrong: Frames) -> bytes:
+def flipped(frames: Image, wrong: Image) -> bytes:
     """All frames behind each other, with `wrong` (count, 13) put over them; where that is nothing, a bit."""
     wrong[~wrong.any(axis=1), 0] = 1
     frames[:, 1:-1] ^= wrong

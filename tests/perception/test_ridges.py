@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 
 from automodel.perception.ridges import AROUND, BAR, LINE, PER_MARKING, Brightness, Judged, RidgeJudge, judge
 from automodel.perception.row_ridges import GATE, RowRidges
+from automodel.types import FloatArray
 
-Floats = NDArray[np.float64]
 GROUND, PAINT, CONTRAST, WIDTH = 80.0, 90.0, 15.0, 640
 SUB_PIXEL = [-0.5, -0.3, -0.1, 0.0, 0.2, 0.4]
 
 
-def covered(at: Floats, low: float, high: float) -> Floats:
+def covered(at: FloatArray, low: float, high: float) -> FloatArray:
     """The share of each pixel, centred `at` (n,) and 1 wide, that lies between `low` and `high`."""
     return np.clip(np.minimum(at + 0.5, high) - np.maximum(at - 0.5, low), 0.0, 1.0)
 

@@ -17,9 +17,8 @@ from automodel.geometry.line_projection import LineProjection
 from automodel.perception.ridges import Brightness
 from automodel.perception.row_ridges import REACH, RowRidges
 from automodel.perception.row_search import RowSearch, Sighting
+from automodel.types import FloatArray, Image
 
-Floats = NDArray[np.float64]
-Image = NDArray[np.uint8]
 HEIGHT, WIDTH, MARKING, LANE, REFERENCE = 240, 400, 0.03, 0.42, 0.15
 NODES = np.geomspace(0.45, 1.2, 10)
 COUNT, FINE = len(NODES), 3
@@ -34,13 +33,13 @@ def camera(lens: str) -> GroundCamera:
 
 
 @functools.cache
-def ground(lens: str) -> Floats:
+def ground(lens: str) -> FloatArray:
     """What each third of a pixel along its row sees: (height, 3 width, 2) [m], NaN above the horizon."""
     u, v = np.meshgrid((np.arange(FINE * WIDTH) + 0.5) / FINE - 0.5, np.arange(float(HEIGHT)))
     return camera(lens).px_to_ground(np.stack((u, v), axis=-1))
 
 
-def from_the_centerline(points: Floats, offset: float, curvature: float) -> Floats:
+def from_the_centerline(points: FloatArray, offset: float, curvature: float) -> FloatArray:
     """How far points (..., 2) lie to the left of an arc that starts `offset` to the right of the reference point."""
     x, y = points[..., 0] - REFERENCE, points[..., 1] + offset
     if curvature == 0.0:

@@ -10,8 +10,9 @@ from masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, ro
 from rendered_drives import Seen, camera, with_camera
 
 from automodel.evaluation.accuracy import AccuracyMeter, TruePose
-from automodel.signals import Image, LaneStatus
+from automodel.signals import LaneStatus
 from automodel.sim.track import load_track
+from automodel.types import Image
 
 WIDE = with_camera(camera(focal_px=240.0))  # sees the other line also in a bend
 STRAIGHT = line(14.0)

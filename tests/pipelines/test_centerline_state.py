@@ -13,8 +13,9 @@ from masked_drives import CAR, PERIOD_NS, MaskedDrive, Told, arc, bits, gap, lin
 from rendered_drives import check_sound
 
 from automodel.pipelines.centerline import Centerline
-from automodel.signals import Frame, Image, LaneEstimate, LaneStatus, Motion, MotionSource
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.truth import Truth
+from automodel.types import Image
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLANK = np.zeros(SIZE, np.uint8)
