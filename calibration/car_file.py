@@ -16,7 +16,7 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 
 from automodel.config import ConfigError, parse_car
-from automodel.reading import parse_toml, read_text
+from automodel.config.toml_reader import parse_toml, read_text
 
 __all__ = ["RECORD_OF_SECTION", "check_car_file", "update_car_file"]
 

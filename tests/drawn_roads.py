@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from drawn_views import Shape
 
-from automodel.perception.line_following import ExpectedLine
+from automodel.perception.windows.line_following import ExpectedLine
 
 LANE_M, MARKING_M = 0.4, 0.03
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.lane_fit import LaneFit, LaneFitConfig, LanePrior, LineSamples
+from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig, LanePrior, LineSamples
 from automodel.geometry import SE2
 
 REFERENCE_M = 0.13

@@ -8,10 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from world_lanes import WorldLane
 
-from automodel.estimation.line_spline import SampledLine, smooth
-from automodel.estimation.pose_filter import LinePoint, PoseFilterConfig
-from automodel.estimation.pose_model import expectation
-from automodel.estimation.theta_rls import ThetaRls, ThetaRlsConfig
+from automodel.estimation.theta.line_spline import SampledLine, smooth
+from automodel.estimation.theta.pose_filter import LinePoint, PoseFilterConfig, expectation
+from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 
 UNIT, REFERENCE_M = 0.4, 0.13

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from runner_devices import FakeLink, FakeRecorder, ScriptedSource
 from runner_fakes import FakeController, FakeLimits, FakeMotion, FakePipeline, Watcher, frames
 
-from automodel.clocks import VirtualClock
 from automodel.config import SafetyConfig
-from automodel.loop import Loop
-from automodel.runner import RunConfig, Runner, RunParts, RunResult
-from automodel.safety import Safety, SafetyMode
+from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.loop import Loop
+from automodel.runtime.runner import RunConfig, Runner, RunParts, RunResult
+from automodel.runtime.safety import Safety, SafetyMode
 
 CONFIG = SafetyConfig(frame_timeout_s=0.06, command_validity_s=0.1, hold_s=0.3, rearm_s=0.5)
 DISARMED, ARMING, DRIVING = SafetyMode.DISARMED, SafetyMode.ARMING, SafetyMode.DRIVING

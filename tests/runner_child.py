@@ -14,11 +14,11 @@ import time
 import numpy as np
 from runner_fakes import FakeController, FakeLimits, FakeMotion, FakePipeline
 
-from automodel.clocks import MonotonicClock
 from automodel.config import SafetyConfig
-from automodel.loop import Loop
-from automodel.runner import RunConfig, Runner, RunParts
-from automodel.safety import Safety, SafetyMode
+from automodel.runtime.clocks import MonotonicClock
+from automodel.runtime.loop import Loop
+from automodel.runtime.runner import RunConfig, Runner, RunParts
+from automodel.runtime.safety import Safety, SafetyMode
 from automodel.signals import Frame, VehicleState
 from automodel.sources.capture import CaptureThread
 

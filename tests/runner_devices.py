@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from runner_fakes import MS
 
-from automodel.clocks import VirtualClock
+from automodel.runtime.clocks import VirtualClock
 from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 

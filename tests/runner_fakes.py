@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.curves.base import Curve
-from automodel.run_values import TickRecord
+from automodel.runtime.run_types import TickRecord
 from automodel.signals import (
     Command,
     Frame,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from automodel.config import SafetyConfig
-from automodel.safety import Safety, SafetyDecision, SafetyInputs, SafetyMode, Seen
+from automodel.runtime.safety import Safety, SafetyDecision, SafetyInputs, SafetyMode, Seen
 from automodel.signals import LaneStatus, VehicleState
 
 MS = 1_000_000

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.curves import line
-from automodel.evaluation.accuracy import AccuracyMeter, TruePose
 from automodel.signals import LaneEstimate, LaneLine, LanePose, LaneStatus
 
 ROAD = line(0.0, 0.0, 0.0, 1.0)

@@ -9,12 +9,12 @@ import pytest
 
 from automodel.config import CameraConfig
 from automodel.geometry import SE2, GroundCamera
-from automodel.sim import appearance_styles
+from automodel.sim import appearance as appearance_styles
 from automodel.sim.appearance import Appearance, Lamp
 from automodel.sim.background import Background
 from automodel.sim.coverage import covered
+from automodel.sim.ground_light import NEUTRAL, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.ground_projection import GroundProjection
-from automodel.sim.ground_texture import NEUTRAL, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.renderer import Renderer
 from automodel.sim.sensor_effects import SensorEffects, blur_kernel, exposure
 from automodel.sim.track import load_track

@@ -10,13 +10,26 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from automodel.cli import centerline_paper
+from automodel.bench import centerline_paper
+from automodel.bench.accuracy import AccuracyMeter, TruePose
+from automodel.bench.centerline_paper import (
+    PAPER,
+    RIDES,
+    Ride,
+    Wanted,
+    believed,
+    circuit,
+    cost_rows,
+    drive,
+    full_scale_car,
+    ride_row,
+    rides,
+    show_tables,
+    times,
+)
 from automodel.cli.bench import command
-from automodel.cli.centerline_paper import Ride, Wanted, believed, circuit, drive, rides, show_tables, times
 from automodel.config import CarConfig, ConfigError, PipelineConfig
 from automodel.curves import line
-from automodel.evaluation.accuracy import AccuracyMeter, TruePose
-from automodel.evaluation.centerline_paper import PAPER, RIDES, cost_rows, full_scale_car, ride_row
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.sim.circuit_drive import CircuitDrive

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.bench.centerline_paper import full_scale_car
 from automodel.config import PipelineConfig
+from automodel.config.toml_reader import ConfigError
 from automodel.curves import arc, line
-from automodel.evaluation.centerline_paper import full_scale_car
 from automodel.geometry import GroundCamera
-from automodel.reading import ConfigError
 from automodel.sim.appearance import Appearance
 from automodel.sim.broken_lines import broken_spans
 from automodel.sim.circuit_sections import BrokenLines, LaneWidth, RoadsideSection, WidthAt

@@ -30,7 +30,7 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same() -> None:
 
 def test_without_the_compiler_contour_sees_the_same() -> None:
     program = (
-        "import numpy as np\nfrom automodel.estimation.update_laws import posterior\n"
+        "import numpy as np\nfrom automodel.estimation.clothoid.solvers import posterior\n"
         "print(posterior(np.diag([3.0, 1.0]), np.array([[1.0, 0.5], [0.5, 2.0]])).tolist())"
     )
     said = [

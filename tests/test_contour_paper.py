@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from automodel.bench.accuracy import TruePose
+from automodel.bench.contour_paper import TELLINGS, ClaimMeter
 from automodel.curves import line
-from automodel.evaluation.accuracy import TruePose
-from automodel.evaluation.contour_paper import TELLINGS, ClaimMeter
 from automodel.signals import LaneEstimate, LanePose, LaneStatus, Motion, MotionSource
 
 TRUTH = TruePose(offset_m=0.02, heading_rad=0.1, width_m=0.4)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.control.delay import SteeringInFlight
+from automodel.control.controller import SteeringInFlight
 from automodel.control.path import LanePath
 from automodel.control.vehicle_model import curvature_per_m, driven, rear_offset_m, steering_rad, yaw_rate_radps
 from automodel.curves import GraphCurve, JoinedCurve, arc, clothoid, line

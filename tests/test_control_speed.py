@@ -5,8 +5,8 @@ import math
 import pytest
 
 from automodel.config import ControlConfig
+from automodel.control.longitudinal import ObstacleGuard, SpeedPlanner
 from automodel.control.path import LanePath
-from automodel.control.speed import ObstacleGuard, SpeedPlanner
 from automodel.curves import JoinedCurve, arc, line
 from automodel.signals import LaneStatus, VehicleState
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from runner_fakes import MS, PICTURE, FakeController, FakeLimits, FakePipeline, Straight, estimate, frame
 
-from automodel.loop import Loop, estimate_faults, motion_faults, state_faults
+from automodel.runtime.loop import Loop, estimate_faults, motion_faults, state_faults
 from automodel.signals import (
     NEUTRAL,
     Command,

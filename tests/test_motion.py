@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from automodel.config import VehicleConfig
-from automodel.estimation.motion import MIN_READINGS, MotionEstimator
+from automodel.estimation.ego_motion import MIN_READINGS, MotionEstimator
 from automodel.signals import Command, MotionSource, VehicleState
 
 MS = 1_000_000

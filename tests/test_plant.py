@@ -8,8 +8,7 @@ import pytest
 
 from automodel.config import MotorConfig, ServoConfig
 from automodel.geometry.se2 import SE2
-from automodel.sim.plant import Plant, PlantConfig
-from automodel.sim.servo import interpolate, lagged, through_play
+from automodel.sim.plant import Plant, PlantConfig, interpolate, lagged, through_play
 
 MS = 1_000_000
 STIFF = PlantConfig(servo_play_rad=0.0)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from automodel.reading import ConfigError, parse_toml, read_section, read_text
+from automodel.config.toml_reader import ConfigError, parse_toml, read_section, read_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,8 +6,8 @@ import pytest
 from runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
 from runner_fakes import MS, frames
 
-from automodel.loop import Loop
-from automodel.runner import RunConfig, RunEnd, Runner, RunParts
+from automodel.runtime.loop import Loop
+from automodel.runtime.runner import RunConfig, RunEnd, Runner, RunParts
 
 
 def test_arms_drives_and_parks() -> None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from automodel.clocks import MonotonicClock, VirtualClock
+from automodel.runtime.clocks import MonotonicClock, VirtualClock
 
 
 def test_virtual_time_moves_only_when_told_and_tells_of_it() -> None:

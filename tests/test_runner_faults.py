@@ -9,8 +9,8 @@ from runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neu
 from runner_devices import BrokenSource, FakeRecorder, ScriptedSource
 from runner_fakes import MS, frame, frames
 
-from automodel.runner import RunEnd
-from automodel.safety import Action, SafetyMode
+from automodel.runtime.runner import RunEnd
+from automodel.runtime.safety import Action, SafetyMode
 from automodel.signals import LaneStatus, MotionSource
 
 

@@ -9,9 +9,9 @@ from runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neu
 from runner_devices import FakeLink
 from runner_fakes import MS, frames
 
-from automodel.clocks import VirtualClock
+from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.supervised_link import SupervisedLink
 from automodel.signals import NEUTRAL, Event
-from automodel.supervised_link import SupervisedLink
 
 
 def test_a_port_that_vanishes_stops_the_car_and_comes_back_disarmed() -> None:

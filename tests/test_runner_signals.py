@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from automodel import interrupts
-from automodel.interrupts import stop_on_signals
+from automodel.runtime import os_signals as interrupts
+from automodel.runtime.os_signals import stop_on_signals
 
 pytestmark = pytest.mark.realtime
 CHILD = Path(__file__).with_name("runner_child.py")

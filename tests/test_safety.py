@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from safety_rig import CONFIG, MS, Rig
 
-from automodel.safety import Action, Safety, SafetyInputs, SafetyMode, Seen
+from automodel.runtime.safety import Action, Safety, SafetyInputs, SafetyMode, Seen
 from automodel.signals import LaneStatus
 
 

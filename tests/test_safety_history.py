@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from safety_rig import Rig
 
-from automodel.safety import Action, SafetyDecision, SafetyMode
+from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
 from automodel.signals import LaneStatus
 
 

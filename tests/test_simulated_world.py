@@ -10,7 +10,7 @@ import pytest
 import spawned_worlds
 from spawned_worlds import SHAPE, small_world
 
-from automodel.clocks import VirtualClock
+from automodel.runtime.clocks import VirtualClock
 from automodel.sim.lockstep import LockStepSource
 from automodel.sim.realtime import RealTimeWorld
 from automodel.sim.world import Scene, World

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
 from automodel.sim.racetrack import read_racetrack
 from automodel.sim.track import load_track
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from highway_pictures import camera_model, mounted
 
+from automodel.bench.tusimple import centre_error_pct, ego_lines, lines_px, parse_labels, score
+from automodel.config.toml_reader import ConfigError
 from automodel.curves.tabulated import TabulatedCurve
-from automodel.evaluation.tusimple import centre_error_pct, ego_lines, lines_px, parse_labels, score
-from automodel.reading import ConfigError
 from automodel.signals import LaneEstimate, LaneLine, LaneStatus
 
 ROWS = np.arange(240.0, 440.0, 10.0)  # twenty of them

@@ -9,12 +9,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from automodel.cli.accuracy import Case
+from automodel.bench.accuracy import Case
+from automodel.bench.windows_paper import (
+    Across,
+    PaintAcross,
+    WindowsPaperMeter,
+    drive,
+    residuals_px,
+    section_of,
+    show_tables,
+)
 from automodel.cli.bench import command
-from automodel.cli.windows_paper import PaintAcross, drive, show_tables
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve, line
-from automodel.evaluation.windows_paper import Across, WindowsPaperMeter, residuals_px, section_of
 from automodel.geometry import View
 from automodel.signals import Crossing, LaneEstimate, LaneLine, LaneStatus
 from automodel.sim.track import load_track

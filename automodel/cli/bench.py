@@ -9,10 +9,10 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from automodel.cli.figures import show
+from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
-from automodel.cli.parts import car_of
 from automodel.config import PIPELINES, CarConfig, ConfigError
+from automodel.console.tables import show
 from automodel.sim.trajectory import STYLES
 
 TRACKS = ("tmr", "oval", "chicane")
@@ -69,7 +69,7 @@ def accuracy(
     **more: Any,
 ) -> int:
     """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
-    from automodel.cli.accuracy import Case, measure
+    from automodel.bench.accuracy import Case, measure
 
     circuits = {name: more.pop(name) for name in OF_CENTERLINE_PAPER}
     check_outputs({"--plot": plot}, {"--car": car_file, "--monza": circuits["monza"]})
@@ -105,7 +105,7 @@ def _refuse(names: Iterable[str], why: str) -> None:
 
 def _circuit_tables(car: CarConfig, chosen: dict[str, Any], jobs: int | None, plot: Path | None, as_json: bool) -> None:
     """Both circuits in the paper's styles, dry and wet; what has no meaning there is refused."""
-    from automodel.cli.centerline_paper import Wanted, show_tables
+    from automodel.bench.centerline_paper import Wanted, show_tables
 
     _refuse(("seeds", "look", "direction", "speed_mps"), "--table has its own drives: leave out {}")
     if chosen["full"]:
@@ -129,8 +129,8 @@ def _circuit_tables(car: CarConfig, chosen: dict[str, Any], jobs: int | None, pl
 
 def _paper_tables(car: CarConfig, seed: int, drive: dict[str, Any], jobs: int | None, as_json: bool) -> None:
     """Both directions of tmr, centred; what would choose other drives is refused."""
-    from automodel.cli.accuracy import Case
-    from automodel.cli.windows_paper import show_tables
+    from automodel.bench.accuracy import Case
+    from automodel.bench.windows_paper import show_tables
 
     names = ("pipelines", "tracks", "styles", "seeds", "direction", "plot")
     _refuse(names, "--table has its own drives: leave out {}")
@@ -149,7 +149,7 @@ def _paper_tables(car: CarConfig, seed: int, drive: dict[str, Any], jobs: int | 
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, threads: int, as_json: bool) -> int:
     """Milliseconds a frame, by stage, on rendered frames of tmr."""
-    from automodel.cli.speed import measure_speed
+    from automodel.bench.speed import measure_speed
 
     car = car_of(car_file)
     rows = [row for name in pipelines or PIPELINES for row in measure_speed(car, name, frames, threads)]
@@ -172,7 +172,7 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int, commands: int, as_json: bool) -> int:
     """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse."""
-    from automodel.cli.latency import measure_latency
+    from automodel.bench.latency import measure_latency
 
     car = car_of(car_file, pipeline)
     if car.link.kind != "arduino":
@@ -199,7 +199,7 @@ def tusimple(
     as_json: bool,
 ) -> int:
     """Labelled highway pictures (TuSimple): its metric for the ego lines and for all, and the error of the middle."""
-    from automodel.cli.tusimple import LABELS, bench
+    from automodel.bench.tusimple import LABELS, bench
 
     inputs = {"--car": car_file, "the labels": root / LABELS}
     check_outputs({"--predictions": predictions, "--figures": figures}, inputs)
@@ -232,7 +232,7 @@ def contour_paper(
     **drive: Any,
 ) -> int:
     """What the speed is worth to `contour` in bends: told, wrong by 20 % and not told, at 5 to 60 frames/s."""
-    from automodel.cli.contour_paper import ClaimDrive, bench
+    from automodel.bench.contour_paper import ClaimDrive, bench
 
     check_outputs({"--figure": figure}, {"--car": car_file})
     car = car_of(car_file)
@@ -263,7 +263,7 @@ def faults(
 
     On virtual time: the same seed gives the same figures. Exit code 1 where the car did not do what it must.
     """
-    from automodel.cli.faults import chosen_faults, list_faults, measure_faults
+    from automodel.bench.faults.measure import chosen_faults, list_faults, measure_faults
 
     wanted = chosen_faults(names)
     if listed:

@@ -11,23 +11,22 @@ from typing import Any
 import click
 import numpy as np
 
-from automodel.cli.calibration_output import check_before, picture_folder, write_pictures, write_values
-from automodel.cli.calibration_source import is_live, live_camera, live_frames, named_paths, pictures_of
-from automodel.cli.figures import show
+from automodel.assembly.calibration_source import is_live, live_camera, live_frames, named_paths, pictures_of
+from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
-from automodel.cli.parts import car_of
-from automodel.cli.progress import progress
-from automodel.cli.telling import say
 from automodel.config import CarConfig, ConfigError, load_car
+from automodel.config.toml_reader import parse_toml, read_text
+from automodel.console.messages import say
+from automodel.console.progress import progress
+from automodel.console.tables import show
 from automodel.geometry import CameraModel
-from automodel.reading import parse_toml, read_text
 from automodel.sources.errors import SourceError
 from automodel.sources.images import SUFFIXES
 from automodel.types import Image
 from calibration.boards import DICTIONARIES, Board, other_dictionary
-from calibration.camera import CameraCalibration, ViewError, calibrate_camera
+from calibration.calibration_output import check_before, picture_folder, write_pictures, write_values
+from calibration.camera import CameraCalibration, Check, ViewError, calibrate_camera, check_camera, field_of_view_deg
 from calibration.pictures import coverage_picture, residual_picture, undistorted_picture
-from calibration.plausible import Check, check_camera, field_of_view_deg
 from calibration.views import CalibrationError, Refused, View, Views, coverage, missing_sights, settle
 
 LIVE_COVERAGE = 0.8  # of the picture; then, and with views enough, the camera has seen the board

@@ -11,18 +11,18 @@ from typing import Any
 
 import click
 
+from automodel.assembly.calibration_source import is_live, live_camera, live_frames, named_paths, pictures_of
+from automodel.assembly.parts import car_of
 from automodel.cli.calibrate_camera import board_size
-from automodel.cli.calibration_output import check_before, picture_folder, write_pictures, write_values
-from automodel.cli.calibration_source import is_live, live_camera, live_frames, named_paths, pictures_of
-from automodel.cli.figures import show
-from automodel.cli.ground_methods import Found, Pictures, by_lanes, by_points, by_sheet, check_method, readable
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
-from automodel.cli.parts import car_of
-from automodel.cli.telling import say
 from automodel.config import CarConfig
+from automodel.console.messages import say
+from automodel.console.tables import show
 from automodel.geometry import CameraModel, GroundCamera
 from calibration.boards import DICTIONARIES
-from calibration.ground_picture import ground_picture
+from calibration.calibration_output import check_before, picture_folder, write_pictures, write_values
+from calibration.ground_methods import Found, Pictures, by_lanes, by_points, by_sheet, check_method, readable
+from calibration.pictures import ground_picture
 from calibration.views import CalibrationError
 
 KEYS = ("x_m", "y_m", "z_m", "pitch_rad", "yaw_rad", "roll_rad")

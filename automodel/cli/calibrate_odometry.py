@@ -53,9 +53,9 @@ def command(push: bool, **given: Any) -> int:
     The car drives the straight once for each of --speeds and stops; you measure the way with a tape and type it in.
     Enter arms and Enter stops. With --push you push it along exactly --distance-m instead.
     """
-    from automodel.cli.calibration_drive import DriveEnded
-    from automodel.cli.odometry_drive import OdometryOptions, calibrate_odometry
-    from automodel.cli.telling import say
+    from automodel.console.messages import say
+    from calibration.calibration_drive import DriveEnded
+    from calibration.odometry_drive import OdometryOptions, calibrate_odometry
 
     options = OdometryOptions(push=push, **given)
     try:

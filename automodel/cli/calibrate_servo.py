@@ -57,7 +57,7 @@ def command(auto: bool, manual: bool, **given: Any) -> int:
     if not manual and (given["circles"] or given["circles_file"]):
         raise click.UsageError("--circle and --circles are for --manual")
     if manual:
-        from automodel.cli.servo_circles import calibrate_by_circles
+        from calibration.servo_circles import calibrate_by_circles
 
         return calibrate_by_circles(
             given["car_file"],
@@ -67,8 +67,8 @@ def command(auto: bool, manual: bool, **given: Any) -> int:
             dry_run=given["dry_run"],
             as_json=given["as_json"],
         )
-    from automodel.cli.calibration_drive import DriveEnded
-    from automodel.cli.telling import say
+    from automodel.console.messages import say
+    from calibration.calibration_drive import DriveEnded
 
     try:
         return _auto(given) if auto else _by_hand(given)
@@ -78,7 +78,7 @@ def command(auto: bool, manual: bool, **given: Any) -> int:
 
 
 def _auto(given: dict[str, Any]) -> int:
-    from automodel.cli.servo_drive import AutoOptions, calibrate_by_driving
+    from calibration.servo_drive import AutoOptions, calibrate_by_driving
 
     return calibrate_by_driving(
         AutoOptions(
@@ -96,7 +96,7 @@ def _auto(given: dict[str, Any]) -> int:
 
 
 def _by_hand(given: dict[str, Any]) -> int:
-    from automodel.cli.servo_terminal import calibrate_by_hand
+    from calibration.servo_dialogue import calibrate_by_hand
 
     return calibrate_by_hand(
         given["car_file"],

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import click
 
-from automodel.cli.doctor_board import Board
-from automodel.cli.doctor_move import Consent
-from automodel.cli.figures import show
 from automodel.cli.options import FILE
-from automodel.cli.telling import say
-from automodel.clocks import MonotonicClock, SleepingClock
 from automodel.config import CarConfig
+from automodel.console.messages import say
+from automodel.console.tables import show
+from automodel.doctor.board import Board
 from automodel.doctor.findings import Finding, Verdict, fail, failed, skip, summary, warn
+from automodel.doctor.move import Consent
 from automodel.interfaces import Source
+from automodel.runtime.clocks import MonotonicClock, SleepingClock
 from automodel.signals import Frame
 
 _COLOURS = {Verdict.OK: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red", Verdict.SKIP: "bright_black"}
@@ -45,7 +45,7 @@ def command(car_file: Path | None, move: bool, yes: bool, as_json: bool) -> int:
 
     Nothing moves without --move. Exit code 0 when nothing FAILs, 1 when something does.
     """
-    from automodel.cli.parts import car_of
+    from automodel.assembly.parts import car_of
 
     if yes and not move:
         raise click.UsageError("--yes: is for --move")
@@ -70,8 +70,8 @@ def command(car_file: Path | None, move: bool, yes: bool, as_json: bool) -> int:
 
 def _examined(car: CarConfig, consent: Consent | None) -> Generator[Finding, None, None]:
     """All findings in order, as they come."""
-    from automodel.cli.doctor_machine import disk_finding, machine_findings
     from automodel.doctor.calibrations import judge_lens, judge_records, judge_steering
+    from automodel.doctor.machine import disk_finding, machine_findings
 
     yield from machine_findings(car)
     frames: list[Frame] = []
@@ -87,9 +87,9 @@ def _car_findings(car: CarConfig, consent: Consent | None, frames: list[Frame]) 
 
     The board comes first: it is left alone while the camera is looked through, and would say so.
     """
-    from automodel.cli.doctor_board import board_findings, can_finding
-    from automodel.cli.doctor_camera import camera_findings, lane_finding
-    from automodel.cli.doctor_move import servo_finding
+    from automodel.doctor.board import board_findings, can_finding
+    from automodel.doctor.camera import camera_findings, lane_finding
+    from automodel.doctor.move import servo_finding
 
     source, port = car.camera.source, car.link.port
     if (source == "sim") != (port == "sim"):
@@ -118,15 +118,15 @@ def _car_findings(car: CarConfig, consent: Consent | None, frames: list[Frame]) 
 def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> Devices:
     """The car's own, or those of the simulated car in virtual time; `leaving` gives them back."""
     if car.link.port == "sim":
-        from automodel.cli.simulated import Simulation, lock_step
+        from automodel.assembly.simulated_car import Simulation, lock_step
 
         board = "autonomos" if car.link.kind == "autonomos" else "emulated"
         simulated = lock_step(car, Simulation(link=board), lambda scene: None)
         leaving.callback(simulated.close)
         open_camera, link, clock = (lambda: simulated.source), simulated.link, simulated.clock
     else:
-        from automodel.cli.links import make_link
-        from automodel.cli.parts import make_camera
+        from automodel.assembly.links import make_link
+        from automodel.assembly.parts import make_camera
 
         open_camera, link, clock = (lambda: make_camera(car)), make_link(car), MonotonicClock()
     assert isinstance(link, Board)

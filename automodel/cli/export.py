@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from automodel.cli.options import FILE, check_outputs
-from automodel.cli.progress import progress
 from automodel.config import ConfigError, parse_car
+from automodel.console.progress import progress
 from automodel.recording.export import export_csv, export_video
 from automodel.recording.reader import Recording
 

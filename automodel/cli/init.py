@@ -11,8 +11,8 @@ from pathlib import Path
 import click
 
 from automodel.cli.options import FILE
-from automodel.cli.telling import say
 from automodel.config import ConfigError
+from automodel.console.messages import say
 
 KITS = {  # each in automodel/cli/kits/<name>.toml
     "nano-arduino": "Jetson Nano, CSI camera, Arduino Nano: cars in the manner of the AutoModelCar.",

@@ -14,7 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import click
 
 from automodel import __version__
-from automodel.interrupts import interrupt, raise_if_interrupted
+from automodel.runtime.os_signals import interrupt, raise_if_interrupted
 
 COMMANDS = {
     "run": "Drive: the car of car.toml, or a simulated one.",

@@ -12,17 +12,17 @@ from pathlib import Path
 import click
 import numpy as np
 
-from automodel.cli.figures import show
+from automodel.assembly.parts import car_of, make_loop
+from automodel.assembly.recordings import open_source
 from automodel.cli.options import FILE, check_outputs, finite
-from automodel.cli.parts import car_of, make_loop
-from automodel.cli.progress import progress
-from automodel.cli.recordings import open_source
 from automodel.config import PIPELINES, CarConfig, parse_car
+from automodel.console.progress import progress
+from automodel.console.tables import show
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
-from automodel.loop import Tick
 from automodel.recording.poses_csv import PosesCsv
 from automodel.recording.reader import RecordingSource
+from automodel.runtime.loop import Tick
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.motion_csv import MotionTable, read_motion_csv

@@ -73,7 +73,7 @@ def command(
     ctx: click.Context, /, car_file: Path | None, pipeline: str | None, speed_mps: float | None, **rest: object
 ) -> int:
     """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime)."""
-    from automodel.cli.parts import read_car
+    from automodel.assembly.parts import read_car
 
     car, text = read_car(car_file, pipeline, speed_mps)
     options = Options(**rest)  # type: ignore[arg-type]
@@ -83,7 +83,7 @@ def command(
     if simulated != (car.link.port == "sim"):
         raise ConfigError(f'{name}: [camera] source and [link] port: either both are "sim" or neither is')
     if simulated:
-        from automodel.cli.drive_simulated import drive_simulated
+        from automodel.assembly.drive_simulated import drive_simulated
 
         return drive_simulated(car, text, options)
     given = [key for key in SIMULATED_ONLY if ctx.get_parameter_source(key) is click.core.ParameterSource.COMMANDLINE]
@@ -91,6 +91,6 @@ def command(
         raise ConfigError(f"--{given[0]}: is for the simulated car, and {name} names a real one")
     if car.camera.source not in ("csi", "usb"):
         raise ConfigError(f"{name}: [camera] source {car.camera.source!r}: a car is driven by csi or usb; see replay")
-    from automodel.cli.drive_real import drive_real
+    from automodel.assembly.drive_real import drive_real
 
     return drive_real(car, text, options)

@@ -14,13 +14,13 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import click
 
-from automodel.cli.figures import show
 from automodel.cli.options import ABOVE_ZERO, finite
-from automodel.cli.progress import progress
-from automodel.cli.telling import say
-from automodel.cli.workers import spread
-from automodel.perception.unet import SIZES, MarkingNetwork, UnetConfig
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
+from automodel.console.messages import say
+from automodel.console.progress import progress
+from automodel.console.tables import show
+from automodel.console.workers import spread
+from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 
 if TYPE_CHECKING:
     from automodel.training.card import Origin

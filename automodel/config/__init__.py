@@ -12,10 +12,17 @@ from pathlib import Path
 
 from automodel.config.calibration import CalibrationRecord, CalibrationRecords
 from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
-from automodel.config.choices import one_of
 from automodel.config.link import LINKS, AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
 from automodel.config.pipelines import PIPELINES, CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
-from automodel.reading import ConfigError, not_negative, parse_toml, positive, read_section, read_text
+from automodel.config.toml_reader import (
+    ConfigError,
+    not_negative,
+    one_of,
+    parse_toml,
+    positive,
+    read_section,
+    read_text,
+)
 
 __all__ = [
     "LINKS",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from automodel.reading import not_negative, positive
+from automodel.config.toml_reader import not_negative, positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from automodel.config.choices import one_of
-from automodel.reading import positive
+from automodel.config.toml_reader import one_of, positive
 
 
 def _check_pulses(name: str, pulses_us: tuple[float, ...]) -> None:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from automodel.config.choices import one_of
-from automodel.reading import not_negative, positive
+from automodel.config.toml_reader import not_negative, one_of, positive
 
 PIPELINES = ("centerline", "windows", "contour")
 

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.config import CarConfig, CenterlineConfig
-from automodel.estimation.tracked_lane import TrackedLane
-from automodel.estimation.tracked_line import SeenLine, TrackedLine
+from automodel.estimation.theta.tracked_lane import TrackedLane
+from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2, GroundCamera, View
-from automodel.perception.feature_points import FeaturePoints
-from automodel.perception.line_following import ExpectedLine, FollowedLine, LineFollowing
-from automodel.perception.ridge import RidgeMarkings
-from automodel.perception.standing_out import standing_out
-from automodel.perception.unet import MarkingNetwork, UnetConfig
+from automodel.perception.markings.adaptive_threshold import standing_out
+from automodel.perception.markings.feature_points import FeaturePoints
+from automodel.perception.markings.ridge import RidgeMarkings
+from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
+from automodel.perception.windows.line_following import ExpectedLine, FollowedLine, LineFollowing
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import FloatArray, Image

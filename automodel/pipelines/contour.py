@@ -16,16 +16,14 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves.deferred import DeferredCurve
-from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
-from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
-from automodel.estimation.clothoid_tracker import ClothoidTracker
-from automodel.estimation.motion_trust import MotionTrust
+from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
+from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, RoughLane, TrackerConfig
+from automodel.estimation.odometry_monitor import MotionTrust
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.ridges import Brightness
-from automodel.perception.row_ridges import RowRidges
-from automodel.perception.row_search import RowSearch, Sighting
-from automodel.perception.row_start import LaneGuess, RowStart, StartConfig
+from automodel.perception.markings.ridge import Brightness, RowRidges
+from automodel.perception.rows.row_hough import LaneGuess, RowStart, StartConfig
+from automodel.perception.rows.row_search import RowSearch, Sighting
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import Bools, FloatArray, Floats, Image

@@ -15,15 +15,15 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import Curve, GraphCurve
-from automodel.estimation.lane_fit import LaneFitConfig, LaneSolution
-from automodel.estimation.lane_tracker import LaneTracker, Observation, Support
-from automodel.estimation.regression import fit_polynomial
+from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
+from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
+from automodel.estimation.polynomial.regression import fit_polynomial
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.crossings import Crossed, CrossingSearch
-from automodel.perception.fresh_lane import Fresh, FreshLane
-from automodel.perception.ground_check import GroundCheck
-from automodel.perception.lane_lines import LaneLines
-from automodel.perception.white_areas import WhiteAreas
+from automodel.perception.markings.crossings import Crossed, CrossingSearch
+from automodel.perception.markings.temporal_paint_check import GroundCheck
+from automodel.perception.markings.white_areas import WhiteAreas
+from automodel.perception.windows.lane_initialiser import Fresh, FreshLane
+from automodel.perception.windows.sliding_windows import LaneLines
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import FloatArray, Image

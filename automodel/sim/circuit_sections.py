@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.reading import not_negative, positive
+from automodel.config.toml_reader import not_negative, positive
 from automodel.types import FloatArray
 
 

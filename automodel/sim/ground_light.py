@@ -1,8 +1,13 @@
-"""The light on the ground: a gradient across the room, hard shadows, reflections in a shiny floor."""
+"""The light on the ground: a gradient across the room, hard shadows, reflections in a shiny floor.
+
+The grain of the floor and the wear of its markings: patterns that repeat in the world, in mip levels.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import cv2
@@ -14,9 +19,151 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.background import TURN, directions
 from automodel.sim.coverage import PolygonSet, covered_softly
 from automodel.sim.ground_projection import GroundProjection
-from automodel.types import FloatArray, Image
+from automodel.types import Float32Array, FloatArray, Image
 
-Float32Array = NDArray[np.float32]
+SIDE_PX = 1024  # texels of a pattern's period
+LEVELS = 7
+NO_MAP: Any = None  # both coordinates are in the first map
+NEUTRAL = 128.0  # texture value that leaves the floor's grey as it is
+
+
+def periodic_noise(rng: np.random.Generator, size_px: float, power: float = 0.0) -> FloatArray:
+    """Smooth noise (SIDE_PX, SIDE_PX) of unit variance that repeats seamlessly.
+
+    Features are about `size_px` texels large; `power` > 0 adds larger ones, as clouds have them.
+    """
+    spectrum = np.fft.rfft2(rng.standard_normal((SIDE_PX, SIDE_PX)))
+    fy, fx = np.fft.fftfreq(SIDE_PX)[:, None], np.fft.rfftfreq(SIDE_PX)[None, :]
+    radius2 = fx * fx + fy * fy
+    shape = np.exp(-0.5 * radius2 * size_px**2) / np.maximum(radius2, 1.0 / SIDE_PX**2) ** (0.5 * power)
+    shape[0, 0] = 0.0
+    noise = np.fft.irfft2(spectrum * shape, s=(SIDE_PX, SIDE_PX))
+    return np.asarray(noise / noise.std())
+
+
+def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
+    """One period of a floor, `NEUTRAL` on average; see FLOORS of the appearance for the kinds, and "grass"."""
+    rng = np.random.default_rng(seed)
+    relief = {
+        "plain": lambda: 0.05 * periodic_noise(rng, 2.0, 0.6),
+        "plastic": lambda: 0.06 * periodic_noise(rng, 3.0, 1.2) + _joints(1, 1, 4, 0.5) + _scratches(rng, 40),
+        "tiles": lambda: 0.06 * periodic_noise(rng, 2.0, 1.0) + _joints(6, 6, 8, -0.4) + _patches(rng, 6, 6, 0.08),
+        "wood": lambda: _wood(rng),
+        "asphalt": lambda: 0.20 * periodic_noise(rng, 1.2) + 0.06 * periodic_noise(rng, 4.0, 1.2),
+        "grass": lambda: 0.22 * periodic_noise(rng, 2.0) + 0.12 * periodic_noise(rng, 12.0, 1.2),
+        "concrete": lambda: 0.10 * periodic_noise(rng, 2.0, 1.4) + 0.05 * periodic_noise(rng, 1.0),
+    }[kind]()
+    relief -= relief.mean()
+    return np.clip(NEUTRAL * (1.0 + contrast * relief), 0, 255).round().astype(np.uint8)
+
+
+def wear_pattern(wear: float, dirt: float, seed: int) -> Image:
+    """One period of the share 0 .. 255 of the paint that is left; `wear` is the share that has flaked off."""
+    rng = np.random.default_rng(seed)
+    flakes = periodic_noise(rng, 3.0, 0.8) + 0.35 * periodic_noise(rng, 30.0)
+    edge = np.quantile(flakes, wear) if wear > 0.0 else flakes.min() - 1.0
+    left = np.clip((flakes - edge) / 0.12, 0.0, 1.0)
+    stains = np.clip(0.5 + 0.35 * periodic_noise(rng, 4.0, 1.4), 0.0, 1.0)
+    return np.asarray((255.0 * left * (1.0 - dirt * stains)).round().astype(np.uint8))
+
+
+def _joints(across: int, along: int, width_px: int, depth: float) -> FloatArray:
+    joints = np.zeros((SIDE_PX, SIDE_PX))
+    for k in range(across):
+        at = round(k * SIDE_PX / across)
+        joints[:, at : at + width_px] = depth
+    for k in range(along):
+        at = round(k * SIDE_PX / along)
+        joints[at : at + width_px, :] = depth
+    return joints
+
+
+def _patches(rng: np.random.Generator, across: int, along: int, spread: float) -> FloatArray:
+    column = np.arange(SIDE_PX) * across // SIDE_PX
+    row = np.arange(SIDE_PX) * along // SIDE_PX
+    return np.asarray(spread * rng.standard_normal((along, across))[row[:, None], column[None, :]])
+
+
+def _wood(rng: np.random.Generator) -> FloatArray:
+    """Planks along x, each of its own brightness, with a long grain."""
+    grain = periodic_noise(rng, 2.0, 0.5)
+    long = cv2.blur(np.tile(grain, (1, 3)), (81, 1))[:, SIDE_PX : 2 * SIDE_PX]
+    return np.asarray(0.10 * long / long.std() + _patches(rng, 2, 10, 0.14) + _joints(0, 10, 2, -0.35))
+
+
+def _scratches(rng: np.random.Generator, count: int) -> FloatArray:
+    canvas = np.zeros((SIDE_PX, SIDE_PX), np.float32)
+    for _ in range(count):
+        x, y = rng.integers(60, SIDE_PX - 60, 2).tolist()
+        angle, length = rng.uniform(0.0, math.pi), rng.uniform(10.0, 55.0)
+        tip = (round(x + length * math.cos(angle)), round(y + length * math.sin(angle)))
+        cv2.line(canvas, (x, y), tip, float(rng.uniform(0.1, 0.4)), 1)
+    return canvas.astype(np.float64)
+
+
+class MipPattern:
+    """A periodic pattern (SIDE_PX, SIDE_PX) in halving resolutions, each repeated to fill a square twice a view's."""
+
+    def __init__(self, pattern: Image) -> None:
+        self.levels: list[Image] = []
+        for level in range(LEVELS):
+            side = SIDE_PX >> level
+            small = cv2.resize(pattern, (side, side), interpolation=cv2.INTER_AREA)
+            copies = max(2, SIDE_PX // side)
+            self.levels.append(np.tile(small, (copies, copies)))
+
+
+class GroundSampler:
+    """Looks patterns up at the ground of every pixel; rows are grouped by the mip level that suits their footprint.
+
+    `ground_m` (h, w, 2) [m] in the body frame, NaN where there is no ground; `texel_m` is the finest level's.
+    """
+
+    def __init__(self, ground_m: FloatArray, texel_m: float) -> None:
+        self.texel_m = texel_m
+        self.shape = ground_m.shape[:2]
+        self._far_m = 400.0 * texel_m * (1 << LEVELS)
+        levels = _row_levels(ground_m, texel_m)
+        filled = np.clip(np.nan_to_num(ground_m, nan=self._far_m), -self._far_m, self._far_m)
+        edges = [0, *(np.flatnonzero(np.diff(levels)) + 1).tolist(), len(levels)]
+        self._bands: list[tuple[int, int, int, Float32Array, FloatArray]] = []
+        for first, end in itertools.pairwise(edges if len(levels) else []):
+            band = np.ascontiguousarray(filled[first:end], dtype=np.float32)
+            middle = 0.5 * (band.reshape(-1, 2).min(axis=0) + band.reshape(-1, 2).max(axis=0))
+            self._bands.append((first, end, int(levels[first]), band, middle.astype(np.float64)))
+
+    def sample(self, patterns: Mapping[str, MipPattern], pose: SE2) -> dict[str, Image]:
+        """Each pattern (h, w) as the camera at `pose` (world from body) sees it."""
+        seen = {name: np.empty(self.shape, np.uint8) for name in patterns}
+        cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
+        for first, end, level, ground, middle in self._bands:
+            scale = 1.0 / (self.texel_m * (1 << level))
+            turn = scale * np.array([[cos, -sin], [sin, cos]])
+            # whole periods are taken off so that the band's middle lies in the middle of the layout
+            period = SIDE_PX >> level
+            middle_px = turn @ middle + scale * np.array([pose.x_m, pose.y_m])
+            shift = scale * np.array([pose.x_m, pose.y_m]) - 0.5
+            shift -= period * np.round((middle_px - (period if level == 0 else SIDE_PX // 2)) / period)
+            maps = cv2.transform(ground, np.column_stack((turn, shift)))
+            for name, pattern in patterns.items():
+                seen[name][first:end] = cv2.remap(
+                    pattern.levels[level], maps, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
+                )
+        return seen
+
+
+def _row_levels(ground_m: FloatArray, texel_m: float) -> NDArray[np.intp]:
+    """Mip level of every row, from the geometric mean of a pixel's length and breadth on the ground."""
+    if min(ground_m.shape[:2]) < 2:
+        return np.zeros(len(ground_m), np.intp)
+    down = np.linalg.norm(np.gradient(ground_m, axis=0), axis=-1)
+    across = np.linalg.norm(np.gradient(ground_m, axis=1), axis=-1)
+    size = np.sqrt(down * across)
+    size[~np.isfinite(size)] = np.inf
+    footprint = np.maximum(np.median(size, axis=1), 1e-9)
+    levels = np.clip(np.ceil(np.log2(footprint / texel_m)), 0, LEVELS - 1)
+    return np.asarray(levels.astype(np.intp))
+
 
 COARSE = 4  # smooth light is computed for one pixel in 4 x 4
 MIRROR_PER_RAD = 1024 / TURN

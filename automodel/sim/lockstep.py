@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from automodel.clocks import VirtualClock
+from automodel.runtime.clocks import VirtualClock
 from automodel.signals import Frame
 from automodel.sim.world import Scene, World
 

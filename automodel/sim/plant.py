@@ -1,18 +1,55 @@
-"""The simulated car's dynamics: pulses in, motion and sensor readings out, on time that is passed in."""
+"""The simulated car's dynamics: pulses in, motion and sensor readings out, on time that is passed in.
+
+What actuators do to a command on its way to the wheel: table, lag, rate limit, play. Plain floats, one step each.
+"""
 
 from __future__ import annotations
 
 import math
 import random
+from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from automodel.config import MotorConfig, ServoConfig
 from automodel.geometry.se2 import SE2
 from automodel.signals import BoardSensors
-from automodel.sim.servo import interpolate, lagged, through_play
+
+
+def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
+    """Piecewise linear through (xs[i], ys[i]), xs rising; the end values beyond the ends."""
+    if x <= xs[0]:
+        return ys[0]
+    if x >= xs[-1]:
+        return ys[-1]
+    i = bisect_right(xs, x)
+    return ys[i - 1] + (ys[i] - ys[i - 1]) * (x - xs[i - 1]) / (xs[i] - xs[i - 1])
+
+
+def lagged(value: float, target: float, share: float, step_max: float) -> float:
+    """One step of a first-order lag, exact for a constant target, never moving more than `step_max`.
+
+    `share` is 1 - exp(-dt / tau).
+    """
+    step = (target - value) * share
+    if step > step_max:
+        step = step_max
+    elif step < -step_max:
+        step = -step_max
+    return value + step
+
+
+def through_play(driven: float, driver: float, play: float) -> float:
+    """Where a part rests that is driven through a gap of width `play`: it moves only when the driver touches it."""
+    half = 0.5 * play
+    if driver - driven > half:
+        return driver - half
+    if driven - driver > half:
+        return driver + half
+    return driven
+
 
 STEP_NS = 1_000_000  # the integration grid: states do not depend on how often anybody asks
 KEPT_STEPS = 1002  # the past that `predicted` still knows: a second, and the steps at its ends

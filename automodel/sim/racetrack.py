@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from automodel.config.toml_reader import ConfigError, read_text
 from automodel.curves import SplineCurve
-from automodel.reading import ConfigError, read_text
 from automodel.sim.broken_lines import broken_spans
 from automodel.sim.circuit_sections import BrokenLines, RoadsideSection
 from automodel.sim.paint import Grain, Paint, on_line, paint_line

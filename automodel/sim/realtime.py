@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from automodel.interrupts import signals_held_back
+from automodel.runtime.os_signals import signals_held_back
 from automodel.signals import Frame
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError

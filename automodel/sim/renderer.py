@@ -12,9 +12,8 @@ from automodel.geometry import SE2, GroundCamera
 from automodel.sim.appearance import Appearance
 from automodel.sim.background import Background
 from automodel.sim.coverage import PolygonSet, covered_softly
-from automodel.sim.ground_light import GroundLight
+from automodel.sim.ground_light import NEUTRAL, GroundLight, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.ground_projection import GroundProjection
-from automodel.sim.ground_texture import NEUTRAL, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.obstacle_boxes import Prism, draw_obstacles
 from automodel.sim.paint_view import Painted, PaintView
 from automodel.sim.sensor_effects import SensorEffects, exposure

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from automodel.config.toml_reader import ConfigError, read_text, where
 from automodel.curves import Curve, OffsetCurve, ReversedCurve
 from automodel.geometry import SE2
-from automodel.reading import ConfigError, read_text, where
 from automodel.sim.circuit_sections import LaneWidth
 from automodel.sim.crossings import RoadCrossing, find_crossings
 from automodel.sim.paint import Paint, paint_road

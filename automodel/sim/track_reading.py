@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from automodel.config.toml_reader import ConfigError, parse_toml, read_section, where
 from automodel.curves import Curve, JoinedCurve
-from automodel.reading import ConfigError, parse_toml, read_section, where
 from automodel.sim.circuit_sections import WidthAt
 from automodel.sim.track_sections import PIECES, ArcPiece, Box, Gap, LanesSection, Marking, Piece, StopLine, TrackFile
 

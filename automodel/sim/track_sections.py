@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from automodel.config.toml_reader import not_negative, positive
 from automodel.curves import Curve, arc, clothoid, line
-from automodel.reading import not_negative, positive
 from automodel.sim.circuit_sections import BrokenLines, RoadsideSection, WidthAt
 
 STYLES = ("solid", "dashed", "none")

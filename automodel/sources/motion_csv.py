@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
 from automodel.signals import Motion, MotionSource
 
 HEADER = ("t_s", "speed_mps", "yaw_rate_radps")

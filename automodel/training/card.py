@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from automodel.training.figures import NEAR_PX, Figures
+from automodel.training.metrics import NEAR_PX, Figures
 
 HEADER = f"""\
 # The marking networks

@@ -16,7 +16,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
 from automodel.training.scenes import make_sample
 from automodel.types import Image
 

@@ -1,4 +1,4 @@
-"""A trained network as one ONNX file that `automodel.perception.unet` takes.
+"""A trained network as one ONNX file that `automodel.perception.markings.unet` takes.
 
 Needs torch and onnx (the extra `train`).
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from automodel.perception.onnx_check import INPUT, OPSET, OUTPUT
+from automodel.perception.markings.onnx_check import INPUT, OPSET, OUTPUT
 from automodel.training.unet import MarkingNet
 
 

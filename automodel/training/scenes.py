@@ -17,9 +17,9 @@ import numpy as np
 
 from automodel.geometry import GroundCamera
 from automodel.training import noise
+from automodel.training.augmentation import damage, light
 from automodel.training.backdrops import backdrop
 from automodel.training.cameras import Kind, random_camera
-from automodel.training.damage import damage, light
 from automodel.training.distractors import random_distractors
 from automodel.training.ground_view import GroundView, atlas
 from automodel.training.layouts import random_road

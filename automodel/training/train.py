@@ -18,10 +18,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from automodel.perception.unet import open_session, run_network
-from automodel.reading import ConfigError, positive
+from automodel.config.toml_reader import ConfigError, positive
+from automodel.perception.markings.unet import open_session, run_network
 from automodel.training.export import onnx_bytes
-from automodel.training.figures import Figures, measured
+from automodel.training.metrics import Figures, measured
 from automodel.training.shapes import UNKNOWN
 from automodel.training.unet import MarkingNet
 from automodel.types import Image

@@ -13,10 +13,9 @@ from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.ground import cam_from_body_rotation
 from calibration.boards import Board
-from calibration.ground import GroundPoints, camera_from_points, distances_m
-from calibration.ground_picture import ground_picture
-from calibration.pose_fit import NAMES, on_ground, pose_of, projected
-from calibration.sheets import ArucoSheet, SeenSheet, SheetPlace, camera_from_sheet, find_sheet
+from calibration.ground import NAMES, GroundPoints, camera_from_points, distances_m, on_ground, pose_of, projected
+from calibration.pictures import ground_picture
+from calibration.printed_targets import ArucoSheet, SeenSheet, SheetPlace, camera_from_sheet, find_sheet
 from calibration.views import CalibrationError
 
 CAMERA = CameraModel(LENS, *SIZE)

@@ -12,8 +12,8 @@ import pytest
 from servo_drives import WHEELBASE_M, changed, driven
 
 from automodel.config import ServoConfig
-from automodel.sim.hidden import hidden_servo
 from automodel.sim.plant import PlantConfig
+from automodel.sim.randomised_plant import hidden_servo
 from calibration.drive_plan import DrivePlan, Leg, servo_plan
 from calibration.servo import ServoError, ServoTable, fit_table
 from calibration.servo_log import SETTLE_NS, ServoLog, holds_of, without_bias

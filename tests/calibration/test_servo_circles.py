@@ -7,7 +7,7 @@ import math
 import pytest
 
 from automodel.config import ServoConfig
-from calibration.circles import Circle, CircleError, rear_middle_diameter_m, table_of_circles
+from calibration.servo_circles import Circle, CircleError, rear_middle_diameter_m, table_of_circles
 
 L = 0.26
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from automodel.config import ServoConfig
-from calibration.servo_dialog import Dialog, DialogError, ends_of, keys_of, side_angles
+from calibration.servo_dialogue import Dialog, DialogError, ends_of, keys_of, side_angles
 
 
 def typed(text: str) -> Dialog:

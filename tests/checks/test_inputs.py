@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 from runner_fakes import MS, FakeController, FakeLimits, FakePipeline
 
-from automodel.checks.inputs import InputChecks
 from automodel.config import CameraConfig, CarConfig
-from automodel.loop import Loop
+from automodel.runtime.input_checks import InputChecks
+from automodel.runtime.loop import Loop
 from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
 
 CAR = dataclasses.replace(CarConfig(), camera=CameraConfig(width_px=160, height_px=90))

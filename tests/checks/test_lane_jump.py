@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from automodel.checks.lane_jump import KEPT_S, LaneJumpCheck
 from automodel.curves import line
+from automodel.runtime.input_checks import KEPT_S, LaneJumpCheck
 from automodel.signals import LaneEstimate, LanePose, LaneStatus
 
 MS = 1_000_000

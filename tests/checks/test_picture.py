@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.checks.picture import FLAT_LEVELS, PictureCheck, contrast
+from automodel.runtime.input_checks import FLAT_LEVELS, PictureCheck, contrast
 
 MS = 1_000_000
 PERIOD_NS = 16_666_667

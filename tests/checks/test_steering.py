@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from automodel.checks.steering import SteeringCheck
+from automodel.runtime.input_checks import SteeringCheck
 from automodel.signals import Motion, MotionSource, VehicleState
 
 MS = 1_000_000

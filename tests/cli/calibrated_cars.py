@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from automodel.cli import calibration_drive, calibration_rigs, odometry_drive, servo_drive
+from automodel.assembly import calibration_rigs
 from automodel.sim.plant import Plant
+from calibration import calibration_drive, odometry_drive, servo_drive
 
 SIMULATED = '# mine\n[link]\nport = "sim"  # here\n'
 

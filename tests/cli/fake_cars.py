@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from automodel.cli.simulated import Simulation, build_world
+from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.config import CarConfig
 from automodel.signals import Frame
 from automodel.sources.errors import SourceError

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
-from automodel.cli.workers import spread
+from automodel.console.workers import spread
 
 ACCURACY_KEYS = [
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",

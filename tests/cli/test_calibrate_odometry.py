@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 from calibrated_cars import during, untouched
 
-from automodel.cli import calibration_drive, calibration_rigs, odometry_drive
-from automodel.clocks import VirtualClock
+from automodel.assembly import calibration_rigs
 from automodel.config import load_car
+from automodel.runtime.clocks import VirtualClock
 from automodel.sim.plant import PlantConfig
+from calibration import calibration_drive, odometry_drive
 from firmware_link.arduino import ArduinoLink
 from firmware_link.board_log import LoggedTransport
 from firmware_link.emulator.bench import BenchPeripherals

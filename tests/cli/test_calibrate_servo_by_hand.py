@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from calibrated_cars import untouched
 
-from automodel.cli import servo_terminal
-from automodel.clocks import VirtualClock
 from automodel.config import load_car
+from automodel.runtime.clocks import VirtualClock
+from calibration import servo_dialogue as servo_terminal
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.transport import MemoryTransport

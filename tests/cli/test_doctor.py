@@ -17,7 +17,10 @@ from command_line import Said
 from fake_cars import StillCamera, road
 from fake_cars import car_toml as written
 
-from automodel.cli import doctor, doctor_board, doctor_camera, parts
+from automodel.assembly import parts
+from automodel.cli import doctor
+from automodel.doctor import board as doctor_board
+from automodel.doctor import camera as doctor_camera
 from automodel.signals import BoardSensors, Frame
 from automodel.sources import csi
 from firmware_link import arduino

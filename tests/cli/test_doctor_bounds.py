@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from automodel.cli import doctor_machine
-from automodel.cli.doctor_board import can_finding
-from automodel.cli.doctor_bounds import bounded
-from automodel.cli.doctor_move import Consent, servo_finding
-from automodel.clocks import VirtualClock
 from automodel.config import CarConfig
+from automodel.doctor import machine as doctor_machine
+from automodel.doctor.board import can_finding
+from automodel.doctor.bounds import bounded
 from automodel.doctor.findings import Finding, Verdict
+from automodel.doctor.move import Consent, servo_finding
+from automodel.runtime.clocks import VirtualClock
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino

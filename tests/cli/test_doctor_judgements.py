@@ -19,13 +19,22 @@ from automodel.config import (
     SafetyConfig,
     parse_car,
 )
-from automodel.doctor import board_health, machine
-from automodel.doctor.board_health import Listened
+from automodel.doctor import board as board_health
+from automodel.doctor import machine
+from automodel.doctor.board import Listened
 from automodel.doctor.calibrations import judge_lens, judge_records, judge_steering
-from automodel.doctor.capture import Capture, judge_rate, judge_resolution, judge_stamps
+from automodel.doctor.camera import (
+    Capture,
+    blur_px,
+    judge_exposure,
+    judge_rate,
+    judge_resolution,
+    judge_sharpness,
+    judge_stamps,
+    judge_width,
+    line_distance_m,
+)
 from automodel.doctor.findings import Finding, Verdict, failed, summary
-from automodel.doctor.lane import judge_width, line_distance_m
-from automodel.doctor.pictures import blur_px, judge_exposure, judge_sharpness
 from automodel.signals import Frame, VehicleState
 
 OK, WARN, FAIL, SKIP = Verdict.OK, Verdict.WARN, Verdict.FAIL, Verdict.SKIP

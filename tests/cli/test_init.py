@@ -13,7 +13,7 @@ import pytest
 from automodel.cli import init
 from automodel.cli.init import KITS, kit_text
 from automodel.config import CarConfig, load_car, parse_car
-from automodel.reading import parse_toml
+from automodel.config.toml_reader import parse_toml
 
 CAMERA_AND_BOARD = {
     "camera.source": "csi",

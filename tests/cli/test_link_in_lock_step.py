@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from automodel.cli import simulated
+from automodel.assembly import simulated_car as simulated
 from firmware_link.transport import MemoryTransport
 
 OUT_S, IN_S = 2.0, 2.5

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from fake_cars import StillCamera, car_toml, road
 
-from automodel.cli import drive_real
+from automodel.assembly import drive_real
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event
 from firmware_link import arduino

@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 from fake_cars import StillCamera, car_toml, road
 
-from automodel.cli import drive_real
+from automodel.assembly import drive_real
 from automodel.recording.reader import Recording
 from automodel.signals import VehicleState
 from firmware_link import autonomos
-from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard
+from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard, Pins
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.pty import PtyBoard
-from firmware_link.emulator.text_board import Pins
 
 RUN = ("run", "--track", "oval", "--pipeline", "windows")
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.estimation.clothoid_pair import ClothoidPair, PairShape, Parameter
+from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape, Parameter
 from automodel.types import FloatArray
 
 Complexes = NDArray[np.complex128]

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from automodel.curves.arcs import arc_from
-from automodel.estimation.clothoid_config import RoughLane, TrackerConfig
-from automodel.estimation.clothoid_pair import ClothoidPair, Parameter
-from automodel.estimation.clothoid_tracker import ClothoidTracker
+from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
+from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, RoughLane, TrackerConfig
 from automodel.types import FloatArray
 
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44

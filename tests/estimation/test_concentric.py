@@ -9,9 +9,9 @@ import pytest
 from measured_lanes import REFERENCE_M, RLS, UNIT
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.concentric import Centerline, to_centre
-from automodel.estimation.line_spline import smooth
-from automodel.estimation.theta_rls import ThetaRls
+from automodel.estimation.theta.centerline_fusion import Centerline, to_centre
+from automodel.estimation.theta.line_spline import smooth
+from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
 
 KNOWN, UNKNOWN = 1e-6, 0.1**2  # variance of the width [m^2]

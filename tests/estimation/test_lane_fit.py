@@ -10,7 +10,7 @@ import pytest
 from fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
 from world_lanes import arc
 
-from automodel.estimation.lane_fit import LineSamples
+from automodel.estimation.polynomial.lane_fit import LineSamples
 from automodel.geometry import SE2
 
 

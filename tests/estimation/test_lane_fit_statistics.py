@@ -10,7 +10,7 @@ import pytest
 from fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
 from world_lanes import WorldLane
 
-from automodel.estimation.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LineSamples
+from automodel.estimation.polynomial.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LineSamples
 
 
 def test_a_third_of_the_points_may_lie() -> None:

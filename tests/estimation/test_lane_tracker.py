@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.lane_fit import LaneFitConfig
-from automodel.estimation.lane_tracker import LaneTracker, Observation
+from automodel.estimation.polynomial.lane_fit import LaneFitConfig
+from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation
 from automodel.geometry import SE2
 
 REFERENCE_M = 0.13

@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import BSpline
 from world_lanes import WorldLane
 
-from automodel.estimation.line_spline import SampledLine, smooth
+from automodel.estimation.theta.line_spline import SampledLine, smooth
 
 UNIT = 0.4  # lane width
 STEP, KNOT, RATE = 0.08 * UNIT, 0.6 * UNIT, 0.6 / UNIT**2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.estimation.motion_trust import MotionTrust
+from automodel.estimation.odometry_monitor import MotionTrust
 
 NODES = np.arange(8)
 PERIOD_NS = 33_333_333

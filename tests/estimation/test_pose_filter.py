@@ -10,7 +10,7 @@ import pytest
 from measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.pose_filter import LanePoseFilter, LinePoint
+from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint
 from automodel.geometry import SE2
 
 

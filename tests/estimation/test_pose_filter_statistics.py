@@ -9,8 +9,7 @@ import pytest
 from measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
 from scipy.stats import chi2
 
-from automodel.estimation.pose_filter import LanePoseFilter
-from automodel.estimation.pose_model import carried
+from automodel.estimation.theta.pose_filter import LanePoseFilter, carried
 from automodel.geometry import SE2
 
 

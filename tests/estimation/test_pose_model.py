@@ -9,8 +9,7 @@ import pytest
 from measured_lanes import REFERENCE_M, UNIT, pose_state
 from world_lanes import arc
 
-from automodel.estimation.pose_filter import LinePoint
-from automodel.estimation.pose_model import carried, expectation
+from automodel.estimation.theta.pose_filter import LinePoint, carried, expectation
 from automodel.geometry import SE2
 
 STATES = [(0.0, 0.0, 0.4), (0.3, -0.5, 0.35), (-0.7, 0.8, 0.5), (0.5, 1.2, 0.4)]

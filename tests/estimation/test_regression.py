@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.estimation.regression import evaluate_polynomial, fit_polynomial, shift_polynomial
+from automodel.estimation.polynomial.regression import evaluate_polynomial, fit_polynomial, shift_polynomial
 
 
 def test_agrees_with_polyfit() -> None:

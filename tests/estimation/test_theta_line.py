@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.theta_line import ThetaLine, shift_matrix
+from automodel.estimation.theta.heading_polynomial import ThetaLine, shift_matrix
 from automodel.geometry import SE2
 
 REFERENCE = (0.13, 0.0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from measured_lanes import REFERENCE_M, RLS, UNIT
 
-from automodel.estimation.theta_rls import ThetaRls
+from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
 
 FREE = replace(RLS, prior_rad=(math.inf, math.inf, math.inf))  # the paper's: no prior

@@ -10,9 +10,8 @@ import pytest
 from measured_lanes import REFERENCE_M, RLS, UNIT, drive, see
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.line_place import locate
-from automodel.estimation.line_spline import smooth
-from automodel.estimation.theta_rls import ThetaRls
+from automodel.estimation.theta.line_spline import smooth
+from automodel.estimation.theta.theta_rls import ThetaRls, locate
 from automodel.geometry import SE2
 
 STILL = SE2()

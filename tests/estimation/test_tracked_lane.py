@@ -9,8 +9,8 @@ import pytest
 from measured_lanes import REFERENCE_M, UNIT
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.tracked_lane import TrackedLane
-from automodel.estimation.tracked_line import SeenLine, TrackedLine
+from automodel.estimation.theta.tracked_lane import TrackedLane
+from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
 
 NOTHING = SeenLine(points_m=np.empty((0, 2)), sigma_m=np.empty(0))

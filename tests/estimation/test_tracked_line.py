@@ -9,7 +9,7 @@ import pytest
 from measured_lanes import REFERENCE_M, RLS, UNIT
 from world_lanes import WorldLane, arc
 
-from automodel.estimation.tracked_line import SeenLine, TrackedLine
+from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
 
 STEP_M = 0.03

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.estimation.update_laws import LAWS, gauss_newton, gradient_descent, posterior, solved
+from automodel.estimation.clothoid.solvers import LAWS, gauss_newton, gradient_descent, posterior, solved
 from automodel.types import FloatArray
 
 SCALES = np.array([0.02, 0.3, 1.0, 5.0])  # sigmas of very different units

@@ -8,16 +8,13 @@ from collections.abc import Callable
 import pytest
 from command_line import Cli, cli
 
-from automodel import safety
-from automodel.checks.inputs import InputChecks
-from automodel.checks.lane_jump import LaneJumpCheck
-from automodel.checks.picture import PictureCheck
-from automodel.checks.steering import SteeringCheck
-from automodel.cli import fault_rig
-from automodel.control import speed as speed_module
-from automodel.faults.catalogue import FAULTS
-from automodel.faults.fault import Must
-from automodel.supervised_source import SupervisedSource
+from automodel.bench.faults import rig as fault_rig
+from automodel.bench.faults.catalogue import FAULTS
+from automodel.bench.faults.fault import Must
+from automodel.control import longitudinal as speed_module
+from automodel.runtime import safety
+from automodel.runtime.input_checks import InputChecks, LaneJumpCheck, PictureCheck, SteeringCheck
+from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino
 from firmware_link.emulator import logic
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from runner_fakes import MS, estimate
 
-from automodel.clocks import VirtualClock
-from automodel.faults import camera, perception, sensors, wire
-from automodel.faults.hooks import At, Hooks, Stall
-from automodel.faults.plan import Plan
-from automodel.faults.wrappers import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
+from automodel.bench.faults import camera, perception, sensors, wire
+from automodel.bench.faults.hooks import At, Hooks, Stall
+from automodel.bench.faults.plan import Plan
+from automodel.bench.faults.wrappers import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
+from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneStatus, Motion
 from automodel.sources.errors import SourceError
 

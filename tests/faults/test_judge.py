@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from automodel.faults.fault import Fault, Kind, Must
-from automodel.faults.hooks import Hooks
-from automodel.faults.judge import Observed, Pin, judge
-from automodel.faults.plan import Plan
+from automodel.bench.faults.fault import Fault, Kind, Must
+from automodel.bench.faults.hooks import Hooks
+from automodel.bench.faults.judge import Observed, Pin, judge
+from automodel.bench.faults.plan import Plan
 from automodel.signals import Event
 
 MS = 1_000_000

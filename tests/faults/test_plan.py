@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from automodel.faults.catalogue import FAULTS, NOMINAL, chosen
-from automodel.faults.fault import Kind, Must
-from automodel.faults.plan import BEGIN_NS, REARM_S, draw_plan
+from automodel.bench.faults.catalogue import FAULTS, NOMINAL, chosen
+from automodel.bench.faults.fault import Kind, Must
+from automodel.bench.faults.plan import BEGIN_NS, REARM_S, draw_plan
 
 PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in FAULTS for index in range(30)]
 

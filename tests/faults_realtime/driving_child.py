@@ -13,7 +13,8 @@ import sys
 import numpy as np
 from board_time import BoardTime
 
-from automodel.cli import drive_real, main
+from automodel.assembly import drive_real
+from automodel.cli import main
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
 

@@ -6,16 +6,17 @@ from collections.abc import Callable
 
 import pytest
 
-from firmware_link.autonomos_text import OneBoard, Said, TwoBoards
+from firmware_link.autonomos import OneBoard, Said, TwoBoards
 from firmware_link.emulator.autonomos import (
     EmulatedAutonomos,
     EmulatedMotorController,
     EmulatedServoBoard,
+    Pins,
+    TextBoard,
     int16,
     whole,
 )
 from firmware_link.emulator.bench import BenchPeripherals
-from firmware_link.emulator.text_board import Pins, TextBoard
 
 MS = 1_000_000
 

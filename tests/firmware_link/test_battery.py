@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from firmware_link.battery import BatteryMeter
+from firmware_link.arduino import BatteryMeter
 
 MS = 1_000_000
 

@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-from automodel.clocks import VirtualClock
 from automodel.config import LinkConfig, VehicleConfig
+from automodel.runtime.clocks import VirtualClock
 from automodel.signals import VehicleState
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.bench import BenchPeripherals

@@ -13,7 +13,7 @@ from drawn_views import Shape, disc, share
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.feature_points import FeaturePoints, resized_camera
+from automodel.perception.markings.feature_points import FeaturePoints, resized_camera
 
 CAMERA = CarConfig().camera
 VIEW = View(x_near_m=0.36, x_far_m=1.96, half_width_m=0.64, m_per_px=0.008)

@@ -11,8 +11,8 @@ from drawn_roads import MARKING_M
 from rendered_drives import CAR, renderer
 
 from automodel.geometry import SE2, View
-from automodel.perception.feature_points import FeaturePoints
-from automodel.perception.line_following import ExpectedLine, LineFollowing
+from automodel.perception.markings.feature_points import FeaturePoints
+from automodel.perception.windows.line_following import ExpectedLine, LineFollowing
 from automodel.sim.track import Lane, load_track
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from automodel.geometry import View
-from automodel.perception.line_following import ExpectedLine, FollowedLine, LineFollowing, LineStart
+from automodel.perception.windows.line_following import ExpectedLine, FollowedLine, LineFollowing, LineStart
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 LONG_ROWS = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008, m_per_row=0.012)

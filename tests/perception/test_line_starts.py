@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.line_following import LineStart
-from automodel.perception.line_starts import LineStarts
+from automodel.perception.windows.line_following import LineStart
+from automodel.perception.windows.line_initialisation import LineStarts
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 REFERENCE_M = 0.13

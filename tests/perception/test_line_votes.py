@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.perception.line_votes import best_pair, best_single, peaks, summed, votes
+from automodel.perception.rows.row_hough import best_pair, best_single, peaks, summed, votes
 
 LATERAL = np.linspace(-1.0, 1.0, 21)
 FEWEST, OFF, UNIT = 6, 3.0, 0.8

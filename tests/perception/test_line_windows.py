@@ -12,9 +12,9 @@ from drawn_views import Shape, bar, binary, disc, line_at
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.line_following import ExpectedLine, LineFollowing, LineStart
-from automodel.perception.line_guide import Guide
-from automodel.perception.line_windows import LineWindows
+from automodel.perception.windows.line_following import ExpectedLine, LineFollowing, LineStart
+from automodel.perception.windows.line_windows import LineWindows
+from automodel.perception.windows.window_tracker import Guide
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 LONG_ROWS = replace(VIEW, m_per_row=0.012)

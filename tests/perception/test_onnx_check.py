@@ -10,9 +10,8 @@ import onnx_files as files
 import pytest
 from hypothesis import given
 
-from automodel.perception import onnx_reader
-from automodel.perception.onnx_check import check_onnx
-from automodel.perception.onnx_reader import Allowance, MalformedError, Message
+from automodel.perception.markings import onnx_check as onnx_reader
+from automodel.perception.markings.onnx_check import Allowance, MalformedError, Message, check_onnx
 
 GOOD = files.model()
 field, node, value = files.field, files.node, files.value

@@ -11,7 +11,7 @@ from drawn_views import Shape, line_at
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import GroundCamera
-from automodel.perception.ridge import RidgeMarkings, apparent_width_px
+from automodel.perception.markings.ridge import RidgeMarkings, apparent_width_px
 
 MARKING_M = 0.03
 CAMERA = GroundCamera.from_config(CarConfig().camera)

@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.perception.ridges import AROUND, BAR, LINE, PER_MARKING, Brightness, Judged, RidgeJudge, judge
-from automodel.perception.row_ridges import GATE, RowRidges
+from automodel.perception.markings.ridge import (
+    AROUND,
+    BAR,
+    GATE,
+    LINE,
+    PER_MARKING,
+    Brightness,
+    Judged,
+    RidgeJudge,
+    RowRidges,
+    judge,
+)
 from automodel.types import FloatArray
 
 GROUND, PAINT, CONTRAST, WIDTH = 80.0, 90.0, 15.0, 640

@@ -11,12 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from automodel.config import Extrinsics, Intrinsics
-from automodel.estimation.clothoid_pair import ClothoidPair, PairShape
+from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.ridges import Brightness
-from automodel.perception.row_ridges import REACH, RowRidges
-from automodel.perception.row_search import RowSearch, Sighting
+from automodel.perception.markings.ridge import REACH, Brightness, RowRidges
+from automodel.perception.rows.row_search import RowSearch, Sighting
 from automodel.types import FloatArray, Image
 
 HEIGHT, WIDTH, MARKING, LANE, REFERENCE = 240, 400, 0.03, 0.42, 0.15

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.perception.standing_out import standing_out
+from automodel.perception.markings.adaptive_threshold import standing_out
 
 
 def mask(width: int = 512) -> np.ndarray:

@@ -15,10 +15,10 @@ import onnx_files as files
 import onnxruntime
 import pytest
 
-from automodel.perception import unet
-from automodel.perception.self_test import drawn_lines, self_test
-from automodel.perception.unet import SIZES, MarkingNetwork, UnetConfig
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
+from automodel.perception.markings import unet
+from automodel.perception.markings.self_test import drawn_lines, self_test
+from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 
 SMALL = (files.HEIGHT, files.WIDTH)
 
@@ -273,7 +273,7 @@ def test_a_wrong_configuration_is_refused(keys: dict[str, Any], said: str) -> No
 
 
 def test_onnxruntime_is_imported_only_when_a_network_is_loaded() -> None:
-    code = "import sys, automodel.perception.unet; sys.exit('onnxruntime' in sys.modules)"
+    code = "import sys, automodel.perception.markings.unet; sys.exit('onnxruntime' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
@@ -297,7 +297,10 @@ def test_the_networks_that_ship_are_described() -> None:
 
 def test_a_network_in_use_reports_to_nobody(tmp_path) -> None:
     """onnxruntime by itself sends reports to its makers, and keeps the machine's number in the temporary folder."""
-    code = "from automodel.perception.unet import MarkingNetwork as N, UnetConfig as C; N(C(providers=('cpu',)))"
+    code = (
+        "from automodel.perception.markings.unet import MarkingNetwork, UnetConfig\n"
+        "MarkingNetwork(UnetConfig(providers=('cpu',)))"
+    )
     environment = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
     environment |= {"TMPDIR": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     assert subprocess.run([sys.executable, "-c", code], check=False, env=environment).returncode == 0

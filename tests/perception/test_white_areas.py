@@ -8,7 +8,7 @@ from drawn_views import bar, disc, grey, line_at, share
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.white_areas import WhiteAreas
+from automodel.perception.markings.white_areas import WhiteAreas
 
 MARKING_M = 0.03
 # 5, 6 and 7.5 pixels a marking, and rows that are coarser than columns

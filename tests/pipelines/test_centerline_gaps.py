@@ -9,7 +9,7 @@ import pytest
 from masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
 from rendered_drives import Seen, camera, with_camera
 
-from automodel.evaluation.accuracy import AccuracyMeter, TruePose
+from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.signals import LaneStatus
 from automodel.sim.track import load_track
 from automodel.types import Image

@@ -16,8 +16,8 @@ from masked_drives import CAR, arc, errors, gap, line, road
 from rendered_drives import RenderedDrive, Seen, check_sound
 
 from automodel.config import CarConfig, CenterlineConfig, ConfigError, parse_car
-from automodel.perception.ridge import RidgeMarkings
-from automodel.perception.unet import MarkingNetwork, UnetConfig
+from automodel.perception.markings.ridge import RidgeMarkings
+from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.pipelines import make_pipeline
 from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneStatus, Motion

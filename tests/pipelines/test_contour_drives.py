@@ -13,8 +13,8 @@ import pytest
 from masked_drives import arc, gap, line, road
 from rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
+from automodel.bench.accuracy import FALSE_LANE
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
-from automodel.evaluation.accuracy import FALSE_LANE
 from automodel.geometry import SE2
 from automodel.pipelines.contour import Contour
 from automodel.signals import LaneStatus, MotionSource

@@ -8,7 +8,7 @@ from functools import lru_cache
 import pytest
 from rendered_drives import CAR, RenderedDrive, Seen, check_sound
 
-from automodel.evaluation.accuracy import FALSE_LANE
+from automodel.bench.accuracy import FALSE_LANE
 from automodel.pipelines.contour import Contour
 from automodel.sim.track import load_track
 

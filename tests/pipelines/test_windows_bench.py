@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rendered_drives import CAR, check_sound, renderer
 
-from automodel.evaluation.accuracy import AccuracyMeter, TruePose
+from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.pipelines.windows import Windows
 from automodel.signals import Frame, LaneStatus
 from automodel.sim.appearance import Appearance

@@ -15,7 +15,7 @@ from automodel.config import RecordingConfig
 from automodel.curves import Curve, ReversedCurve, ThetaCurve
 from automodel.recording.codec import TOPICS, Value, decode, encode
 from automodel.recording.images import ImageCodec, decode_image
-from automodel.recording.schemas import SCHEMAS
+from automodel.recording.run_file import SCHEMAS
 from automodel.signals import Command, LaneEstimate, LaneStatus, Motion, MotionSource, VehicleState
 
 

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from automodel.cli import replay
-from automodel.loop import Tick
 from automodel.recording.codec import encode
 from automodel.recording.reader import Recording
+from automodel.runtime.loop import Tick
 
 POSES = (
     "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"

@@ -5,7 +5,7 @@ import pytest
 
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
-from automodel.training.damage import damage, light
+from automodel.training.augmentation import damage, light
 
 
 def camera(width=512, height=256, k1=0.0):

@@ -9,10 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
 from automodel.training import dataset
 from automodel.training.dataset import Batches, Pictures, Shard
-from automodel.training.figures import measured
+from automodel.training.metrics import measured
 
 H, W = dataset.HEIGHT_PX, dataset.WIDTH_PX
 

@@ -11,11 +11,11 @@ import pytest
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 
-from automodel.perception.onnx_check import OPSET, check_onnx
-from automodel.perception.unet import SIZES, open_session, run_network
+from automodel.perception.markings.onnx_check import OPSET, check_onnx
+from automodel.perception.markings.unet import SIZES, open_session, run_network
 from automodel.training.card import Origin, write_card, write_figures
 from automodel.training.export import onnx_bytes, with_metadata, write_whole
-from automodel.training.figures import Figures
+from automodel.training.metrics import Figures
 from automodel.training.unet import MarkingNet, standardised
 
 

@@ -7,7 +7,8 @@ import pytest
 
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
-from automodel.training import distractors, scenes, signs
+from automodel.training import distractors, scenes
+from automodel.training import distractors as signs
 from automodel.training.cameras import Kind, WideLens, random_camera
 from automodel.training.ground_view import GroundView, atlas
 from automodel.training.layouts import random_road

@@ -16,8 +16,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 from automodel.cli import train as command
-from automodel.perception.unet import MarkingNetwork, UnetConfig, open_session, run_network
-from automodel.reading import ConfigError
+from automodel.config.toml_reader import ConfigError
+from automodel.perception.markings.unet import MarkingNetwork, UnetConfig, open_session, run_network
 from automodel.training import dataset, train
 from automodel.training.train import TrainConfig, Training, Watcher, rate_factor
 from automodel.training.unet import MarkingNet

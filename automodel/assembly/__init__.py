@@ -1,0 +1,1 @@
+"""From a configuration to concrete parts: the only place below the commands that knows concrete classes."""

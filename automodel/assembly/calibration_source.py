@@ -1,0 +1,104 @@
+"""Pictures to calibrate with: files, folders, globs, videos and recordings, or the camera itself."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from automodel.assembly.parts import make_camera
+from automodel.assembly.recordings import open_source
+from automodel.config import CarConfig, ConfigError
+from automodel.interfaces import Source
+from automodel.recording.reader import RecordingSource
+from automodel.signals import Frame
+from automodel.sources.capture import CaptureThread
+from automodel.sources.errors import EndOfSource, SourceError
+from automodel.sources.images import SUFFIXES, natural_key
+from automodel.sources.pictures import read_picture
+from automodel.types import Image
+
+LIVE = "live"
+_FRAMES = 120  # of a video or recording that are looked at, spread over its length
+_EVERY = 10  # where its length is not known
+_READ_S = 5.0
+
+
+def is_live(sources: Sequence[str]) -> bool:
+    """Whether the camera of car.toml is meant."""
+    return tuple(sources) == (LIVE,)
+
+
+def named_paths(sources: Sequence[str]) -> list[Path]:
+    """The files that the arguments name: globs spread out, folders as their pictures; raises ConfigError."""
+    paths: list[Path] = []
+    for source in sources:
+        path = Path(source)
+        if path.is_dir():
+            found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
+            if not found:
+                raise ConfigError(f"{source}: no pictures in this folder ({', '.join(SUFFIXES)})")
+        elif path.exists():
+            paths.append(path)
+            continue
+        else:
+            found = [Path(name) for name in glob.glob(source)]
+            if not found:
+                raise ConfigError(f"{source}: no such file or folder")
+        paths.extend(sorted(found, key=lambda p: (natural_key(p.name), p.name)))
+    return list(dict.fromkeys(paths))
+
+
+def pictures_of(paths: Sequence[Path], car: CarConfig) -> Iterator[tuple[str, Image | SourceError]]:
+    """Name and picture, of videos and recordings some hundred frames; a picture that cannot be read is its error."""
+    short = len({path.name for path in paths}) == len(paths)
+    for path in paths:
+        if path.suffix.lower() in SUFFIXES:
+            name = path.name if short else str(path)
+            try:
+                yield name, read_picture(path, colour=False)
+            except SourceError as error:
+                yield name, error
+        else:
+            yield from _frames(path, car)
+
+
+def _frames(path: Path, car: CarConfig) -> Iterator[tuple[str, Image]]:
+    source = open_source(path, car, None)
+    count = source.recording.counts.get("frames") if isinstance(source, RecordingSource) else None
+    count = getattr(source, "frame_count", count)
+    every = max(1, count // _FRAMES) if count else _EVERY
+    with contextlib.closing(source), contextlib.suppress(EndOfSource):
+        number = 0
+        while True:
+            frame = source.read(_READ_S)
+            if isinstance(frame, Frame):
+                if number % every == 0:
+                    yield f"{path.name}:{frame.index}", frame.image
+                number += 1
+
+
+@contextlib.contextmanager
+def live_camera(car: CarConfig, car_file: Path) -> Iterator[Source]:
+    """The camera of car.toml, read in a thread that keeps the newest frame only; a file is read frame by frame."""
+    if car.camera.source == "sim":
+        raise ConfigError(f'{car_file}: [camera] source "sim" gives no pictures; live is for "csi" and "usb"')
+    camera = make_camera(car)
+    if car.camera.source in ("csi", "usb"):
+        camera = CaptureThread(camera)
+    try:
+        yield camera
+    finally:
+        camera.close()
+
+
+def live_frames(camera: Source) -> Iterator[tuple[str, Image]]:
+    """Name and picture of every frame until the camera ends; raises SourceError where none comes for 5 s."""
+    with contextlib.suppress(EndOfSource):
+        while True:
+            frame = camera.read(_READ_S)
+            if frame is None:
+                raise SourceError(f"no picture from the camera in {_READ_S:.0f} s; is it plugged in and free?")
+            if isinstance(frame, Frame):
+                yield f"frame {frame.index}", frame.image

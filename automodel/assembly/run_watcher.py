@@ -1,0 +1,204 @@
+"""Watches a run: progress, the simulator's truth, and what came of it."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from automodel.config import CarConfig, ConfigError
+from automodel.console.messages import say
+from automodel.interfaces import Clock, Source, VehicleLink
+from automodel.runtime.run_types import RunConfig, RunEnd, RunResult, TickRecord
+from automodel.runtime.runner import Runner
+from automodel.runtime.safety import SafetyMode
+from automodel.signals import Command, Frame, StereoFrame, VehicleState
+from automodel.sim.world import Scene
+
+TRUTH_COLUMNS = (
+    "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
+)  # fmt: skip
+GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
+
+
+class Watcher:
+    """Implements `RunObserver`, and is told the scenes of the simulator."""
+
+    def __init__(self, laps: int | None, advance: Callable[..., None]) -> None:
+        self._laps, self._advance = laps, advance
+        self.scenes: list[Scene] = []
+        self._driving_from: int | None = None  # index of the first scene in which it was driving
+        self._stood_since_ns: int | None = None
+        self._now_ns = 0
+        self._reason: str | None = None
+        self._lap_times_ns: list[int] = []
+
+    def on_scene(self, scene: Scene) -> None:
+        """The truth of a frame."""
+        if self.scenes:
+            before = self.scenes[-1]
+            self._advance(max(scene.car.distance_m - before.car.distance_m, 0.0))
+            if scene.truth.lap > before.truth.lap:
+                self._lap_times_ns.append(scene.t_ns)
+        self.scenes.append(scene)
+
+    def on_tick(self, record: TickRecord) -> None:
+        """A turn of the runner."""
+        driving = record.decision.mode in (SafetyMode.DRIVING, SafetyMode.HOLD)
+        if driving and self._driving_from is None:
+            self._driving_from = max(len(self.scenes) - 1, 0)
+            self._lap_times_ns = [record.t_ns]
+        if self.scenes and abs(self.scenes[-1].car.speed_mps) >= 0.01:
+            self._stood_since_ns = None
+        elif self._stood_since_ns is None:
+            self._stood_since_ns = record.t_ns
+        self._now_ns, self._reason = record.t_ns, record.decision.reason
+
+    def finished(self) -> bool:
+        """Whether the laps are driven, or the simulated car has given up."""
+        if not self.scenes:
+            return False
+        if self._laps is not None and self.scenes[-1].truth.lap >= self._laps:
+            return True
+        return self.gave_up() is not None
+
+    def gave_up(self) -> str | None:
+        """Why the simulated car stands and will not go on; None where it does."""
+        stood = self._stood_since_ns
+        if stood is None or self._now_ns - stood <= GIVE_UP_S * 1e9:
+            return None
+        return f"the car has stood for {GIVE_UP_S:g} s: {self._reason or 'it was given no speed'}"
+
+    def row(self, result: RunResult, latencies_ms: tuple[float | None, float | None]) -> dict[str, object]:
+        """The figures of a simulated run."""
+        scenes = self.scenes[self._driving_from :] if self._driving_from is not None else []
+        offsets = np.abs([scene.truth.offset_m for scene in scenes])
+        outside = np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=bool)
+        laps = np.diff(self._lap_times_ns) * 1e-9
+        return {
+            "laps": max((scene.truth.lap for scene in scenes), default=0),
+            "lap_s": float(laps.mean()) if len(laps) else None,
+            "max_abs_offset_m": float(offsets.max()) if len(offsets) else None,
+            "mae_offset_m": float(offsets.mean()) if len(offsets) else None,
+            "left_lane": int(np.count_nonzero(np.diff(outside.astype(np.int8), prepend=0) == 1)),
+            "stops": result.stops,
+            "latency_p50_ms": latencies_ms[0],
+            "latency_p99_ms": latencies_ms[1],
+        }
+
+    def write_truth(self, path: Path) -> None:
+        """truth.csv: where the car really was, a row a frame."""
+        try:
+            with open(path, "w", encoding="utf-8", newline="") as file:
+                table = csv.writer(file, lineterminator="\n")
+                table.writerow(TRUTH_COLUMNS)
+                for scene in self.scenes:
+                    truth, car = scene.truth, scene.car
+                    values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
+                    numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
+                    table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
+        except OSError as error:
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def run_config(car: CarConfig, collector_off: bool) -> RunConfig:
+    """The times of a run with `car`."""
+    return RunConfig(
+        command_validity_s=car.safety.command_validity_s,
+        period_s=1.0 / car.camera.rate_hz,
+        collector_off=collector_off,
+    )
+
+
+def drive(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None) -> RunResult:
+    """Run until the watcher has seen enough, `duration_s` is over or a signal comes."""
+    start_ns = clock.now_ns()
+
+    def finished() -> bool:
+        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
+        return over or watcher.finished()
+
+    result = runner.run(stop=finished)
+    if result.traceback is not None:
+        say(result.traceback.rstrip())
+    if result.end is RunEnd.SIGNAL:
+        say(f"stopped by {result.events[-1].text}")
+    return result
+
+
+class Stopwatch:
+    """The loop's own time from a frame's delivery to its command on the wire, where the run lives on virtual time."""
+
+    def __init__(self) -> None:
+        self._taken_ns: int | None = None
+        self.latencies_ns: list[int] = []
+
+    def percentiles_ms(self) -> tuple[float | None, float | None]:
+        """The median and the 99th percentile [ms]."""
+        if not self.latencies_ns:
+            return None, None
+        median_ns, p99_ns = np.percentile(self.latencies_ns, (50, 99))
+        return float(median_ns) * 1e-6, float(p99_ns) * 1e-6
+
+    def taken(self) -> None:
+        """A frame was delivered."""
+        self._taken_ns = time.perf_counter_ns()
+
+    def sent(self) -> None:
+        """A command is on the wire."""
+        if self._taken_ns is not None:
+            self.latencies_ns.append(time.perf_counter_ns() - self._taken_ns)
+            self._taken_ns = None
+
+
+class TimedSource:
+    """A source that starts the stopwatch."""
+
+    def __init__(self, source: Source, watch: Stopwatch) -> None:
+        self._source, self._watch = source, watch
+
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
+        """As the source's."""
+        frame = self._source.read(timeout_s)
+        if frame is not None:
+            self._watch.taken()
+        return frame
+
+    def close(self) -> None:
+        """As the source's."""
+        self._source.close()
+
+
+class TimedLink:
+    """A link that stops the stopwatch."""
+
+    def __init__(self, link: VehicleLink, watch: Stopwatch) -> None:
+        self._link, self._watch = link, watch
+
+    def open(self) -> None:
+        """As the link's."""
+        self._link.open()
+
+    def poll(self, now_ns: int) -> VehicleState | None:
+        """As the link's."""
+        return self._link.poll(now_ns)
+
+    def send(self, command: Command, now_ns: int) -> None:
+        """As the link's."""
+        self._link.send(command, now_ns)
+        self._watch.sent()
+
+    def arm(self, now_ns: int) -> None:
+        """As the link's."""
+        self._link.arm(now_ns)
+
+    def disarm(self, now_ns: int) -> None:
+        """As the link's."""
+        self._link.disarm(now_ns)
+
+    def close(self) -> None:
+        """As the link's."""
+        self._link.close()

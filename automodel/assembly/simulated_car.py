@@ -1,0 +1,161 @@
+"""Puts the simulated world together, in lock-step or in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from automodel.config import CarConfig
+from automodel.geometry import GroundCamera
+from automodel.interfaces import Source, VehicleLink
+from automodel.runtime.clocks import MonotonicClock, VirtualClock
+from automodel.sim.appearance import Appearance
+from automodel.sim.lockstep import LockStepSource
+from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.realtime import RealTimeWorld
+from automodel.sim.renderer import Renderer
+from automodel.sim.track import Lane, Track, load_track
+from automodel.sim.truth import TruthFollower
+from automodel.sim.ultrasonic import UltrasonicRanges
+from automodel.sim.world import Scene, World
+from firmware_link.arduino import ArduinoLink
+from firmware_link.autonomos import AutonomosLink
+from firmware_link.emulator.autonomos import EmulatedAutonomos
+from firmware_link.emulator.avr import AvrBoard
+from firmware_link.emulator.avr_build import AvrProgram, build_avr
+from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import PtyBoard
+from firmware_link.transport import MemoryTransport, SerialTransport, Transport
+
+STYLES = ("clean", "competition", "varied")
+LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Simulation:
+    """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor.
+
+    `link` is the board: "emulated"; "avr", the firmware itself on a simulated microcontroller; "autonomos", that of an
+    AutoNOMOS car.
+    """
+
+    track: str = "tmr"
+    direction: str = "forward"
+    seed: int = 0
+    style: str = "competition"
+    link: str = "emulated"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedCar:
+    """A source, a link and a clock that belong together, and what closes them."""
+
+    source: Source
+    link: VehicleLink
+    clock: VirtualClock | MonotonicClock
+    close: Callable[[], None]
+
+
+def appearance(style: str, seed: int) -> Appearance:
+    """The look of the world."""
+    return Appearance.clean() if style == "clean" else Appearance.random(seed, style=style)
+
+
+def renderer(track: Track, car: CarConfig, look: Appearance) -> Renderer:
+    """The camera of `car` over `track`."""
+    eye = GroundCamera.from_config(car.camera)
+    return Renderer(track.paint(), track.floor, track.obstacles, eye, look, roadside=track.roadside)
+
+
+def build_world(car: CarConfig, simulation: Simulation) -> World:
+    """The car at the start of its lane, standing."""
+    track = load_track(simulation.track)
+    lane = track.lane(simulation.direction)
+    start = track.start
+    if simulation.direction != track.start_direction:
+        start = lane.pose(_straight_place(lane, lane.centerline.project((start.x_m, start.y_m))[0]))
+    vehicle = car.vehicle
+    true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
+    bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
+    ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
+    follower = TruthFollower(lane, vehicle.reference_x_m)
+    return World(
+        Plant(true, start, ranges),
+        renderer(track, car, appearance(simulation.style, simulation.seed)),
+        follower,
+        lambda state: follower.lateral_reach_m(state, vehicle),
+    )
+
+
+def _straight_place(lane: Lane, from_s_m: float) -> float:
+    """Arc length of the first place from `from_s_m` on with a straight way of four lane widths ahead, or the best."""
+    line, width = lane.centerline, float(lane.width_m(0.0))
+    starts = from_s_m + np.arange(0.0, line.length_m, 0.25 * width)
+    bend = np.abs(line.curvature(starts[:, None] + np.linspace(-0.5, 4.0, 19) * width)).max(axis=1)
+    straight = np.flatnonzero(bend * width < 0.02)
+    return float(starts[straight[0] if len(straight) else int(np.argmin(bend))])
+
+
+def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """Virtual time: the bytes go through memory, the board's timers run on the same clock."""
+    with contextlib.ExitStack() as leaving:
+        program = _program(car, simulation, leaving)
+        world = build_world(car, simulation)
+        board = _board(car, simulation, world, program)
+        if isinstance(board, AvrBoard):
+            leaving.callback(board.close)
+
+        def advance(t_ns: int) -> None:
+            board.advance(t_ns)
+            world.settle(t_ns)
+
+        clock = VirtualClock(0, advance)
+        source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
+        leaving.callback(source.close)
+        link = _link(car, simulation, MemoryTransport(board, clock))
+        return SimulatedCar(source=source, link=link, clock=clock, close=leaving.pop_all().close)
+
+
+def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | None = None) -> tuple[World, PtyBoard]:
+    """World and board for a process of their own; the board answers on a pseudo terminal."""
+    world = build_world(car, simulation)
+    return world, PtyBoard(_board(car, simulation, world, program))
+
+
+def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """Real time: camera and board live in another process, behind shared memory and a serial port."""
+    shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
+    with contextlib.ExitStack() as leaving:
+        program = _program(car, simulation, leaving)
+        source = RealTimeWorld(served_world, (car, simulation, program), shape, car.camera.rate_hz, on_scene)
+        leaving.callback(source.close)
+        link = _link(car, simulation, SerialTransport(source.port, car.link.baud))
+        return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)
+
+
+def _program(car: CarConfig, simulation: Simulation, leaving: contextlib.ExitStack) -> AvrProgram | None:
+    """The firmware and its simulator, built into a folder that goes with `leaving`; None for the emulated board."""
+    if simulation.link != "avr":
+        return None
+    folder = leaving.enter_context(tempfile.TemporaryDirectory(prefix="avr-"))
+    return build_avr(Path(folder), car.link.baud)
+
+
+def _board(
+    car: CarConfig, simulation: Simulation, world: World, program: AvrProgram | None
+) -> EmulatedArduino | EmulatedAutonomos | AvrBoard:
+    if program is not None:
+        return AvrBoard(program, world, car.link.baud)
+    board = EmulatedAutonomos if simulation.link == "autonomos" else EmulatedArduino
+    return board(world, car.link.baud)
+
+
+def _link(car: CarConfig, simulation: Simulation, transport: Transport) -> VehicleLink:
+    if simulation.link == "autonomos":
+        return AutonomosLink([transport], car.link, car.vehicle)
+    return ArduinoLink(transport, car.link, car.vehicle)

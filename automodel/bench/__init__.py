@@ -1,0 +1,1 @@
+"""What `automodel bench` runs: accuracy, speed, latency, faults, and the papers' tables."""

@@ -1,0 +1,187 @@
+"""Times a command's way for `bench latency`: frame -> bytes written, and bytes written -> pulse at the servo's pin.
+
+The first is this machine's own time in the loop that drives the simulated car. The second lives in the board's time,
+with the bytes on a real pseudo terminal: how busy this machine is changes nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from automodel.assembly.parts import make_loop
+from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, run_config
+from automodel.assembly.simulated_car import Simulation, lock_step
+from automodel.config import CarConfig
+from automodel.console.progress import progress
+from automodel.estimation.ego_motion import MotionEstimator
+from automodel.runtime.run_types import RunParts
+from automodel.runtime.runner import Runner
+from automodel.runtime.safety import Safety
+from automodel.signals import Command
+from firmware_link.arduino import ArduinoLink
+from firmware_link.emulator.avr import AvrBoard
+from firmware_link.emulator.avr_build import build_avr
+from firmware_link.emulator.bench import BenchPeripherals
+from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import PtyBoard
+from firmware_link.errors import LinkError
+from firmware_link.pulses import PulseTable
+from firmware_link.transport import SerialTransport
+
+_MS = 1_000_000
+_STEP_NS = _MS  # how often a board on a pseudo terminal looks at its line
+_KERNEL_S = 0.0001  # the kernel hands a pseudo terminal's bytes on in its own time
+_PATIENCE_S = 5.0
+_READY_NS = 5_000 * _MS
+_ANGLES_RAD = (0.05, -0.05)  # near enough for one servo frame, whatever the slew
+_GAPS_MS = (30.0, 50.0)  # between two commands: the servo's frame is met in every phase
+_VALID_NS = 100 * _MS
+
+
+def measure_latency(car: CarConfig, link: str, frames: int, commands: int) -> list[dict[str, object]]:
+    """A row a stage: median, 99th percentile and greatest [ms], and whose clock they are of."""
+    with progress("bench latency", frames + commands) as bar:
+        written_ns = _frame_to_write(car, frames)
+        bar(frames)
+        applied_ns = _write_to_pulse(car, link, commands)
+        bar(commands)
+    return [
+        _row(link, "frame -> write", written_ns, "this machine"),
+        _row(link, "write -> pulse", applied_ns, "board"),
+    ]
+
+
+def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> dict[str, object]:
+    median, p99, most = (float(np.percentile(samples_ns, share)) * 1e-6 for share in (50, 99, 100))
+    samples = len(samples_ns)
+    return {
+        "link": link, "stage": stage, "samples": samples, "p50_ms": median, "p99_ms": p99, "max_ms": most,
+        "clock": clock,
+    }  # fmt: skip
+
+
+def _frame_to_write(car: CarConfig, frames: int) -> list[int]:
+    """This machine's time [ns] from each frame's delivery to its command on the wire, of the car that drives."""
+    watch = Stopwatch()
+    simulated = lock_step(car, Simulation(track="oval"), lambda scene: None)
+    with contextlib.closing(simulated):
+        parts = RunParts(
+            source=TimedSource(simulated.source, watch),
+            link=TimedLink(simulated.link, watch),
+            recorder=None,
+            motion=MotionEstimator(car.vehicle),
+            loop=make_loop(car),
+            safety=Safety(car.safety, auto_arm=True),
+            clock=simulated.clock,
+        )
+        Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
+    return watch.latencies_ns
+
+
+def _write_to_pulse(car: CarConfig, link: str, commands: int) -> list[int]:
+    """The board's time [ns] from each write to the end of the first pulse that is the commanded one."""
+    with contextlib.ExitStack() as leaving:
+        peripherals = BenchPeripherals()
+        board: EmulatedArduino | AvrBoard
+        if link == "avr":
+            folder = leaving.enter_context(tempfile.TemporaryDirectory(prefix="avr-"))
+            board = AvrBoard(build_avr(Path(folder), car.link.baud), peripherals, car.link.baud)
+            leaving.callback(board.close)
+        else:
+            board = EmulatedArduino(peripherals, car.link.baud)
+        line = Line(board, peripherals, car)
+        leaving.callback(line.close)
+        line.arm()
+        rng = random.Random(0)
+        return [line.command(index, rng.uniform(*_GAPS_MS)) for index in range(commands)]
+
+
+class Line:
+    """Link and board with a real pseudo terminal between them, in the board's time: it goes on when it is told to."""
+
+    def __init__(self, board: EmulatedArduino | AvrBoard, peripherals: BenchPeripherals, car: CarConfig) -> None:
+        self._pulses_end = isinstance(board, AvrBoard)  # a pulse is told at its end; else at its beginning
+        self._peripherals = peripherals
+        self._board = Counted(board)
+        self._pty = PtyBoard(self._board)
+        self._link = ArduinoLink(SerialTransport(self._pty.path, car.link.baud), car.link, car.vehicle)
+        self._servo = PulseTable(car.link.servo.pulse_us, car.link.servo.steering_rad)
+        self._now_ns = 0
+        self._link.open()
+
+    def close(self) -> None:
+        """Give the terminal back."""
+        self._link.close()
+        self._pty.close()
+
+    def arm(self) -> None:
+        """Until the board is armed; raises LinkError."""
+        while True:
+            self._wait(20.0)
+            state = self._link.poll(self._now_ns)
+            if state is not None and state.armed:
+                return
+            if self._now_ns > _READY_NS:
+                raise LinkError("the board does not arm")
+            if state is not None:
+                self._link.arm(self._now_ns)
+            self._link.send(self._order(0.0), self._now_ns)
+
+    def command(self, index: int, wait_ms: float) -> int:
+        """Write a command, wait, and tell when its pulse was over [ns after the write]; raises LinkError."""
+        angle = _ANGLES_RAD[index % 2]
+        written_ns = self._now_ns
+        self._send(angle)
+        self._wait(wait_ms)
+        self._link.poll(self._now_ns)
+        wanted_us = self._servo.pulse_us(angle)
+        for t_ns, servo_us, _ in self._peripherals.pulses:
+            if t_ns > written_ns and servo_us == wanted_us:
+                return t_ns - written_ns + (0 if self._pulses_end else round(servo_us * 1000))
+        raise LinkError("a command never became a pulse")
+
+    def _order(self, steering_rad: float) -> Command:
+        return Command(
+            t_ns=self._now_ns, steering_rad=steering_rad, speed_mps=0.0, valid_until_ns=self._now_ns + _VALID_NS
+        )
+
+    def _send(self, steering_rad: float) -> None:
+        """The board's time stands still until the kernel has handed the bytes on, at its next look at the line."""
+        before = self._board.received
+        self._link.send(self._order(steering_rad), self._now_ns)
+        self._now_ns += -self._now_ns % _STEP_NS
+        given_up = time.monotonic() + _PATIENCE_S
+        while self._board.received == before:
+            self._pty.step(self._now_ns)
+            if time.monotonic() > given_up:
+                raise LinkError("the pseudo terminal does not hand bytes on")
+
+    def _wait(self, wait_ms: float) -> None:
+        end_ns = self._now_ns + round(wait_ms * _MS)
+        while self._now_ns < end_ns:
+            self._now_ns = min(self._now_ns + _STEP_NS - self._now_ns % _STEP_NS, end_ns)
+            if self._now_ns % _STEP_NS == 0:
+                self._pty.step(self._now_ns)
+                time.sleep(_KERNEL_S)
+
+
+class Counted:
+    """A board that counts the bytes from the host."""
+
+    def __init__(self, board: EmulatedArduino | AvrBoard) -> None:
+        self._board = board
+        self.received = 0
+        self.reset, self.room = board.reset, board.room
+        self.transmit, self.advance = board.transmit, board.advance
+
+    def receive(self, data: bytes, now_ns: int) -> int:
+        """As the board's."""
+        self.received += len(data)
+        return self._board.receive(data, now_ns)

@@ -1,0 +1,1 @@
+"""What commands share at a terminal: messages, tables, progress, keys, worker processes."""

@@ -1,0 +1,228 @@
+"""What the vehicle's board says of itself and its sensors while the car stands.
+
+Talks to the car's board: port, hello, and what its sensors say.
+"""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from automodel.config import CarConfig
+from automodel.doctor.bounds import bounded
+from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.runtime.clocks import SleepingClock
+from automodel.signals import VehicleState
+from firmware_link.arduino import ArduinoLink
+from firmware_link.autonomos import AutonomosLink
+from firmware_link.errors import HandshakeError
+from firmware_link.messages import Hello, ResetCause
+from firmware_link.transport import likely_ports
+
+NO_BATTERY_V = 1.0  # an open divider reads next to nothing
+TURNING_RADPS = 0.05  # a gyro that stands still reads less
+RANGE_NAMES = ("left", "centre", "right")
+RESETS = {  # as the board names why it started -> what to do; those that are usual are not here
+    "brown_out": "its supply dips: give the servo a supply of its own, look at battery and plugs",
+    "watchdog": "its program hung: flash the firmware again, and tell its makers",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Listened:
+    """What came from the board in about a second."""
+
+    states: tuple[VehicleState, ...]
+    span_s: float
+    damaged: int  # frames
+
+    @property
+    def last(self) -> VehicleState:
+        """The newest state."""
+        return self.states[-1]
+
+
+def judge_reset(cause: str) -> Finding:
+    """Why the board started last, as it says itself: `power_on`, `external`, `brown_out`, `watchdog`."""
+    name = "board start"
+    if cause in RESETS:
+        return warn(name, f"it restarted by itself: {cause.replace('_', ' ')}", RESETS[cause])
+    return okay(name, cause.replace("_", " "))
+
+
+def judge_wire(listened: Listened) -> Finding:
+    """Whether states keep coming, whole."""
+    name = "wire"
+    rate = len({state.t_ns for state in listened.states}) / listened.span_s
+    what = f"{rate:.0f} states/s, {listened.damaged} damaged frames"
+    if rate < 25.0 or listened.damaged > 2:  # 50 Hz; the first bytes after opening may be cut
+        return warn(name, what, "a shorter USB cable, away from the motor's wires, or less [link] baud")
+    return okay(name, what)
+
+
+def judge_faults(listened: Listened) -> Finding:
+    """What the board complains of."""
+    name = "board faults"
+    faults = sorted({fault for state in listened.states for fault in state.faults})
+    if faults:
+        return warn(
+            name, ", ".join(faults), "firmware_link/README.md says what each means; switch off and on, run again"
+        )
+    return okay(name, "none")
+
+
+def judge_battery(listened: Listened, car: CarConfig) -> Finding:
+    """The battery's voltage against the one that counts as low."""
+    name, volts, low = "battery", listened.last.battery_v, car.vehicle.battery_low_v
+    if volts is None or volts < NO_BATTERY_V:
+        return skip(name, "none is wired to the board", "to see it: firmware_link/firmware/README.md, pin A6")
+    what = f"{volts:.1f} V; low is below {low:g} V"
+    if volts < low:
+        return warn(name, what, "charge it: a low supply restarts the board; or set [vehicle] battery_low_v for yours")
+    return okay(name, what)
+
+
+def judge_ranges(listened: Listened, car: CarConfig) -> Finding:
+    """Which ultrasonic sensors hear an echo, and whether something stands in the way."""
+    name = "ranges"
+    heard: list[float | None] = [None] * len(RANGE_NAMES)
+    for state in listened.states:
+        for place, range_m in enumerate(state.ranges_m):
+            heard[place] = heard[place] if range_m is None else range_m
+    deaf = [side for side, range_m in zip(RANGE_NAMES, heard, strict=True) if range_m is None]
+    what = ", ".join(
+        f"{side} {'no echo' if range_m is None else f'{range_m:.2f} m'}"
+        for side, range_m in zip(RANGE_NAMES, heard, strict=True)
+    )
+    if len(deaf) == len(RANGE_NAMES) and car.link.port == "sim":
+        return okay(name, "no echo: the simulated way is free")
+    if len(deaf) == len(RANGE_NAMES):
+        do = "hold a hand 0.3 m before each and run again; without sensors the car does not stop for obstacles"
+        return warn(name, "no sensor hears an echo", do)
+    if deaf:
+        return warn(name, what, f"hold a hand 0.3 m before {' and '.join(deaf)} and run again; else look at the wires")
+    ahead = heard[1]
+    if ahead is not None and ahead < car.control.obstacle_stop_m:
+        return warn(name, what, f"clear the way: below {car.control.obstacle_stop_m} m ahead the car does not start")
+    return okay(name, what)
+
+
+def judge_motion(listened: Listened) -> Finding:
+    """Speed and yaw rate of a car that stands."""
+    name = "odometry"
+    speeds = [abs(state.speed_mps) for state in listened.states if state.speed_mps is not None]
+    turns = [state.yaw_rate_radps for state in listened.states if state.yaw_rate_radps is not None]
+    turn = statistics.median(turns) if turns else None
+    gyro = "no gyro: yaw rate comes from the steering" if turn is None else f"gyro reads {turn:+.3f} rad/s"
+    if speeds and max(speeds) > 0.0:
+        return warn(
+            name, f"wheel ticks come while the car stands; {gyro}", "leave the car alone; look at the wheel sensor"
+        )
+    if turn is not None and abs(turn) > TURNING_RADPS:
+        return warn(
+            name, f"the car stands, and the {gyro}", "leave the car alone while the board starts, then run again"
+        )
+    return okay(name, f"wheels stand; {gyro}")
+
+
+def judge_followed(asked_rad: Sequence[float], applied_rad: Sequence[float | None]) -> Finding:
+    """Whether the board set the angles that were asked for [rad]."""
+    name = "servo"
+    off = [
+        abs(asked - applied) if applied is not None else float("inf")
+        for asked, applied in zip(asked_rad, applied_rad, strict=True)
+    ]
+    asked_text = ", ".join(f"{asked:+.2f}" for asked in asked_rad)
+    if max(off) > 0.02:
+        got = ", ".join("nothing" if applied is None else f"{applied:+.2f}" for applied in applied_rad)
+        return fail(
+            name, f"asked for {asked_text} rad, the board set {got}", "run again; then look at the board's faults"
+        )
+    return okay(name, f"the board set {asked_text} rad as asked: left, right, straight")
+
+
+Board = ArduinoLink | AutonomosLink
+
+LISTENING_S = 1.0
+POLL_S = 0.005
+_HELLO_S = 7.0  # the link itself gives up after 5
+_OPENING_S = 5.0
+_CAN = "280"  # the kernel's type of a network interface that is one (ARPHRD_CAN)
+
+
+def board_findings(car: CarConfig, link: Board, clock: SleepingClock) -> Generator[Finding, None, bool]:
+    """Port, hello, sensors; gives back whether the board answers. The link is left open."""
+    place = f"{car.link.port} at {car.link.baud} baud"
+    opened = bounded("serial port", link.open, _OPENING_S, "try another cable and plug, then run again")
+    if isinstance(opened, Finding):
+        yield opened
+        yield skip("board", "not looked at: there is no port")
+        return False
+    yield okay("serial port", f"{place} opens")
+    do = f"flash it: firmware_link/firmware/README.md; {likely_ports()}"
+    heard = bounded("board", lambda: _listen(link, clock), _HELLO_S + 2.0 * LISTENING_S, do)
+    if isinstance(heard, Finding):
+        yield heard
+        return False
+    hello, listened = heard
+    if hello is None:
+        what = "an AutoNOMOS car: it tells no version, and drives on when this program is killed or cut off"
+        yield warn(
+            "board", what, "flash this project's firmware, which stops by itself: firmware_link/firmware/README.md"
+        )
+    else:
+        table = f"message table {hello.table_hash:#06x} version {hello.version}, as this program's"
+        yield okay("board", f"{table}; boot id {hello.boot_id}")
+        yield judge_reset(_cause(hello))
+    yield judge_wire(listened)
+    yield judge_faults(listened)
+    yield judge_battery(listened, car)
+    yield judge_ranges(listened, car)
+    yield judge_motion(listened)
+    return True
+
+
+def can_finding(networks: Path = Path("/sys/class/net")) -> Finding:
+    """The CAN interfaces of this machine; no link of this version drives over them."""
+    there = []
+    for kind in sorted(networks.glob("*/type")):
+        try:
+            if kind.read_text(encoding="ascii").strip() == _CAN:
+                state = (kind.parent / "operstate").read_text(encoding="ascii").strip()
+                there.append(f"{kind.parent.name} {state}")
+        except OSError:  # it went away meanwhile
+            continue
+    here = f"here are: {', '.join(there)}" if there else "this machine has no CAN interface"
+    return skip("can", f"car.toml knows no link over CAN yet; {here}")
+
+
+def _listen(link: Board, clock: SleepingClock) -> tuple[Hello | None, Listened]:
+    """The board's hello (None of one that says none), and a second of its states; raises LinkError."""
+    begin_ns = clock.now_ns()
+    states: list[VehicleState] = []
+    first_ns = begin_ns
+    while True:
+        now_ns = clock.now_ns()
+        state = link.poll(now_ns)
+        if state is not None:
+            first_ns = first_ns if states else now_ns
+            states.append(state)
+        elif (now_ns - begin_ns) * 1e-9 > _HELLO_S:
+            raise HandshakeError("the board says hello, but neither takes the limits of car.toml nor tells its state")
+        if states and (now_ns - first_ns) * 1e-9 >= LISTENING_S:
+            break
+        clock.sleep(POLL_S)
+    hello = link.hello if isinstance(link, ArduinoLink) else None
+    if hello is None and isinstance(link, ArduinoLink):
+        raise HandshakeError("the board restarted and said no hello again")
+    span_s = (now_ns - first_ns) * 1e-9
+    return hello, Listened(states=tuple(states), span_s=span_s, damaged=link.errors.total)
+
+
+def _cause(hello: Hello) -> str:
+    try:
+        return ResetCause(hello.reset_cause).name.lower()
+    except ValueError:
+        return f"cause {hello.reset_cause}, which this program does not know"

@@ -1,0 +1,337 @@
+"""Looks through the car's camera for a second or two, and for a lane in its pictures.
+
+What a camera delivered in about a second, and whether that is what car.toml says.
+
+The lane's width as the camera sees it, against car.toml: what shows a wrong calibration of the ground at once.
+
+Exposure and sharpness of one picture.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.config import CarConfig
+from automodel.doctor.bounds import bounded
+from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.interfaces import Source
+from automodel.pipelines import make_pipeline
+from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
+from automodel.sources.errors import EndOfSource, SourceError
+from automodel.types import Image
+
+RATE_OK = 0.1  # share by which the rate may be off
+RATE_FAIL = 0.5  # share of it that may be missing
+
+
+@dataclass(slots=True, kw_only=True)
+class Capture:
+    """The stamps of all pictures after the first ones, and the newest few pictures themselves."""
+
+    stamps_ns: list[int] = field(default_factory=list)
+    frames: list[Frame] = field(default_factory=list)
+    repeated: int = 0  # pictures that were the same as the one before, bit for bit
+
+    def add(self, frame: Frame, keep: int) -> None:
+        """One more picture; the newest `keep` are kept."""
+        if self.frames and (self.frames[-1].image.shape == frame.image.shape):
+            self.repeated += int((self.frames[-1].image == frame.image).all())
+        self.stamps_ns.append(frame.t_ns)
+        self.frames = [*self.frames, frame][-keep:]
+
+
+def judge_resolution(capture: Capture, car: CarConfig) -> Finding:
+    """The pictures' size against car.toml."""
+    name = "resolution"
+    height, width = capture.frames[-1].image.shape[:2]
+    wanted = car.camera.width_px, car.camera.height_px
+    if (width, height) != wanted:
+        do = "set [camera] width_px and height_px to what the camera gives, and calibrate for it"
+        return fail(name, f"{width}x{height} pixels where car.toml says {wanted[0]}x{wanted[1]}", do)
+    return okay(name, f"{width}x{height} pixels")
+
+
+def judge_stamps(capture: Capture) -> Finding:
+    """Whether time stamps rise and pictures change."""
+    name = "time stamps"
+    count = len(capture.stamps_ns)
+    if count < 2:
+        return fail(name, f"{count} picture came", "look at the cable; try another program with this camera")
+    back = sum(b <= a for a, b in itertools.pairwise(capture.stamps_ns))
+    if back:
+        do = "another driver or kernel for this camera: the car holds on such frames"
+        return fail(name, f"{back} of {count} are not later than the one before", do)
+    if capture.repeated == count - 1:
+        do = "plug the camera in again: a live picture is never the same twice (a drawn one is)"
+        return warn(name, f"rise, but all {count} pictures are the same", do)
+    return okay(name, f"{count} rise, and the pictures change")
+
+
+def judge_rate(capture: Capture, car: CarConfig) -> Finding:
+    """The rate [Hz] by the stamps, and the longest gap against the time after which the car holds."""
+    name = "frame rate"
+    steps = [(b - a) * 1e-9 for a, b in itertools.pairwise(capture.stamps_ns)]
+    span_s = (capture.stamps_ns[-1] - capture.stamps_ns[0]) * 1e-9 if steps else 0.0
+    if span_s <= 0.0:
+        return fail(name, "no rate: the time stamps do not rise", "see time stamps")
+    rate, wanted = len(steps) / span_s, car.camera.rate_hz
+    longest, timeout_s = max(steps), car.safety.frame_timeout_s
+    what = f"{rate:.1f} Hz (car.toml: {wanted:g}), {statistics.median(steps) * 1e3:.1f} ms apart, {longest * 1e3:.0f} "
+    what += "at most"
+    if rate < (1.0 - RATE_FAIL) * wanted or statistics.median(steps) > timeout_s:
+        do = "more light, a smaller picture, another USB port; a camera that is as slow needs a smaller [camera] "
+        do += f"rate_hz, and a [safety] frame_timeout_s above {1.5 / rate:.3f}"
+        return fail(name, what, do)
+    if abs(rate - wanted) > RATE_OK * wanted:
+        do = f"more light, or [camera] rate_hz = {rate:.0f} (v4l2-ctl --list-formats-ext shows what the camera has)"
+        return warn(name, what, do)
+    if longest > timeout_s:
+        do = f"close other programs; the car holds after {timeout_s * 1e3:.0f} ms without a frame"
+        return warn(name, what, do)
+    return okay(name, what)
+
+
+LEAST_POINTS = 3  # of each line
+LEAST_FRAMES = 5
+WIDTH_OK, WIDTH_FAIL = 0.08, 0.25  # share of the width; drawn lanes are seen within 0.02
+_ROUNDS = 5
+
+
+def line_distance_m(left_m: NDArray[np.float64], right_m: NDArray[np.float64]) -> float | None:
+    """Distance [m] of two parallel lines by their points (n, 2), (m, 2) in the body frame, left first.
+
+    Both follow y = a + b x + c x^2 with b and c in common; the difference of a, seen square to the lines. The weights
+    of points far off are reduced. None where there are too few points, or all at one place.
+    """
+    if min(len(left_m), len(right_m)) < LEAST_POINTS:
+        return None
+    x, y = np.vstack((left_m, right_m)).T
+    middle = float(np.median(x))
+    x = x - middle
+    is_left = np.arange(len(x)) < len(left_m)
+    terms = np.stack((is_left, ~is_left, x, x * x), axis=1).astype(np.float64)
+    if np.linalg.matrix_rank(terms) < terms.shape[1]:
+        return None
+    weight = np.ones(len(x))
+    for _ in range(_ROUNDS):
+        found = np.linalg.lstsq(terms * weight[:, None], y * weight, rcond=None)[0]
+        off = np.abs(terms @ found - y)
+        weight = 1.0 / np.sqrt(1.0 + (off / max(2.0 * float(np.median(off)), 1e-4)) ** 2)
+    return float((found[0] - found[1]) / np.hypot(1.0, found[2]))
+
+
+def seen_width_m(estimate: LaneEstimate) -> float | None:
+    """The lane's width [m] by this frame's points alone; None where not both lines are seen.
+
+    Not `estimate.pose.width_m`: a filter has that begin at car.toml's width, and lets it go slowly.
+    """
+    left, right = estimate.left, estimate.right
+    if left is None or right is None or not (left.seen and right.seen):
+        return None
+    return line_distance_m(left.points_m, right.points_m)
+
+
+def judge_width(widths_m: Sequence[float], car: CarConfig) -> Finding:
+    """The widths [m] of the frames in which both lines were seen."""
+    name, wanted = "lane width", car.lane.width_m
+    if len(widths_m) < LEAST_FRAMES:
+        return skip(name, "no lane is seen", "put the car in the middle of a straight piece of the lane and run again")
+    width = statistics.median(widths_m)
+    off = width / wanted - 1.0
+    what = f"{width:.3f} m seen, {wanted:.3f} m in car.toml ({off:+.0%})"
+    if abs(off) <= WIDTH_OK:
+        return okay(name, what)
+    do = "measure the lane and set [lane] width_m; if that is right: automodel calibrate ground"
+    return (fail if abs(off) > WIDTH_FAIL else warn)(name, what, do)
+
+
+BLACK = 30  # grey level; a picture that is hardly anywhere above it shows nothing
+DARK = 70  # markings on a lit floor are far above it
+BURNT = 250
+BURNT_WARN, BURNT_FAIL = 0.15, 0.5  # share of burnt pixels: a white wall, a lamp; the road itself
+FLAT = 25  # grey levels between the darkest and the brightest hundredth: a cap, fog, a wall
+
+REACH_PX = 12  # about an edge, within which its contrast is measured; caps the blur that can be told at some 4 px
+CONTRAST = 30  # grey levels across an edge that is measured: noise alone does not reach it
+EDGES = 50  # fewer tell nothing
+SHARPEST = 20  # percent of the edges that tell of the lens; the others may lie out of its depth or be soft themselves
+BLUR_WARN_PX, BLUR_FAIL_PX = 1.9, 3.2
+_SMOOTHING_PX = 0.7
+
+
+def grey_of(image: Image) -> Image:
+    """The picture (h, w) of one (h, w) or (h, w, 3) BGR."""
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
+def judge_exposure(grey: Image) -> Finding:
+    """Too dark, burnt out, without contrast, or right; `grey` is uint8 (h, w)."""
+    name = "exposure"
+    low, middle, bright, high = (float(v) for v in np.percentile(grey, (1, 50, 95, 99)))
+    burnt = float((grey >= BURNT).mean())
+    levels = f"grey levels {low:.0f} to {high:.0f}, median {middle:.0f}"
+    if high < BLACK:
+        return fail(name, f"the picture is black: {levels}", "take the cap off the lens, switch a light on")
+    if burnt > BURNT_FAIL:
+        return fail(name, f"burnt out: {burnt:.0%} of the picture is white", "shade the camera, lower its exposure")
+    if high - low < FLAT:
+        return fail(name, f"nothing is seen: {levels}", "uncover and clean the lens, point the camera at the road")
+    if bright < DARK:
+        return warn(name, f"too dark: {levels}", "more light, or a longer exposure (v4l2-ctl --list-ctrls)")
+    if burnt > BURNT_WARN:
+        return warn(name, f"{burnt:.0%} of the picture is burnt out", "turn lamps away, lower the camera's exposure")
+    return okay(name, levels)
+
+
+def blur_px(grey: Image) -> float | None:
+    """How blurred the sharpest edges are: standard deviation [px] of the blur; None where there are too few edges.
+
+    An edge of contrast c that a Gaussian of standard deviation s blurs has the slope c / (s sqrt(2 pi)) at its middle,
+    so s comes from contrast and steepest slope, whatever the contrast is. Rows and columns are looked at alike. A
+    picture that is sharp to the pixel has about 1, since the pixels themselves and the smoothing against noise blur.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING_PX).astype(np.float32)
+    window = np.ones((1, 2 * REACH_PX + 1), np.uint8)
+    found = []
+    for rows in (smooth, np.ascontiguousarray(smooth.T)):
+        if rows.shape[1] <= 2 * REACH_PX:
+            continue
+        slope = np.zeros_like(rows)
+        slope[:, 1:-1] = 0.5 * np.abs(rows[:, 2:] - rows[:, :-2])
+        contrast = np.asarray(cv2.dilate(rows, window)) - np.asarray(cv2.erode(rows, window))
+        edge = (slope >= np.asarray(cv2.dilate(slope, window))) & (contrast >= CONTRAST)
+        edge[:, :REACH_PX] = edge[:, -REACH_PX:] = False
+        found.append(contrast[edge] / (slope[edge] * math.sqrt(2.0 * math.pi)))
+    blurs = np.concatenate(found) if found else np.empty(0)
+    return float(np.percentile(blurs, SHARPEST)) if len(blurs) >= EDGES else None
+
+
+def judge_sharpness(grey: Image) -> Finding:
+    """Whether the lens is in focus; `grey` is uint8 (h, w), taken while the car stands."""
+    name = "sharpness"
+    blur = blur_px(grey)
+    if blur is None:
+        return skip(name, "the picture has too few edges to tell", "point the camera at the track and run again")
+    what = f"edges are blurred by {blur:.1f} px"
+    if blur > BLUR_FAIL_PX:
+        return fail(name, what, "focus the lens (turn it in its thread), clean it, take its foil off")
+    if blur > BLUR_WARN_PX:
+        return warn(name, what, "focus the lens at 1 m while looking at this figure; 1 is sharp")
+    return okay(name, what)
+
+
+FIRST_S = 6.0  # until the first picture; a Jetson's camera takes two or three
+SETTLING_S = 0.5  # of stamps that are not counted: exposure and rate settle
+LOOKING_S = 1.0
+KEPT = 20  # pictures for the lane
+_PATIENCE_S = 12.0
+_MOST = 1000  # pictures, where stamps do not rise
+_LANE_S = 60.0
+
+
+def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: list[Frame]) -> Iterator[Finding]:
+    """What the camera gives; its newest pictures are put into `frames`."""
+    looked = bounded("camera", lambda: _look(open_camera), _PATIENCE_S, _what_to_do(car))
+    if isinstance(looked, Finding):
+        yield looked
+        yield skip("pictures", "not looked at: there are none")
+        return
+    capture, first_s = looked
+    frames += capture.frames
+    yield okay("camera", f"{_name(car)} opens, first picture after {first_s:.1f} s")
+    yield judge_resolution(capture, car)
+    yield judge_stamps(capture)
+    yield judge_rate(capture, car)
+    grey = grey_of(capture.frames[-1].image)
+    yield judge_exposure(grey)
+    yield judge_sharpness(grey)
+
+
+def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
+    """The lane's width in the pictures of a car that stands."""
+
+    def look() -> Finding:
+        # The processor finds the same lines as what drives, and is ready at once.
+        options = dataclasses.replace(car.pipeline.centerline, providers=("cpu",))
+        pipeline = make_pipeline(
+            car.pipeline.name,
+            dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, centerline=options)),
+        )
+        widths = []
+        for frame in frames:
+            still = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+            width = seen_width_m(pipeline.step(frame, still))
+            if width is not None:
+                widths.append(width)
+        return judge_width(widths, car)
+
+    return bounded("lane width", look, _LANE_S, "see [pipeline], [lane] and [camera.extrinsics] in car.toml")
+
+
+def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
+    """What the camera gave once it had settled, and the time to its first picture [s]; raises SourceError."""
+    begin = time.perf_counter()
+    source = open_camera()
+    try:
+        first = _first(source, begin)
+        first_s = time.perf_counter() - begin
+        capture = Capture()
+        while time.perf_counter() - begin < FIRST_S + SETTLING_S + 2.0 * LOOKING_S:
+            frame = _next(source)
+            if frame is None:
+                break
+            if (frame.t_ns - first.t_ns) * 1e-9 >= SETTLING_S or frame.t_ns <= first.t_ns:
+                capture.add(frame, KEPT)
+            if (frame.t_ns - first.t_ns) * 1e-9 >= SETTLING_S + LOOKING_S or len(capture.stamps_ns) >= _MOST:
+                break
+        if not capture.frames:
+            capture.add(first, KEPT)
+        return capture, first_s
+    finally:
+        source.close()
+
+
+def _first(source: Source, begin: float) -> Frame:
+    while time.perf_counter() - begin < FIRST_S:
+        frame = _next(source)
+        if frame is None:
+            break
+        return frame
+    raise SourceError(f"no picture within {FIRST_S:g} s")
+
+
+def _next(source: Source) -> Frame | None:
+    """The next picture, None at the end and when none comes; the left one of a pair."""
+    try:
+        frame = source.read(FIRST_S)
+    except EndOfSource:
+        return None
+    if frame is None or isinstance(frame, Frame):
+        return frame
+    return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
+
+
+def _name(car: CarConfig) -> str:
+    source, device = car.camera.source, car.camera.device
+    known = {"sim": "the simulated camera", "csi": f"CSI camera {device}", "usb": f"/dev/video{device}"}
+    return known.get(source, source)
+
+
+def _what_to_do(car: CarConfig) -> str:
+    if car.camera.source == "usb":
+        there = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none"
+        return f"here are: {there}; plug the camera in, set [camera] device, add the user to the group video"
+    if car.camera.source == "csi":
+        return "look at the ribbon cable (off, pins towards the board), then: sudo systemctl restart nvargus-daemon"
+    return 'set [camera] source to "csi" or "usb"'

@@ -1,0 +1,1 @@
+"""The lane as a pair of clothoids (Smith)."""

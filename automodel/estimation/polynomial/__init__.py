@@ -1,0 +1,1 @@
+"""The lane as a fit of both lines (the windows pipeline)."""

@@ -1,0 +1,214 @@
+"""The lane over time: points remembered in the moving body frame, and one `LaneFit` a frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.estimation.polynomial.lane_fit import (
+    Bearing,
+    LaneFit,
+    LaneFitConfig,
+    LanePrior,
+    LaneShape,
+    LaneSolution,
+    LineSamples,
+)
+from automodel.geometry import SE2
+from automodel.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observation:
+    """Line points of one frame, body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
+
+    left_m: FloatArray
+    right_m: FloatArray
+    left_sigma_m: FloatArray
+    right_sigma_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Support:
+    """How many of a frame's points carry the lane, a line."""
+
+    left: int
+    right: int
+
+
+class LaneTracker:
+    """Carries one lane from frame to frame.
+
+    A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
+    the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
+    Where a crossing was seen the lane is expected to go straight on, square to it: a road bends before or after it.
+    `parameters` are None while there is no lane; `shape` is theirs. `blind_m` is the way since a line was seen.
+    """
+
+    KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
+    KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
+    CAPACITY = 60
+    ROUNDS = 3  # of the fit in a frame
+    STEP_LANES = 0.04
+    # Process noise over STEP_LANES of way while the motion is known; near the car the curvature was seen before.
+    OFFSET = 0.005
+    HEADING_RAD = 0.006
+    BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth with the way without a line: per metre, radians per lane width
+    KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
+    CROSSING_LANES = 3.3  # depth of a crossing
+    CROSSING_TURN_RAD = 0.2  # how much the lane may turn within a crossing
+    CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
+    DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
+
+    def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
+        self.fit = LaneFit(config)
+        self.unit = config.lane_width_m
+        self.near_x_m = near_x_m
+        nodes = len(self.fit.nodes_m)
+        u = self.unit
+        far = self.fit.config.ahead_lanes * u
+        reach = np.clip((self.fit.nodes_m - self.SURE_LANES * u) / (far - self.SURE_LANES * u), 0.0, 1.0)
+        kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
+        self._sigma = np.concatenate(([self.OFFSET * u, self.HEADING_RAD], kappa, [0.004 * u]))
+        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u]))
+        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u]))
+        self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
+        self.parameters: FloatArray | None = None
+        self.shape: LaneShape = self.fit.shape(self._nothing)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the lane and all remembered points."""
+        self._take(None)
+        self._memory = np.empty((0, 4))  # x, y, side, sigma
+        self._since_kept = np.inf
+        self._motion_known = False
+        self._step_m = 0.0
+        self.blind_m = 0.0
+        self._crossing: Bearing | None = None
+        self._crossing_s_m = -np.inf
+
+    def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
+        """Carry lane and points over to the body frame after a motion; unknown motion forgets the points."""
+        if self.parameters is not None:
+            self.parameters = self.fit.moved(self.parameters, self.shape, after_from_before)
+            self.shape = self.fit.shape(self.parameters)
+        self._crossing_s_m -= distance_m
+        self._motion_known = known
+        self._step_m = abs(distance_m)
+        self.blind_m += abs(distance_m)
+        if not known:
+            self._crossing_s_m = -np.inf
+            self._memory = self._memory[:0]
+            return
+        self._since_kept += abs(distance_m)
+        if len(self._memory):
+            self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
+            self._memory[:, 3] += self.DRIFT * abs(distance_m)
+            behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
+            self._memory = self._memory[self._memory[:, 0] > behind]
+
+    def fit_alone(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
+        """A lane from one frame's points near a guess of the parameters; None where they do not make one."""
+        samples = _samples(seen)
+        mean = guess.copy()  # the road up to what is seen may as well be straight, and the car stand well in its lane
+        mean[:2] = 0.0
+        mean[2:-1][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
+        solution = self.fit.solve(samples, LanePrior(mean=mean, sigma=self._start_sigma), rounds=6, guess=guess)
+        residual = self.fit.residuals(solution.parameters, samples)[0]
+        good = solution.inliers
+        if good.mean() < 0.7 or float(np.std(residual[good])) > 0.03 * self.unit:
+            return None
+        return solution
+
+    def begin(self, seen: Observation, solution: LaneSolution) -> None:
+        """Go on from a lane that `fit_alone` found."""
+        self.forget()
+        self._take(solution.parameters)
+        self._keep(_samples(seen), solution.inliers)
+
+    def cross(self, distance_m: float, theta_rad: float) -> None:
+        """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
+        since_m = distance_m - self._crossing_s_m
+        if (
+            abs(since_m) < self.CROSSING_LANES * self.unit
+        ):  # the one that is known, or its far side, or a road across it
+            expected = float(np.interp(distance_m, self.shape.s_m, self.shape.theta_rad))
+            if abs(theta_rad - expected) > self.CROSSING_TURN_RAD:
+                return
+        elif self.parameters is not None:
+            after = self.parameters.copy()  # a bend that leads up to a crossing says nothing of what comes after it
+            after[2:-1][self.fit.nodes_m > distance_m] = 0.0
+            self._take(after)
+        if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:
+            self._crossing_s_m = distance_m
+        self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
+
+    @property
+    def near_crossing(self) -> bool:
+        """Whether the car is about to pass a crossing, in it, or a little behind it."""
+        return -(self.CROSSING_LANES + 2.0) * self.unit < self._crossing_s_m < 2.0 * self.unit
+
+    def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
+        """One frame's points into the lane; `parameters` must be there."""
+        if self.parameters is None:
+            raise ValueError("update: nothing is tracked; begin first")
+        fresh = _samples(seen)
+        doubtful = self._doubtful(fresh)
+        sigma_m = np.where(doubtful, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)
+        samples = LineSamples(
+            points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
+            side=np.concatenate((fresh.side, self._memory[:, 2])),
+            sigma_m=np.concatenate((sigma_m, self._memory[:, 3])),
+        )
+        bearing, self._crossing = self._crossing, None
+        solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
+        self._take(solution.parameters)
+        good = solution.inliers[: len(fresh.side)]
+        self._keep(fresh, good & ~doubtful)
+        support = Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+        if max(support.left, support.right) >= 2:
+            self.blind_m = 0.0
+        return solution, support
+
+    def _doubtful(self, samples: LineSamples) -> NDArray[np.bool_]:
+        """Which samples lie inside a crossing: there are no lines of this road, what looks like some counts little."""
+        s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
+        return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
+
+    def _prior(self, parameters: FloatArray) -> LanePrior:
+        mean, sigma = parameters.copy(), self._loose_sigma.copy()
+        if self._motion_known:  # a random walk over the way
+            sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
+        sigma[0] += self.BLIND_OFFSET * self.blind_m
+        sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
+        nodes, begin = self.fit.nodes_m, self._crossing_s_m
+        straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
+        mean[2:-1][straight] = 0.0
+        sigma[2:-1][straight] = 0.15 / self.unit
+        return LanePrior(mean=mean, sigma=sigma)
+
+    def _take(self, parameters: FloatArray | None) -> None:
+        self.parameters = parameters
+        self.shape = self.fit.shape(self._nothing if parameters is None else parameters)
+
+    def _keep(self, samples: LineSamples, good: NDArray[np.bool_]) -> None:
+        if self._since_kept < self.KEEP_EVERY_LANES * self.unit:
+            return
+        near = good & (samples.points_m[:, 0] < self.near_x_m + self.KEEP_DEPTH_LANES * self.unit)
+        if not near.any():
+            return
+        new = np.column_stack((samples.points_m[near], samples.side[near], samples.sigma_m[near]))
+        self._memory = np.concatenate((self._memory, new))[-self.CAPACITY :]
+        self._since_kept = 0.0
+
+
+def _samples(seen: Observation) -> LineSamples:
+    return LineSamples(
+        points_m=np.concatenate((seen.left_m, seen.right_m)),
+        side=np.concatenate((np.ones(len(seen.left_m)), -np.ones(len(seen.right_m)))),
+        sigma_m=np.concatenate((seen.left_sigma_m, seen.right_sigma_m)),
+    )

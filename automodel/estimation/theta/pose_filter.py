@@ -1,0 +1,373 @@
+"""The car's pose in the lane by an extended Kalman filter, on filterpy's (Cudrano et al. 2020, eq. (22)-(25)).
+
+Beyond the paper: the car's motion as control input, a gate for each measurement, one line alone, and the centerline's
+direction as a measurement of its own. State, motion and measurement are those of `pose_model`.
+
+The model behind the lane-pose filter: how the pose changes with the car's motion, and what is measured of it.
+
+Cudrano et al. 2020, eq. (22)-(25). State (theta, rho, w): the centerline's direction seen from the car [rad], the car's
+offset in half lane widths (left positive), the lane's width [m]. Measured are the points P_L, P_R in which the lane's
+lines meet the perpendicular to the centerline through the reference point.
+
+The paper's state is a random walk, which lags in every turn. Here the car's motion is the control: relative to the foot
+of the perpendicular the reference point goes from (0, d) to (X, Y), and on a centerline of curvature kappa
+
+    d'     = (2 Y - kappa (X^2 + Y^2)) / (1 + h),   h = |(kappa X, 1 - kappa Y)|
+    theta' = theta + atan2(kappa X, 1 - kappa Y) - dpsi
+
+which is exact on arcs and has no exception for the straight.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+
+from automodel.geometry import SE2
+from automodel.geometry.se2 import wrap_angle
+from automodel.types import FloatArray
+
+_LEAST_RADIUS = 0.05  # of the centerline's: nearer to its centre of curvature the Jacobian is cut off
+
+
+class State(IntEnum):
+    """Places in the state's vector."""
+
+    THETA = 0  # [rad]
+    RHO = 1  # [half lane widths]
+    WIDTH = 2  # [m]
+
+
+def expectation(state: FloatArray, reference_x_m: float) -> tuple[FloatArray, FloatArray]:
+    """h (5,), eq. (25), and its Jacobian (5, 3): P_L and P_R in the body frame, and the centerline's direction."""
+    theta, rho, width = (float(value) for value in state)
+    cos, sin, half = math.cos(theta), math.sin(theta), 0.5 * width
+    left, right = 0.5 * (1.0 - rho), 0.5 * (1.0 + rho)  # [lane widths]
+    a, b = width * left, width * right
+    h = np.array((reference_x_m - a * sin, a * cos, reference_x_m + b * sin, -b * cos, theta))
+    jacobian = np.array(
+        (
+            (-a * cos, half * sin, -left * sin),
+            (-a * sin, -half * cos, left * cos),
+            (b * cos, half * sin, right * sin),
+            (b * sin, -half * cos, -right * cos),
+            (1.0, 0.0, 0.0),
+        )
+    )
+    return h, jacobian
+
+
+def carried(
+    state: FloatArray, shift_m: tuple[float, float], turn_rad: float, kappa_per_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """State (3,) after a motion, and its Jacobian (3, 3).
+
+    `shift_m` is the reference point's way in the body frame before the motion, `turn_rad` the body's turn.
+    """
+    theta, rho, width = (float(value) for value in state)
+    cos, sin, kappa = math.cos(theta), math.sin(theta), kappa_per_m
+    along, aside = shift_m[0] * cos + shift_m[1] * sin, shift_m[1] * cos - shift_m[0] * sin
+    y = 0.5 * rho * width + aside
+    u, v = 1.0 - kappa * y, kappa * along
+    h = max(math.hypot(u, v), _LEAST_RADIUS)
+    offset = (2.0 * y - kappa * (along * along + y * y)) / (1.0 + h)
+    turned = math.atan2(v, u)
+    offset_along, offset_aside = -v / h, u / h
+    turned_along, turned_aside = kappa * u / (h * h), kappa * v / (h * h)
+    jacobian = np.array(
+        (
+            (1.0 + turned_along * aside - turned_aside * along, 0.5 * width * turned_aside, 0.5 * rho * turned_aside),
+            (
+                2.0 / width * (offset_along * aside - offset_aside * along),
+                offset_aside,
+                rho / width * offset_aside - 2.0 * offset / width**2,
+            ),
+            (0.0, 0.0, 1.0),
+        )
+    )
+    return np.array((wrap_angle(theta + turned - turn_rad), 2.0 * offset / width, width)), jacobian
+
+
+_LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
+_DIRECTION = slice(4, 5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseFilterConfig:
+    """Noise of the lane's pose; offsets and widths in lane widths, growing with the way in lane widths and the time.
+
+    Each pair is the standard deviation gained over one lane width of way, and in one second; `lost` that of heading
+    [rad] and offset in one second while the car's motion is not known. `gate`: the share of good measurements that
+    pass. A line refused `patience` times in a row is right and the filter wrong: it opens up.
+    """
+
+    lane_width_m: float
+    reference_x_m: float
+    heading_rad: tuple[float, float] = (0.02, 0.02)
+    offset_lanes: tuple[float, float] = (0.01, 0.01)
+    width_lanes: tuple[float, float] = (0.03, 0.003)
+    lost: tuple[float, float] = (1.0, 0.5)
+    gate: float = 0.999
+    patience: int = 15
+    least_width: float = 0.4  # of the lane width; the estimate stays between
+    most_width: float = 2.5
+
+    def __post_init__(self) -> None:
+        if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
+            raise ValueError("PoseFilterConfig: lane_width_m must be positive, gate between 0 and 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinePoint:
+    """A measured point (2,) [m] of the left or right line in the body frame, and its covariance (2, 2) [m^2]."""
+
+    point_m: FloatArray
+    covariance_m2: FloatArray
+
+    @staticmethod
+    def beside(
+        reference_m: tuple[float, float],
+        theta_rad: float,
+        distance_m: float,
+        distance_variance_m2: float,
+        theta_variance_rad2: float,
+    ) -> LinePoint:
+        """The point at a distance to the left of the reference point, square to a direction theta.
+
+        Across the line it is as good as the distance, along it as the direction.
+        """
+        cos, sin = math.cos(theta_rad), math.sin(theta_rad)
+        across, along = distance_variance_m2, distance_m * distance_m * theta_variance_rad2
+        x, y = reference_m
+        mixed = sin * cos * (along - across)
+        return LinePoint(
+            point_m=np.array((x - distance_m * sin, y + distance_m * cos)),
+            covariance_m2=np.array(
+                ((along * cos * cos + across * sin * sin, mixed), (mixed, along * sin * sin + across * cos * cos))
+            ),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseUpdate:
+    """Which measurements passed their gates, and the normalised innovation squared of those, of `dimensions` numbers.
+
+    A consistent filter's `nis` is chi-square distributed with so many degrees of freedom.
+    """
+
+    left: bool
+    right: bool
+    heading: bool
+    nis: float
+    dimensions: int
+
+
+class LanePoseFilter:
+    """Heading, offset and width over time; stands on the lane's middle until `begin`.
+
+    `rejected` counts measurements that failed their gate since `begin`.
+    """
+
+    _CURVATURE_LIMIT = 0.9  # of 1 / half width: a centerline turns no tighter about the car
+    _FLOOR = 1e-3  # [lane widths] no point is known better
+    _UNSURE = 0.05  # [lane widths] a width of more sigma is hardly known
+    _OPENED = (0.25, 0.2, 0.15)  # heading [rad], offset and width [lane widths] of a filter that knows little
+
+    def __init__(self, config: PoseFilterConfig) -> None:
+        from filterpy.kalman import ExtendedKalmanFilter  # draws in scipy: most of a second that other commands save
+
+        self.config = config
+        self._pair_gate = -2.0 * math.log1p(-config.gate)  # chi-square with two degrees of freedom
+        self._single_gate = NormalDist().inv_cdf(0.5 + 0.5 * config.gate) ** 2
+        self._floor = (self._FLOOR * config.lane_width_m) ** 2 * np.eye(2)
+        self._ekf: Any = ExtendedKalmanFilter(dim_x=len(State), dim_z=4)
+        self._ekf.predict_x = self._predict_x
+        self._next: FloatArray = np.zeros(len(State))
+        self.begin(0.0, 0.0, config.lane_width_m)
+
+    def begin(
+        self,
+        offset_m: float,
+        heading_rad: float,
+        width_m: float,
+        sigma: tuple[float, float, float] = _OPENED,
+    ) -> None:
+        """Start at a pose; `sigma`: of heading [rad], offset and width [lane widths]."""
+        width = self._bounded_width(width_m)
+        self._ekf.x = np.array((-heading_rad, 2.0 * offset_m / width, width))
+        self._ekf.P = self._spread(sigma)
+        self.rejected = 0
+        self._refused = [0, 0, 0]  # times in a row: left, right, direction
+
+    @property
+    def state(self) -> FloatArray:
+        """(theta, rho, w) in the paper's signs."""
+        return np.array(self._ekf.x)
+
+    @property
+    def state_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the state."""
+        return np.array(self._ekf.P)
+
+    @property
+    def offset_m(self) -> float:
+        """The car's distance to the left of the centerline [m]."""
+        return 0.5 * float(self._ekf.x[State.RHO] * self._ekf.x[State.WIDTH])
+
+    @property
+    def heading_rad(self) -> float:
+        """The car's direction relative to the centerline, left positive [rad]."""
+        return -float(self._ekf.x[State.THETA])
+
+    @property
+    def width_m(self) -> float:
+        """The lane's width [m]."""
+        return float(self._ekf.x[State.WIDTH])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
+        _, rho, width = self._ekf.x
+        to_pose = np.array(((0.0, 0.5 * width, 0.5 * rho), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        return np.asarray(to_pose @ self._ekf.P @ to_pose.T)
+
+    def predict(self, after_from_before: SE2, curvature_per_m: float, dt_s: float, motion_known: bool = True) -> None:
+        """Carry the pose over a motion of the body in `dt_s`, on a centerline of that curvature.
+
+        Where the motion is not known it counts as none, and the pose may have gone anywhere.
+        """
+        config, width = self.config, self.width_m
+        before = after_from_before.inverse() if motion_known else SE2()
+        if not all(map(math.isfinite, (before.x_m, before.y_m, before.yaw_rad, curvature_per_m, dt_s))):
+            before, motion_known, curvature_per_m, dt_s = SE2(), False, 0.0, 0.0
+        reference = config.reference_x_m
+        cos, sin = math.cos(before.yaw_rad), math.sin(before.yaw_rad)
+        shift = (before.x_m + reference * (cos - 1.0), before.y_m + reference * sin)
+        limit = self._CURVATURE_LIMIT / (0.5 * width)
+        kappa = min(max(curvature_per_m, -limit), limit)
+        self._next, self._ekf.F = carried(self._ekf.x, shift, before.yaw_rad, kappa)
+        way, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
+        heading, offset, breadth = (
+            way * along * along + time * still * still
+            for along, still in (config.heading_rad, config.offset_lanes, config.width_lanes)
+        )
+        if not motion_known:
+            heading, offset = (q + time * lost * lost for q, lost in zip((heading, offset), config.lost, strict=True))
+        self._ekf.Q = np.diag(
+            (heading, offset * (2.0 * config.lane_width_m / width) ** 2, breadth * config.lane_width_m**2)
+        )
+        self._ekf.predict()
+        self._ekf.P = 0.5 * (self._ekf.P + self._ekf.P.T)
+
+    def update(
+        self, left: LinePoint | None, right: LinePoint | None, theta: tuple[float, float] | None = None
+    ) -> PoseUpdate:
+        """Take in what was measured of this frame's lines; what is None, not finite or past its gate is left out.
+
+        `theta`: the centerline's direction [rad], eq. (20), and its variance, as a measurement of its own beside the
+        paper's four: for lines that are seen in a single point each, or only one line. With one line alone a width
+        that is known stays as it is, and what is not known of it goes into the offset's variance; one that is hardly
+        known may still learn from the two lines seen one after the other.
+        """
+        if max(self._refused) >= self.config.patience:
+            self._ekf.P = self._ekf.P + self._spread(self._OPENED)
+            self._refused = [0, 0, 0]
+        h, jacobian = expectation(self._ekf.x, self.config.reference_x_m)
+        measured = [
+            (which, rows, point.point_m - h[rows], point.covariance_m2 + self._floor)
+            for which, (rows, point) in enumerate(zip(_LINES, (left, right), strict=True))
+            if point is not None
+        ]
+        if theta is not None and math.isfinite(theta[0]):
+            off = wrap_angle(theta[0] - float(h[_DIRECTION][0]))
+            measured.append((2, _DIRECTION, np.array((off,)), np.array(((theta[1],),))))
+        good = [part for part in measured if self._passes(part[0], part[2], jacobian[part[1]], part[3])]
+        used = {which for which, *_ in good}
+        if not good:
+            return PoseUpdate(left=False, right=False, heading=False, nis=0.0, dimensions=0)
+        unsure = (self._UNSURE * self.config.lane_width_m) ** 2
+        _, rows, innovations, noises = zip(*good, strict=True)
+        nis = self._correct(
+            np.concatenate(innovations),
+            np.concatenate([jacobian[block] for block in rows]),
+            _diagonal(noises),
+            free=used >= {0, 1} or self._ekf.P[State.WIDTH, State.WIDTH] > unsure,
+        )
+        return PoseUpdate(left=0 in used, right=1 in used, heading=2 in used, nis=nis, dimensions=sum(map(len, noises)))
+
+    def _passes(self, which: int, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray) -> bool:
+        """Whether a measurement is finite, of a possible covariance, and within its gate."""
+        spread = (jacobian @ self._ekf.P @ jacobian.T + noise).tolist()
+        if len(innovation) == 1:
+            ((determinant,),), limit = spread, self._single_gate
+            inside = float(innovation[0]) ** 2
+            possible = noise[0, 0] > 0.0
+        else:
+            ((a, b), (c, d)), limit = spread, self._pair_gate
+            y0, y1 = innovation.tolist()
+            determinant, inside = a * d - b * c, d * y0 * y0 - (b + c) * y0 * y1 + a * y1 * y1
+            possible = noise[0, 0] > 0.0 and noise[0, 0] * noise[1, 1] > noise[0, 1] * noise[1, 0]
+        good = bool(possible) and math.isfinite(determinant) and 0.0 <= inside <= limit * determinant
+        self.rejected += not good
+        self._refused[which] = 0 if good else self._refused[which] + 1
+        return good
+
+    def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray, free: bool) -> float:
+        """The filter's update, the width's too where it is `free`; gives the normalised innovation squared."""
+        ekf = self._ekf
+        if free:  # the innovation itself is handed over, since directions wrap
+            ekf.update(innovation, lambda _: jacobian, lambda _: 0.0, R=noise)
+            nis = float(innovation @ ekf.SI @ innovation)
+        else:
+            nis = float(innovation @ np.linalg.solve(jacobian @ ekf.P @ jacobian.T + noise, innovation))
+            gain = _gain_at_given_width(ekf.P, jacobian, noise)
+            rest = np.eye(len(State)) - gain @ jacobian
+            ekf.x, ekf.P = ekf.x + gain @ innovation, rest @ ekf.P @ rest.T + gain @ noise @ gain.T
+        ekf.P = 0.5 * (ekf.P + ekf.P.T)
+        ekf.x[State.THETA] = wrap_angle(float(ekf.x[State.THETA]))
+        width = self._bounded_width(float(ekf.x[State.WIDTH]))
+        ekf.x[State.RHO] *= ekf.x[State.WIDTH] / width
+        ekf.x[State.WIDTH] = width
+        return nis
+
+    def _bounded_width(self, width_m: float) -> float:
+        unit = self.config.lane_width_m
+        return min(max(width_m, self.config.least_width * unit), self.config.most_width * unit)
+
+    def _spread(self, sigma: tuple[float, float, float]) -> FloatArray:
+        heading, offset, width = sigma
+        unit = self.config.lane_width_m
+        return np.diag((heading**2, (2.0 * offset * unit / self.width_m) ** 2, (width * unit) ** 2))
+
+    def _predict_x(self, _: object = None) -> None:
+        self._ekf.x = self._next
+
+
+def _gain_at_given_width(covariance: FloatArray, jacobian: FloatArray, noise: FloatArray) -> FloatArray:
+    """Kalman gain (3, m) of heading and offset as if the width were known; the width's row is zero.
+
+    One line cannot tell a wider lane from a car farther from it: the width is kept, and the offset takes all of the
+    difference. In Joseph's form the covariance then says how far both are wrong together (Schmidt's consider filter
+    would leave part of the difference to the width that it does not correct).
+    """
+    pose, width = slice(0, State.WIDTH), State.WIDTH
+    mixed = covariance[pose, width]
+    known = covariance[pose, pose] - np.outer(mixed, mixed) / covariance[width, width]
+    rows = jacobian[:, pose]
+    gain = np.zeros((len(State), len(noise)))
+    gain[pose] = np.linalg.solve(rows @ known @ rows.T + noise, rows @ known).T
+    return gain
+
+
+def _diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
+    ends = np.cumsum([len(block) for block in blocks])
+    out = np.zeros((ends[-1], ends[-1]))
+    for block, end in zip(blocks, ends, strict=True):
+        out[end - len(block) : end, end - len(block) : end] = block
+    return out

@@ -1,0 +1,321 @@
+"""Recursive least squares with forgetting on theta(s), and the line's distance beside it.
+
+Cudrano et al. 2020, eq. (3)-(13). The paper's recursion over the points of a frame, with the forgetting factor mu at
+the first of them, is one step in information form (L is the inverse of the paper's R):
+
+    L <- mu L + Phi^T W Phi,   b <- mu b + Phi^T W theta,   w <- L^-1 b
+
+What the paper leaves open: the origin s = 0 is the foot of the perpendicular from the car's reference point and moves
+with it, which is a linear map on w and the congruent one on L; the line's distance from the reference point is
+filtered beside its shape; a weak prior draws curvature and its rates to zero where few points are seen. The prior is
+added to L and b when w is solved for, and not kept in them: all points together outweigh it, not each frame's.
+
+Where one frame's samples of a line lie beside the car.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from automodel.estimation.theta.heading_polynomial import ORDER, ThetaLine, shift_matrix
+from automodel.estimation.theta.line_spline import SampledLine
+from automodel.geometry import SE2
+from automodel.types import FloatArray
+
+NEAR_SAMPLES = 16  # of a line that does not reach the car: those next to it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Place:
+    """Where samples lie: arc lengths (n,) from the reference point's foot, and the line's distance there [m].
+
+    `nearest` is the sample next to the foot; `beside` tells whether the samples reach the foot.
+    """
+
+    s_m: FloatArray
+    lateral_m: float
+    nearest: int
+    beside: bool
+
+
+def locate(sampled: SampledLine, reference_m: tuple[float, float], known: ThetaLine | None) -> Place:
+    """Place samples beside the reference point.
+
+    A line that begins ahead of the foot is joined to it along the known line, or else along its own arc.
+    """
+    away = reference_m - sampled.points_m
+    i = int(np.einsum("ij,ij->i", away, away).argmin())
+    last = len(sampled.s_m) - 1
+    s, theta = float(sampled.s_m[i]), float(sampled.theta_rad[i])
+    cos, sin = math.cos(theta), math.sin(theta)
+    x, y = away[i].tolist()
+    ahead, left = x * cos + y * sin, y * cos - x * sin
+    beside = not ((i == 0 and ahead < 0.0) or (i == last and ahead > 0.0))
+    if not beside and known is not None:
+        start = sampled.points_m[i].tolist()
+        foot = known.foot((start[0], start[1]), near_s_m=-ahead)
+        return Place(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
+    reach = 1 if beside else NEAR_SAMPLES
+    low, high = max(i - reach, 0), min(i + reach, last)
+    kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
+    u, v = max(1.0 - kappa * left, 0.2), kappa * ahead
+    angle = math.atan2(v, u)
+    step = angle / kappa if abs(angle) > 1e-6 else ahead / u
+    lateral = -(2.0 * left - kappa * (ahead * ahead + left * left)) / (1.0 + math.hypot(u, v))
+    return Place(s_m=sampled.s_m - (s + step), lateral_m=lateral, nearest=i, beside=beside)
+
+
+BEARING_RAD = 0.02  # how far off the direction between the foot and a sample may be at least
+BEND = 0.25  # [lane widths] how far a line strays in a lane width beyond its last point
+_IDENTITY: FloatArray = np.eye(ORDER)
+FORGOTTEN = 1e-4  # a line that has kept so little of its weight begins anew
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThetaRlsConfig:
+    """Scales of the filter; lengths in lane widths, so that one set holds from scale car to highway.
+
+    A point's weight falls by e in `memory_lanes` of way or `memory_s` of time. `prior_rad`: expected size of the second
+    to fourth coefficient at `scale_lanes`; infinite switches the prior off. A cubic is no road: at s its error
+    counts as `model_rad` (1 + (s / `sight_lanes`)^2). Residuals beyond `huber_rad` count linearly, None: all squared.
+    """
+
+    lane_width_m: float
+    reference_x_m: float
+    scale_lanes: float = 2.0
+    memory_lanes: float = 0.55
+    memory_s: float = 0.3
+    prior_rad: tuple[float, float, float] = (2.5, 1.5, 1.0)
+    model_rad: float = 0.02
+    sight_lanes: float = 1.0
+    huber_rad: float | None = None
+    lateral_walk_lanes: float = 0.02  # what the line's distance changes in a lane width of way
+    lateral_still_lanes: float = 0.02  # and in a second
+    tightest_lanes: float = 1.2  # radius of the tightest bend that is believed beyond the points
+
+    def __post_init__(self) -> None:
+        lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes, self.tightest_lanes)
+        if not all(value > 0.0 for value in (*lengths, self.memory_s, self.model_rad, *self.prior_rad)):
+            raise ValueError("ThetaRlsConfig: lane width, scales, memories and priors must be positive")
+        if self.huber_rad is not None and not self.huber_rad > 0.0:
+            raise ValueError(f"huber_rad: {self.huber_rad} where a positive number or None is wanted")
+
+
+class ThetaRls:
+    """One line over time. `line` is None until `begin` or `take`; every number it gives is finite.
+
+    `information` (4, 4) [1/rad^2] is L, of the coefficients of (s / scale)^k, lowest power first;
+    `lateral_variance_m2` is that of `line.lateral_m`.
+    """
+
+    _DAMPING = 1e-10  # [1/rad^2] keeps the system regular without points; draws to the present coefficients
+
+    def __init__(self, config: ThetaRlsConfig) -> None:
+        self.config = config
+        self.scale_m = config.scale_lanes * config.lane_width_m
+        self._reference_m = (config.reference_x_m, 0.0)
+        self._prior = np.diag((0.0, *(1.0 / sigma**2 for sigma in config.prior_rad)))
+        self._held = self._prior + self._DAMPING * _IDENTITY
+        self._solved: FloatArray | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the line."""
+        self.line: ThetaLine | None = None
+        self.lateral_variance_m2 = math.inf
+        self._learn(np.zeros((ORDER, ORDER)), np.zeros(ORDER))
+        self._kept = 1.0  # of the weight that the support's range had at the last update
+
+    def begin(
+        self, s_m: FloatArray, theta_rad: FloatArray, weight: FloatArray, lateral_m: float, lateral_variance_m2: float
+    ) -> None:
+        """Start from one frame's points (n,) and the line's distance, as in `update`; what was known is forgotten.
+
+        Without a point, or with one that is not finite, there is no line afterwards. The distance is taken to be known
+        to a lane width.
+        """
+        self.forget()
+        if not len(s_m) or not (_finite(s_m, theta_rad, weight) and math.isfinite(lateral_m)):
+            return
+        self.lateral_variance_m2 = min(lateral_variance_m2, self.config.lane_width_m**2)
+        theta = float(theta_rad[np.abs(s_m).argmin()])
+        self._shape((theta, 0.0, 0.0, 0.0), lateral_m, float(s_m.min()), float(s_m.max()))
+        self.update(s_m, theta_rad, weight)
+
+    def predict(self, after_from_before: SE2, way_m: float, dt_s: float) -> None:
+        """Carry the line over to the body frame after a motion of `way_m` in `dt_s`, and forget a little.
+
+        A motion that is not finite counts as none.
+        """
+        motion = (after_from_before.x_m, after_from_before.y_m, after_from_before.yaw_rad, way_m, dt_s)
+        if self.line is None or not all(map(math.isfinite, motion)):
+            return
+        config, unit = self.config, self.config.lane_width_m
+        past = max(-self.line.s_max_m, 0.0) / unit
+        self.line, advance = self.line.moved(after_from_before)
+        keep = math.exp(-abs(way_m) / (config.memory_lanes * unit) - max(dt_s, 0.0) / config.memory_s)
+        back = shift_matrix(-advance / self.scale_m)
+        moved = back.T @ self.information @ back
+        moved = 0.5 * (moved + moved.T)
+        self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
+        self._kept *= keep
+        walk = config.lateral_walk_lanes**2 * abs(way_m) / unit + config.lateral_still_lanes**2 * max(dt_s, 0.0)
+        strayed = BEND**2 * (max(-self.line.s_max_m, 0.0) ** 4 / unit**4 - past**4)
+        self.lateral_variance_m2 += (walk + max(strayed, 0.0)) * unit * unit
+
+    def update(
+        self,
+        s_m: FloatArray,
+        theta_rad: FloatArray,
+        weight: FloatArray,
+        lateral_m: float | None = None,
+        lateral_variance_m2: float = 0.0,
+    ) -> None:
+        """Take in points (n,) of weights [1/rad^2], and the line's distance where it was measured.
+
+        Does nothing without a line to update, or where a number is not finite; theta may be off by whole turns.
+        """
+        if self.line is None:
+            return
+        if len(s_m) and _finite(s_m, theta_rad, weight):
+            phi = design(s_m / self.scale_m)
+            nearest = int(np.abs(s_m).argmin())
+            off = self.line.heading_at(float(s_m[nearest])) - float(theta_rad[nearest])
+            theta = theta_rad + (off - math.remainder(off, math.tau))
+            before = np.array(self.line.coefficients_rad)
+            w, *learnt = self._solve(before, phi, theta, weight)
+            if self.config.huber_rad is not None:
+                excess = np.abs(theta - phi @ w) / self.config.huber_rad
+                w, *learnt = self._solve(before, phi, theta, weight / np.maximum(excess, 1.0))
+            self._learn(*learnt)
+            low, high = float(s_m.min()), float(s_m.max())
+            # the cubic holds where points are, and where points were as long as these count
+            low = min(low, low + self._kept * (self.line.s_min_m - low))
+            high = max(high, high + self._kept * (self.line.s_max_m - high))
+            self._kept = 1.0
+            self._shape(w.tolist(), self.line.lateral_m, low, high)
+        if lateral_m is not None:
+            self._place(lateral_m, lateral_variance_m2)
+
+    def take(self, sampled: SampledLine) -> None:
+        """One frame's line: its directions into the shape, then its points near the car into the distance.
+
+        Begins with it where there is no line yet, or where what was known is as good as forgotten.
+        """
+        if self._kept < FORGOTTEN:
+            self.forget()
+        place = locate(sampled, self._reference_m, self.line)
+        model = self._model_error(place.s_m)
+        weight = sampled.independence / (sampled.theta_sigma_rad**2 + model * model)
+        if self.line is None:
+            self.begin(place.s_m, sampled.theta_rad, weight, place.lateral_m, math.inf)
+        else:
+            self.update(place.s_m, sampled.theta_rad, weight)
+        if self.line is None:
+            return
+        if place.beside:
+            self._place(place.lateral_m, float(sampled.lateral_sigma_m[place.nearest]) ** 2)
+        else:
+            self._place(*self._lateral(self.line, sampled, place.s_m))
+
+    def heading_variance(self, s_m: FloatArray) -> FloatArray:
+        """Variance (n,) [rad^2] of the direction at s (n,)."""
+        phi = design(s_m / self.scale_m)
+        return np.einsum("ij,ij->i", phi @ self._covariance(), phi)
+
+    def heading_variance_here(self) -> float:
+        """Variance [rad^2] of the direction at the foot, s = 0."""
+        return float(self._covariance()[0, 0])
+
+    def samples(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Direction [rad] and weight [1/rad^2] (n,) at s (n,) where the cubic was fitted.
+
+        The weights are for a fit to all of them: they share four unknowns, so together they count as four.
+        """
+        if self.line is None:
+            raise ValueError("samples: there is no line; begin first")
+        phi = design(s_m / self.scale_m)
+        variance = np.einsum("ij,ij->i", phi @ self._covariance(), phi) + self._model_error(s_m) ** 2
+        return phi @ self.line.coefficients_rad, ORDER / len(s_m) / variance
+
+    def _covariance(self) -> FloatArray:
+        if self._solved is None:
+            self._solved = np.asarray(np.linalg.solve(self.information + self._held, _IDENTITY), dtype=np.float64)
+        return self._solved
+
+    def _model_error(self, s_m: FloatArray) -> FloatArray:
+        far = s_m / (self.config.sight_lanes * self.config.lane_width_m)
+        return self.config.model_rad * (1.0 + far * far)
+
+    def _solve(
+        self, w: FloatArray, phi: FloatArray, theta: FloatArray, weight: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Coefficients, information and its vector L w with these points added."""
+        weighted = (phi * weight[:, None]).T
+        information, pull = self.information + weighted @ phi, self._pull + weighted @ theta
+        step = np.linalg.solve(information + self._held, pull - (information + self._prior) @ w)
+        return w + step, information, pull
+
+    def _learn(self, information: FloatArray, pull: FloatArray) -> None:
+        self.information, self._pull = information, pull
+        self._solved = None
+
+    def _shape(self, w: Sequence[float], lateral_m: float, low: float, high: float) -> None:
+        arc_ahead = math.inf if self.line is None else self.line.arc_ahead_m
+        self.line = ThetaLine(
+            coefficients_rad=(w[0], w[1], w[2], w[3]),
+            scale_m=self.scale_m,
+            reference_m=self._reference_m,
+            lateral_m=lateral_m,
+            s_min_m=low,
+            s_max_m=high,
+            max_curvature_per_m=1.0 / (self.config.tightest_lanes * self.config.lane_width_m),
+            arc_ahead_m=arc_ahead,
+        )
+
+    def _place(self, lateral_m: float, variance_m2: float) -> None:
+        """One measurement of the distance, by the scalar Kalman filter."""
+        if self.line is None or not (math.isfinite(lateral_m) and 0.0 <= variance_m2 < math.inf):
+            return
+        line = self.line
+        gain = self.lateral_variance_m2 / max(self.lateral_variance_m2 + variance_m2, 1e-12)
+        self.lateral_variance_m2 *= 1.0 - gain
+        lateral = line.lateral_m + gain * (lateral_m - line.lateral_m)
+        self._shape(line.coefficients_rad, lateral, line.s_min_m, line.s_max_m)
+
+    def _lateral(self, line: ThetaLine, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
+        """The distance of a line that does not reach the foot, and its variance.
+
+        It follows from the samples next to the foot through theta(s), the less surely the farther they are.
+        """
+        near = slice(0, NEAR_SAMPLES) if s[0] > 0.0 else slice(-NEAR_SAMPLES, None)
+        places, theta = s[near], sampled.theta_rad[near]
+        away = sampled.points_m[near] - line.points(places)
+        residual = away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta)
+        share = np.cos(theta - line.heading_at(0.0))
+        bearing = BEARING_RAD**2 + self.heading_variance_here()
+        weighted = share / (sampled.lateral_sigma_m[near] ** 2 + bearing * places * places)
+        total = float(weighted @ share)
+        if not total > 0.0:
+            return math.nan, math.inf
+        step = float(weighted @ residual) / total
+        return line.lateral_m + step, 1.0 / (total * max(sampled.independence, 1.0 / NEAR_SAMPLES))
+
+
+def design(u: FloatArray) -> FloatArray:
+    """Phi (n, 4), eq. (6), lowest power first."""
+    phi = np.empty((len(u), ORDER))
+    phi[:, 0] = 1.0
+    phi[:, 1] = u
+    phi[:, 2] = u * u
+    phi[:, 3] = phi[:, 2] * u
+    return phi
+
+
+def _finite(s: FloatArray, theta: FloatArray, weight: FloatArray) -> bool:
+    with np.errstate(invalid="ignore"):
+        return math.isfinite(float((s + theta * weight).sum()))

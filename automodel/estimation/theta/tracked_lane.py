@@ -1,0 +1,166 @@
+"""Both lines, the centerline between them and the car's pose over time (Cudrano et al. 2020, sections IV and V)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from automodel.estimation.theta.centerline_fusion import Centerline
+from automodel.estimation.theta.heading_polynomial import ThetaLine
+from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
+from automodel.estimation.theta.theta_rls import ThetaRlsConfig
+from automodel.estimation.theta.tracked_line import UNKNOWN_WAY_LANES, SeenLine, TrackedLine, carry
+from automodel.geometry import SE2
+from automodel.types import FloatArray
+
+
+class TrackedLane:
+    """One lane from frame to frame: `begin`, then `move` and `update` each frame.
+
+    `middle` is the centerline's curve and `pose` the filter of the car's pose in the lane, once `begin` was True.
+    `blind_m` is the way since a line was seen; `motion_known` tells of the last `move`.
+    """
+
+    KEPT_LANES = 1.0  # way without a sight of it after which a line is no longer kept on its own
+    OWN_LANES = 0.5  # and after which it is expected beside the centerline
+    FIRST_POINTS = 4  # of a line that was not there
+    NEW_LANES, NEW_POINTS = 2.0, 8  # and of one that begins so far from the car
+    GUESS_LANES = 0.3  # a line may go its own way so far beyond what is known of it
+    FAR_LANES, FAR_POINTS = 0.6, 3  # points beyond a gap so long must be so many
+    REACH_LANES = 1.6  # behind the reference point
+
+    def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
+        self.unit, self.reference_x_m = lane_width_m, reference_x_m
+        config = ThetaRlsConfig(
+            lane_width_m=lane_width_m, reference_x_m=reference_x_m, memory_lanes=0.2, sight_lanes=0.6
+        )
+        self.left, self.right = TrackedLine(config), TrackedLine(config)
+        self._centerline = Centerline(config)
+        self.pose = LanePoseFilter(PoseFilterConfig(lane_width_m=lane_width_m, reference_x_m=reference_x_m))
+        self.blind_m = 0.0
+        self.motion_known = True
+
+    @property
+    def middle(self) -> ThetaLine:
+        """The centerline in the body frame; raises ValueError before `begin`."""
+        line = self._centerline.rls.line
+        if line is None:
+            raise ValueError("middle: no lane; begin first")
+        return line
+
+    def begin(self, left: SeenLine | None, right: SeenLine | None) -> bool:
+        """A lane from one frame's lines, of which one may be missing; False where they make none."""
+        for tracked, seen in ((self.left, left), (self.right, right)):
+            if seen is not None and len(seen.points_m) >= self.FIRST_POINTS:
+                tracked.update(seen)
+        self._centerline.update(self.left.rls, self.right.rls, self.unit, (0.1 * self.unit) ** 2)
+        if self._centerline.rls.line is None:
+            return False
+        self.pose.begin(-self.middle.lateral_m, -self.middle.heading_at(0.0), self.unit)
+        self._correct((self.left.line is not None, self.right.line is not None))
+        return True
+
+    def move(self, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+        """Carry everything over to the body frame after a motion."""
+        self.pose.predict(after_from_before, self.middle.curvature_at(0.0), dt_s, known)
+        self.left.move(after_from_before, way_m, dt_s, known)
+        self.right.move(after_from_before, way_m, dt_s, known)
+        carry(self._centerline.rls, after_from_before, way_m, dt_s, known)
+        self.blind_m += abs(way_m) if known else UNKNOWN_WAY_LANES * self.unit * dt_s
+        self.motion_known = known
+
+    def update(self, left: SeenLine, right: SeenLine) -> tuple[bool, bool]:
+        """Take in a frame's lines; which of them were seen."""
+        seen = self._take(self.left, left), self._take(self.right, right)
+        if not any(seen):
+            return seen
+        for tracked in (self.left, self.right):
+            if tracked.unseen_m > self.KEPT_LANES * self.unit:
+                tracked.forget()
+        self._centerline.update(self.left.rls, self.right.rls, self.pose.width_m, float(self.pose.covariance[2, 2]))
+        self._correct(seen)
+        self.blind_m = 0.0
+        return seen
+
+    def end(self) -> None:
+        """No line was seen where lines should be: the road is expected to go straight on."""
+        for tracked in (self.left, self.right):
+            tracked.end(True)
+        self._centerline.rls.line = replace(self.middle, arc_ahead_m=TrackedLine.ARC_LANES * self.unit)
+
+    def expected(self, side: float, ahead_m: float, alone: bool = True) -> tuple[FloatArray, FloatArray, float]:
+        """Where the line on `side` (+1 left, -1 right) is expected, up to arc length `ahead_m`.
+
+        By its own model while it was seen lately and `alone` is asked for, else beside the centerline.
+
+        Points (n, 2) [m], headings (n,) [rad], and the arc length from the first of them up to which it is no guess.
+        """
+        own = self._own(side) if alone else None
+        model = own or self.middle
+        first = -0.5 * self.unit
+        s = np.linspace(first, ahead_m, 30)
+        theta, points = model.heading(s), model.points(s)
+        if own is None:
+            aside = 0.5 * side * self.pose.width_m
+            points[:, 0] -= aside * np.sin(theta)
+            points[:, 1] += aside * np.cos(theta)
+        return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
+
+    def stands_alone(self, side: float) -> bool:
+        """Whether the line on `side` is expected by its own model."""
+        return self._own(side) is not None
+
+    def _own(self, side: float) -> ThetaLine | None:
+        tracked = self.left if side > 0 else self.right
+        return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
+
+    def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
+        seen = self._held(tracked, seen)
+        enough = 1 if tracked.line is not None else self._first_points(seen)
+        return len(seen.points_m) >= enough and tracked.update(seen)
+
+    def _first_points(self, seen: SeenLine) -> int:
+        """How many points make a line that was not there: more where it has to be carried far back to the car."""
+        if not len(seen.points_m):
+            return self.FIRST_POINTS
+        away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
+        return self.FIRST_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
+
+    def _held(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
+        """The points up to a far gap beyond which there are too few to tell what they belong to."""
+        points = seen.points_m
+        if tracked.line is None or not len(points):
+            return seen
+        begin = math.hypot(*(points[0] - tracked.line.reference_m)) - max(tracked.line.s_max_m, 0.0)
+        gaps = np.concatenate(([begin], np.hypot(*(points[1:] - points[:-1]).T)))
+        far = np.flatnonzero(gaps > self.FAR_LANES * self.unit)
+        if not len(far) or len(points) - far[-1] >= self.FAR_POINTS:
+            return seen
+        return SeenLine(points_m=points[: far[-1]], sigma_m=seen.sigma_m[: far[-1]], ended=seen.ended)
+
+    def _correct(self, seen: tuple[bool, bool]) -> None:
+        """The pose from where the lines that were seen meet the perpendicular, eq. (22)-(25), and their direction."""
+        lines = [tracked if there else None for tracked, there in zip((self.left, self.right), seen, strict=True)]
+        there = [tracked for tracked in lines if tracked is not None and tracked.line is not None]
+        arc = max((t.line.arc_ahead_m for t in there if t.line is not None), default=math.inf)
+        last = max((t.line.s_max_m for t in there if t.line is not None), default=math.inf)
+        self._centerline.rls.line = self.middle.ending(last, arc)
+        theta = self.middle.heading_at(0.0)
+        doubt = min((tracked.heading_doubt_rad for tracked in there), default=0.0)
+        variance = self._centerline.rls.heading_variance_here() + doubt * doubt
+        self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance))
+
+    def _point(self, tracked: TrackedLine | None, theta_rad: float) -> LinePoint | None:
+        if tracked is None or tracked.line is None:
+            return None
+        _, distance = tracked.line.crossing(theta_rad)
+        doubt = tracked.lateral_doubt_m, tracked.heading_doubt_rad
+        return LinePoint.beside(
+            tracked.line.reference_m,
+            theta_rad,
+            distance,
+            tracked.rls.lateral_variance_m2 + doubt[0] * doubt[0],
+            tracked.rls.heading_variance_here() + doubt[1] * doubt[1],
+        )

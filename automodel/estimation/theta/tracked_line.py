@@ -1,0 +1,147 @@
+"""One line of the lane over time: points remembered in the moving body frame, a smoothing spline, theta(s) by RLS."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from automodel.estimation.theta.heading_polynomial import ThetaLine
+from automodel.estimation.theta.line_spline import smooth
+from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
+from automodel.geometry import SE2
+from automodel.types import FloatArray
+
+FORGET_UNKNOWN = 8.0  # times as fast a line is forgotten while the motion is not known
+UNKNOWN_LANES = 0.5  # what its distance may change in a second then
+UNKNOWN_WAY_LANES = 3.0  # a second; what counts as driven then
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SeenLine:
+    """One frame's points (n, 2) [m] of a line, near to far, and their standard deviations (n,) [m].
+
+    `ended`: the line was seen to end.
+    """
+
+    points_m: FloatArray
+    sigma_m: FloatArray
+    ended: bool = False
+
+
+def carry(rls: ThetaRls, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+    """Carry a line over to the body frame after a motion; one that is not known may have taken it elsewhere."""
+    rls.predict(after_from_before, way_m, dt_s if known else FORGET_UNKNOWN * dt_s)
+    if not known:
+        rls.lateral_variance_m2 += UNKNOWN_LANES**2 * rls.config.lane_width_m**2 * dt_s
+
+
+class TrackedLine:
+    """Cudrano et al. 2020, section IV: what follows the selection of a line's points.
+
+    The points that come nearest to the car are kept and moved along by the odometry, so that the line is supported
+    where the car is, though the camera sees the ground only ahead of it, and are dropped some way behind it. `line` is
+    None until `update` has made one; `unseen_m` is the way since an update. `lateral_doubt_m`, `heading_doubt_rad`:
+    what an unseen bend may hide where no points lie beside the car.
+    """
+
+    KEEP_EVERY_LANES = 0.08  # way between two rounds of remembering
+    KEEP_POINTS = 4  # of a round: the nearest, which leave the picture next
+    BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # how far behind the reference point they are kept; the last few longer
+    LAST_POINTS = 12  # so many
+    ARC_LANES = 0.15  # a line that ended goes on so far as it went, and then straight
+    HIDDEN_BEND_LANES = 0.25  # curvature, in 1 / lane, that may go unseen where there are no points
+    DRIFT = 0.015  # growth of a remembered point's sigma with the way driven since
+    STEP_LANES, KNOT_LANES = 0.12, 0.6  # of the spline's samples and knots
+    BEND_LANES = 0.6  # change of curvature, in 1 / lane, over a lane width that is usual
+
+    def __init__(self, config: ThetaRlsConfig) -> None:
+        self.unit = config.lane_width_m
+        self._reference_x_m = config.reference_x_m
+        self._behind_m = config.reference_x_m - self.BEHIND_LANES * self.unit
+        self.rls = ThetaRls(config)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop the line and all remembered points."""
+        self.rls.forget()
+        self._memory: FloatArray = np.empty((0, 3))  # x, y, sigma
+        self._since_kept_m = np.inf
+        self.unseen_m = 0.0
+        self.lateral_doubt_m = self.heading_doubt_rad = 0.0
+
+    @property
+    def line(self) -> ThetaLine | None:
+        """The line in the body frame."""
+        return self.rls.line
+
+    def move(self, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+        """Carry line and points over to the body frame after a motion; unknown motion forgets the points."""
+        carry(self.rls, after_from_before, way_m, dt_s, known)
+        self.unseen_m += abs(way_m) if known else UNKNOWN_WAY_LANES * self.unit * dt_s
+        self._since_kept_m += abs(way_m)
+        if not known:
+            self._memory = self._memory[:0]
+        elif len(self._memory):
+            self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
+            self._memory[:, 2] += self.DRIFT * abs(way_m)
+            self._prune()
+
+    def _prune(self) -> None:
+        """Drop what lies behind; over a gap in the line the last points before it hold on."""
+        away = np.hypot(self._memory[:, 0] - self._reference_x_m, self._memory[:, 1])
+        behind = self._memory[:, 0] < self._behind_m
+        behind[-self.LAST_POINTS :] = False
+        self._memory = self._memory[~behind & (away < self.FAR_BEHIND_LANES * self.unit)]
+
+    def update(self, seen: SeenLine) -> bool:
+        """Take in a frame's points; False if they make no line."""
+        points_m, sigma_m = seen.points_m, seen.sigma_m
+        points = np.concatenate((self._memory[:, :2], points_m))
+        sigma = np.concatenate((self._memory[:, 2], sigma_m))
+        s = self._along(points)
+        if len(self._memory):
+            order = np.argsort(s, kind="stable")
+            points, sigma = points[order], sigma[order]
+        unit = self.unit
+        sampled = smooth(points, sigma, self.STEP_LANES * unit, self.KNOT_LANES * unit, self.BEND_LANES / unit**2)
+        if sampled is None:
+            return False
+        self.rls.take(sampled)
+        self.end(seen.ended, float(s.max()))
+        self._doubt(s)
+        self.unseen_m = 0.0
+        if self._since_kept_m >= self.KEEP_EVERY_LANES * unit:
+            kept = slice(0, self.KEEP_POINTS)
+            self._memory = np.concatenate((self._memory, np.column_stack((points_m[kept], sigma_m[kept]))))
+            self._since_kept_m = 0.0
+        return True
+
+    def end(self, ended: bool, last_m: float = math.inf) -> None:
+        """Say whether the line was seen to end, and the arc length up to which its points went."""
+        if self.rls.line is None:
+            return
+        self.rls.line = self.rls.line.ending(last_m, self.ARC_LANES * self.unit if ended else math.inf)
+
+    def _doubt(self, s_m: FloatArray) -> None:
+        """What an unseen bend may hide between the points and the car."""
+        ahead, behind = s_m[s_m >= 0.0], -s_m[s_m < 0.0]
+        b = float(ahead.min()) if len(ahead) else math.inf
+        a = float(behind.min()) if len(behind) else math.inf
+        near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
+        kappa = self.HIDDEN_BEND_LANES / self.unit
+        self.lateral_doubt_m, self.heading_doubt_rad = 0.5 * kappa * near * far, kappa * near
+
+    def _along(self, points_m: FloatArray) -> FloatArray:
+        """Arc length (n,) along the known line, near enough to put points in order."""
+        line = self.line
+        if line is None:
+            return points_m[:, 0]
+        s = np.linspace(min(line.s_min_m, self._behind_m), line.s_max_m + self.unit, 48)
+        grid, theta = line.points(s), line.heading(s)
+        dx = points_m[:, 0, None] - grid[:, 0]
+        dy = points_m[:, 1, None] - grid[:, 1]
+        near = np.argmin(dx * dx + dy * dy, axis=1)
+        rows = np.arange(len(points_m))
+        return np.asarray(s[near] + dx[rows, near] * np.cos(theta[near]) + dy[rows, near] * np.sin(theta[near]))

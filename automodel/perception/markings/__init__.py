@@ -1,0 +1,1 @@
+"""Markings in one image: the network, ridges, thresholds, white areas, crossings."""

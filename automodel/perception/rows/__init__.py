@@ -1,0 +1,1 @@
+"""Lines found on a few image rows."""

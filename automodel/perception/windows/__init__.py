@@ -1,0 +1,1 @@
+"""Lines followed by windows in the bird's-eye view."""

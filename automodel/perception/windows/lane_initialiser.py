@@ -1,0 +1,127 @@
+"""A lane found in one frame alone: at the start, and beside a lane that nothing supports any more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from automodel.estimation.polynomial.lane_fit import LaneSolution
+from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
+from automodel.estimation.polynomial.regression import fit_polynomial
+from automodel.perception.markings.crossings import Crossed
+from automodel.perception.windows.sliding_windows import HistogramStart, LaneLines
+from automodel.types import FloatArray, Image
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fresh:
+    """A lane, and the points that show it."""
+
+    seen: Observation
+    solution: LaneSolution
+
+    @property
+    def support(self) -> Support:
+        """How many points there are of each line."""
+        return Support(left=len(self.seen.left_m), right=len(self.seen.right_m))
+
+    @property
+    def pair(self) -> bool:
+        """Whether both lines were seen."""
+        return self.support.left > 0 and self.support.right > 0
+
+
+class FreshLane:
+    """Histogram, windows, regression and fit of single frames; looks at the tracker, changes nothing in it."""
+
+    START_WINDOWS = 3  # windows a line that start a lane of a pair
+    SINGLE_WINDOWS = 4  # and of one line
+    RIVAL_WINDOWS = 4  # and those of a pair that takes over
+    RIVAL_FRAMES = 3  # in so many frames in a row
+    LINE_WINDOWS = 2  # windows that make a line seen
+
+    def __init__(self, lines: LaneLines, tracker: LaneTracker) -> None:
+        self._lines, self._tracker, self.view = lines, tracker, lines.view
+        config = tracker.fit.config
+        self._lane_m, self._reference_x_m = config.lane_width_m, config.reference_x_m
+        self._start = HistogramStart(self.view, self._lane_m, lines.marking_m, self._reference_x_m)
+        self._rivals = 0
+
+    def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> Fresh | None:
+        """A lane from a filtered view alone: a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
+        best: Observation | None = None
+        for start in self._start.step(lines, everywhere):
+            along = start.slope * (self._lines.windows.centre_x_m - self._reference_x_m)
+            nowhere = np.full(len(along), np.nan)
+            left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
+            seen = self._lines.observe(lines, left, right)
+            pair = start.left_m is not None and start.right_m is not None
+            counts = (len(seen.left_m), len(seen.right_m))
+            enough = min(counts) >= windows if pair else max(counts) >= self.SINGLE_WINDOWS
+            if enough and (best is None or sum(counts) > len(best.left_m) + len(best.right_m)):
+                best = seen
+        if best is None:
+            return None
+        solution = self._tracker.fit_alone(best, self._guess(best))
+        if solution is None or abs(solution.offset_m) > 0.5 * solution.width_m:
+            return None
+        return Fresh(seen=best, solution=solution)
+
+    def rival(self, lines: Image, crossed: Crossed, support: Support) -> Fresh | None:
+        """A pair of lines that was seen several frames running beside a lane that little supports.
+
+        Little is: nothing for a while, or one line at a crossing, where it may be another road's or the next lane's.
+        """
+        one = min(support.left, support.right) < self.LINE_WINDOWS
+        blind = self._tracker.blind_m / self._lane_m
+        far = self._tracker.near_crossing  # the road goes straight on there, and its near part is bare
+        fresh = None
+        if one and (blind > 0.5 or far):
+            fresh = self.find(self._uncovered(lines, crossed), self.RIVAL_WINDOWS, far)
+        if fresh is None or not fresh.pair or not self._rivals_with(fresh.solution, blind):
+            self._rivals = 0
+            return None
+        self._rivals += 1
+        return fresh if self._rivals >= self.RIVAL_FRAMES else None
+
+    def _rivals_with(self, solution: LaneSolution, blind: float) -> bool:
+        """Whether it is the same lane elsewhere; what dead reckoning cannot have got so wrong is another lane."""
+        p = self._tracker.parameters
+        if p is None:
+            return False
+        aside = abs(float(solution.parameters[0] - p[0])) / self._lane_m
+        turned = abs(float(solution.parameters[1] - p[1]))
+        credible = aside < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
+        return credible and (aside > 0.08 or turned > 0.08)
+
+    def _uncovered(self, lines: Image, crossed: Crossed) -> Image:
+        """The view without the rows where paint covers the lane: a zebra's bars look like pairs of lines."""
+        if not crossed.covered.any():
+            return lines
+        lane = self._tracker.shape
+        ahead = slice(int(np.argmin(np.abs(lane.s_m))), None)
+        rows = np.arange(self.view.height_px)
+        x = self.view.to_body(np.stack((rows, rows), axis=-1))[:, 0]
+        s = np.interp(x, np.maximum.accumulate(lane.points_m[ahead, 0]), lane.s_m[ahead])
+        clean = lines.copy()
+        clean[~crossed.free(s)] = 0
+        return clean
+
+    def _guess(self, seen: Observation) -> FloatArray:
+        """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
+        width, x = self._lane_m, self._reference_x_m
+        arcs = []
+        for side, points in ((+1, seen.left_m), (-1, seen.right_m)):
+            if len(points) == 0:
+                continue
+            c = np.zeros(3)
+            fitted = fit_polynomial(points[:, 0], points[:, 1], 2)
+            c[: len(fitted)] = fitted
+            theta = math.atan(c[1] + 2.0 * c[2] * x)
+            bend = 2.0 * c[2] * math.cos(theta) ** 3
+            offset = side * 0.5 * width - (c[0] + c[1] * x + c[2] * x * x) * math.cos(theta)
+            arcs.append((offset, theta, bend / max(1.0 + side * 0.5 * width * bend, 0.3)))
+        offset, theta, bend = np.mean(arcs, axis=0)
+        return self._tracker.fit.start(offset, theta, bend, width)

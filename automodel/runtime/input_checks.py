@@ -1,0 +1,187 @@
+"""All checks of a run's inputs together, as the loop calls them.
+
+Whether the lane is still the one that was followed: a car cannot jump aside, or turn, from one frame to the next.
+
+Whether a camera's pictures are pictures of the road: right in size, alive, and showing anything at all.
+
+Whether the car turns as it is steered: by the gyro, where there is one.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+
+from automodel.config import CarConfig
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.types import Image
+
+OFFSET_LANES = 0.5  # further aside than half a lane's width, another line was taken for the lane's
+HEADING_RAD = 0.6  # turned by more than this, a line across the road was
+KEPT_S = 0.5  # a lane that was seen longer ago is no measure any more; longer than a car is held
+
+
+class LaneJumpCheck:
+    """Compares each estimate with the last one that was right.
+
+    Estimates that jump are wrong until one comes that is near the last right one, or until that is `KEPT_S` old: then
+    whoever armed the car anew has looked at where it stands. After COASTING a jump is no fault: dead reckoning drifts,
+    and a line that is seen again outranks it.
+    """
+
+    def __init__(self) -> None:
+        self._right: LaneEstimate | None = None
+
+    def step(self, estimate: LaneEstimate) -> str | None:
+        """How the lane has jumped, None where it has not or there is none."""
+        jump = self._jump(estimate)
+        if jump is None and estimate.pose is not None:
+            self._right = estimate
+        return jump
+
+    def _jump(self, estimate: LaneEstimate) -> str | None:
+        right, pose = self._right, estimate.pose
+        if pose is None or right is None or right.pose is None or right.status is LaneStatus.COASTING:
+            return None
+        if not 0 <= estimate.t_ns - right.t_ns < KEPT_S * 1e9:
+            return None
+        aside_m = pose.offset_m - right.pose.offset_m
+        if abs(aside_m) > OFFSET_LANES * right.pose.width_m:
+            return f"the lane has jumped aside by {abs(aside_m):.2f} m"
+        turn_rad = math.remainder(pose.heading_rad - right.pose.heading_rad, math.tau)
+        if abs(turn_rad) > HEADING_RAD:
+            return f"the lane has turned by {abs(turn_rad):.2f} rad at once"
+        return None
+
+
+FLAT_LEVELS = 6  # grey levels between the brightest and the darkest part of a picture that shows nothing
+_COARSE_PX = (16, 9)  # each of these parts is the mean of many pixels, so that noise makes none of them stand out
+
+
+class PictureCheck:
+    """Counts only pictures that show something new; says what is wrong when the last of those is too old.
+
+    A sensor's noise never comes twice: a picture that is the one before to the last bit was not taken anew, whatever
+    its time says, and whether the car moves or not. A simulated camera without noise does repeat itself, where the car
+    stands or there is nothing to see; `noiseless` allows that. A lens that is covered, blinded or unplugged gives a
+    picture without any contrast.
+
+    One bad picture is as one that was dropped: only `timeout_s` without a good one is worth a word.
+    """
+
+    def __init__(self, width_px: int, height_px: int, timeout_s: float, *, noiseless: bool = False) -> None:
+        self._shape = (height_px, width_px)
+        self._timeout_ns = round(timeout_s * 1e9)
+        self._noiseless = noiseless
+        self._before: Image | None = None
+        self._good_ns: int | None = None  # when the newest good picture was taken
+
+    def misfit(self, image: Image) -> str | None:
+        """Why nothing can be made of the picture, None where its size is the camera's."""
+        height, width = image.shape[:2]
+        if (height, width) == self._shape:
+            return None
+        return f"the picture has {width}x{height} pixels where the camera has {self._shape[1]}x{self._shape[0]}"
+
+    def step(self, image: Image, t_ns: int) -> str | None:
+        """What is wrong with the pictures up to this one, taken at `t_ns`; None while all is well, or may still be."""
+        wrong = self._wrong(image)
+        if wrong is None:
+            self._good_ns = t_ns
+            return None
+        if self._good_ns is None:
+            return wrong
+        age_ns = t_ns - self._good_ns
+        return None if age_ns < self._timeout_ns else f"{wrong} for {age_ns * 1e-9:.3f} s"
+
+    def _wrong(self, image: Image) -> str | None:
+        before, self._before = self._before, image
+        if contrast(image) < FLAT_LEVELS:
+            return "the picture is blank"
+        if before is not None and not self._noiseless and _same(before, image):
+            return "the camera repeats the same picture"
+        return None
+
+
+def contrast(image: Image) -> int:
+    """Grey levels between the brightest and the darkest part of a picture, of the channel with the most."""
+    coarse = cv2.resize(image, _COARSE_PX, interpolation=cv2.INTER_AREA).reshape(_COARSE_PX[0] * _COARSE_PX[1], -1)
+    return int((coarse.max(axis=0).astype(np.int64) - coarse.min(axis=0)).max())
+
+
+def _same(a: Image, b: Image) -> bool:
+    if a.shape != b.shape:
+        return False
+    return np.array_equal(a[::32], b[::32]) and np.array_equal(a, b)  # a few rows tell nearly always
+
+
+MIN_MPS = 0.4  # a slower car turns too little to tell
+APART_RADPS = 0.5  # between the yaw rates measured and expected: what a servo a few degrees off its table makes
+APART_SHARE = 0.4  # and this share of the expected one: tyres slip
+LASTING_S = 0.25  # a servo's lag is over in a fifth of this
+
+
+class SteeringCheck:
+    """Compares the gyro's yaw rate with that of a bicycle, v tan(delta) / L (Rajamani 2012, section 2.2).
+
+    delta [rad] is the steering that the vehicle says it was told last, v [m/s] its speed, L the wheelbase [m]. A servo
+    that is stuck, or a linkage that has come off, shows wherever the road is not as straight as the wheels stand.
+    """
+
+    def __init__(self, wheelbase_m: float) -> None:
+        self._wheelbase_m = wheelbase_m
+        self._apart_since_ns: int | None = None
+        self._wrong_ns: int | None = None
+
+    def step(self, motion: Motion, state: VehicleState | None) -> str | None:
+        """What is wrong at the motion's time; None while all is well, or nothing can be said."""
+        t_ns = motion.t_ns
+        if not self._apart(motion, state):
+            self._apart_since_ns = None
+        elif self._apart_since_ns is None:
+            self._apart_since_ns = t_ns
+        if self._apart_since_ns is not None and t_ns - self._apart_since_ns >= LASTING_S * 1e9:
+            self._wrong_ns = t_ns
+        if self._wrong_ns is None or t_ns - self._wrong_ns >= KEPT_S * 1e9:
+            return None
+        return "the car does not turn as it is steered; look at the servo and its linkage"
+
+    def _apart(self, motion: Motion, state: VehicleState | None) -> bool:
+        if motion.source is not MotionSource.MEASURED or abs(motion.speed_mps) < MIN_MPS:
+            return False
+        if state is None or state.steering_rad is None:
+            return False
+        expected = motion.speed_mps * math.tan(state.steering_rad) / self._wheelbase_m
+        return abs(motion.yaw_rate_radps - expected) > APART_RADPS + APART_SHARE * abs(expected)
+
+
+class InputChecks:
+    """Implements `Checks`. They outlive a reset of the chain: what they remember is bounded in time.
+
+    `noiseless` is for a simulated camera whose pictures have no noise.
+    """
+
+    def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
+        size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
+        self._pictures = tuple(PictureCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
+        self._lane_jump = LaneJumpCheck()
+        self._steering = SteeringCheck(car.vehicle.wheelbase_m)
+
+    def misfit(self, frame: Frame | StereoFrame) -> str | None:
+        """Why nothing can be made of the frame, None where it can be looked at."""
+        return next(filter(None, map(PictureCheck.misfit, self._pictures, _images(frame))), None)
+
+    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+        """What is wrong with a frame that fits."""
+        pictures = zip(self._pictures, _images(frame), strict=False)  # a single camera leaves one check idle
+        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in pictures)))
+
+    def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
+        """What is wrong with the lane, or with how the car moves."""
+        return tuple(filter(None, (self._lane_jump.step(estimate), self._steering.step(motion, state))))
+
+
+def _images(frame: Frame | StereoFrame) -> tuple[Image, ...]:
+    return (frame.left, frame.right) if isinstance(frame, StereoFrame) else (frame.image,)

@@ -1,0 +1,247 @@
+"""One pure tick of the chain: frame -> estimate -> wanted command -> limited command.
+
+The same object runs in a live car, in a lock-step simulation and in a replay: it reads no clock but the injected
+stopwatch, whose readings go into `Tick.stages_ns` and nowhere else. An exception of a stage goes up to the caller: the
+runner is the one place that catches everything, and it sends the safe command first.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from automodel.interfaces import Controller, Pipeline
+from automodel.runtime.clocks import NS_PER_S
+from automodel.signals import Command, Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+
+STAGES = ("pipeline", "controller", "limits")
+FAILURES = 4  # in a row, after which a pipeline begins anew: finding a lane in a bend takes longer than a car is held
+
+
+class Limited(Protocol):
+    """A command after the limits, and the names of those that took hold."""
+
+    @property
+    def command(self) -> Command:
+        """The command that may be sent."""
+        ...
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The limits that changed it, empty where none did."""
+        ...
+
+
+class Limits(Protocol):
+    """The limits applied last before the wire."""
+
+    def step(self, command: Command, motion: Motion, t_ns: int) -> Limited:
+        """The nearest command that breaks no limit at `t_ns`."""
+        ...
+
+    def reset(self, sent: Command | None = None) -> None:
+        """Forget the past but for `sent`, the command that is on the wire: rates are counted from it."""
+        ...
+
+
+class Checks(Protocol):
+    """Whether the inputs can be true; texts of what cannot."""
+
+    def misfit(self, frame: Frame | StereoFrame) -> str | None:
+        """Why nothing can be made of the frame, None where it can be looked at."""
+        ...
+
+    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+        """What is wrong with a frame that fits."""
+        ...
+
+    def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
+        """What is wrong with the lane, or with how the car moves."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tick:
+    """What one frame gave.
+
+    `motion` is the one that the pipeline was given, unknown in place of one that was not finite.
+    `wanted` is the controller's command, `command` the one after the limits, with `limited_by` naming those. `faults`
+    are texts of what was not finite, each already replaced by something safe, and of what cannot be true. `stages_ns`
+    are durations [ns] in the order of `STAGES`, zero without a stopwatch.
+    """
+
+    estimate: LaneEstimate
+    motion: Motion
+    wanted: Command
+    command: Command
+    limited_by: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+    stages_ns: tuple[int, ...] = (0, 0, 0)
+
+
+def _no_stopwatch() -> int:
+    return 0
+
+
+class Loop:
+    """Pipeline, controller and limits in a row.
+
+    `validity_s` is the time after a frame's capture for which its command may be obeyed; `stopwatch` gives integer
+    nanoseconds (`time.perf_counter_ns`) and is only read for the durations. `checks` look at what comes in where a car
+    is driven; they change nothing but `Tick.faults`, and keep a frame that does not fit away from the pipeline.
+    """
+
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        controller: Controller,
+        limits: Limits,
+        *,
+        validity_s: float,
+        stopwatch: Callable[[], int] = _no_stopwatch,
+        checks: Checks | None = None,
+    ) -> None:
+        if not validity_s > 0:
+            raise ValueError(f"validity_s: {validity_s} where a positive number is wanted")
+        self._pipeline = pipeline
+        self._controller = controller
+        self._limits = limits
+        self._validity_ns = round(validity_s * NS_PER_S)
+        self._stopwatch = stopwatch
+        self._checks = checks
+        self._failures = 0  # of the pipeline, in a row
+
+    def tick(self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None, t_ns: int) -> Tick:
+        """The chain for one frame; `motion` is the car's since the frame before, `t_ns` the time of the command.
+
+        A value that is not finite makes the motion unknown, the estimate LOST or the command a standstill; `faults`
+        says so.
+        """
+        valid_until_ns = min(frame.t_ns, t_ns) + self._validity_ns
+        start = self._stopwatch()
+        faults = motion_faults(motion)
+        if faults:
+            motion = Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+        estimate, wrong = self._see(frame, motion, state)
+        faults += wrong
+        seen = self._stopwatch()
+        wanted = self._controller.step(estimate, motion, state, t_ns)
+        if not _is_finite(wanted):
+            faults += (f"the controller gave {_numbers(wanted)}",)
+            wanted = _standstill(t_ns, valid_until_ns)
+            self._controller.reset()
+        steered = self._stopwatch()
+        limited = self._limits.step(wanted, motion, t_ns)
+        command = limited.command
+        if not _is_finite(command):
+            faults += (f"the limits gave {_numbers(command)}",)
+            command = _standstill(t_ns, valid_until_ns)
+            self._limits.reset()
+        return Tick(
+            estimate=estimate,
+            motion=motion,
+            wanted=wanted,
+            # A stage may shorten a command's life, never stretch it beyond what the frame it came from allows.
+            command=replace(command, valid_until_ns=min(command.valid_until_ns, valid_until_ns)),
+            limited_by=limited.reasons,
+            faults=faults,
+            stages_ns=(seen - start, steered - seen, self._stopwatch() - steered),
+        )
+
+    def _see(
+        self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None
+    ) -> tuple[LaneEstimate, tuple[str, ...]]:
+        checks = self._checks
+        lost = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
+        misfit = None if checks is None else checks.misfit(frame)
+        if misfit is not None:
+            return lost, (misfit,)
+        doubts = () if checks is None else checks.of_frame(frame)
+        estimate = self._pipeline.step(_picture(frame), motion)
+        faults = estimate_faults(estimate)
+        if faults:
+            self.failed()
+            return lost, doubts + faults
+        self._failures = 0
+        return estimate, doubts if checks is None else doubts + checks.of_estimate(estimate, motion, state)
+
+    def overruled(self, sent: Command | None) -> None:
+        """The last command was not sent, but `sent` was (None: nothing): controller and limits go on from there.
+
+        Without this the controller's speed would ramp up while the car is held, and the car would leap when freed.
+        """
+        self._controller.reset()
+        self._limits.reset(sent)
+
+    def failed(self) -> None:
+        """The last tick raised: a pipeline that goes on failing must forget what it knows, which may be spoilt."""
+        self._failures += 1
+        if self._failures % FAILURES == 0:
+            self._pipeline.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the configuration."""
+        self._failures = 0
+        self._pipeline.reset()
+        self._controller.reset()
+        self._limits.reset()
+
+
+def estimate_faults(estimate: LaneEstimate) -> tuple[str, ...]:
+    """What in an estimate is not finite, or is missing from one that claims to be valid; empty when all is well."""
+    if not estimate.valid:
+        return ()
+    if estimate.pose is None or estimate.centerline is None:
+        return (f"the estimate is {estimate.status.value} but has no pose or no centerline",)
+    pose = estimate.pose
+    numbers = [pose.offset_m, pose.heading_rad, pose.width_m, pose.curvature_per_m]
+    numbers += pose.covariance.ravel().tolist()
+    faults: tuple[str, ...] = ()
+    if not all(map(math.isfinite, numbers)):
+        faults += ("the estimate's pose is not finite",)
+    if estimate.crossing is not None:
+        crossing = estimate.crossing
+        if not (math.isfinite(crossing.distance_m) and math.isfinite(crossing.angle_rad)):
+            faults += ("the estimate's crossing is not finite",)
+    ends_m = estimate.centerline.position(np.array((0.0, estimate.centerline.length_m)))
+    if not np.isfinite(ends_m).all():
+        faults += ("the estimate's centerline is not finite",)
+    return faults
+
+
+def motion_faults(motion: Motion) -> tuple[str, ...]:
+    """What in a motion is not finite; empty when all is well."""
+    if math.isfinite(motion.speed_mps) and math.isfinite(motion.yaw_rate_radps):
+        return ()
+    return (f"the motion is {motion.speed_mps} m/s and {motion.yaw_rate_radps} rad/s",)
+
+
+def state_faults(state: VehicleState) -> tuple[str, ...]:
+    """What in a vehicle's state is not finite; empty when all is well."""
+    said = (state.speed_mps, state.yaw_rate_radps, state.steering_rad, state.battery_v, *state.ranges_m)
+    if all(value is None or math.isfinite(value) for value in said):
+        return ()
+    return ("the vehicle's state is not finite",)
+
+
+def _picture(frame: Frame | StereoFrame) -> Frame:
+    """What a pipeline of one camera sees of a pair: the left picture, whose camera is the one in `[camera]`."""
+    if isinstance(frame, StereoFrame):
+        return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
+    return frame
+
+
+def _is_finite(command: Command) -> bool:
+    return math.isfinite(command.steering_rad) and math.isfinite(command.speed_mps)
+
+
+def _numbers(command: Command) -> str:
+    return f"{command.steering_rad} rad and {command.speed_mps} m/s"
+
+
+def _standstill(t_ns: int, valid_until_ns: int) -> Command:
+    return Command(t_ns=t_ns, steering_rad=0.0, speed_mps=0.0, valid_until_ns=valid_until_ns)

@@ -1,0 +1,117 @@
+"""What a run is put together from, and what it gives."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.interfaces import Recorder, Source, VehicleLink
+from automodel.runtime.clocks import SleepingClock
+from automodel.runtime.loop import Loop, Tick
+from automodel.runtime.safety import Safety, SafetyDecision
+from automodel.signals import Command, Event, Frame, Motion, StereoFrame, VehicleState
+
+
+class MotionStage(Protocol):
+    """From what the vehicle says and was told to its motion."""
+
+    def step(self, state: VehicleState | None, last_command: Command, t_ns: int) -> Motion:
+        """The motion at `t_ns`, the capture of a frame; `last_command` is the one on the wire."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunParts:
+    """The things that a run drives; `recorder` is None where nothing is written down."""
+
+    source: Source
+    link: VehicleLink
+    recorder: Recorder | None
+    motion: MotionStage
+    loop: Loop
+    safety: Safety
+    clock: SleepingClock
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunConfig:
+    """Times of a run.
+
+    `command_validity_s` is the life of the hold and neutral commands that the runner makes itself, `period_s` the
+    time between two frames, beyond which a turn's work counts as an overrun. `collector_off` keeps the garbage
+    collector out of the loop; in lock-step, where nothing is late, that is time spent for nothing.
+    """
+
+    command_validity_s: float = 0.1
+    period_s: float = 1.0 / 60.0
+    collector_off: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("command_validity_s", "period_s"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name}: {getattr(self, name)} where a positive number is wanted")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TickRecord:
+    """One turn of the run at `t_ns`, told after everything was sent.
+
+    `frame` is None in a turn without one; `tick` also where the frame's time was wrong, so that it was not looked at.
+    `sent` is the command that went out, None where none did. `latency_ns` is the time from the frame's capture until
+    its own command had been handed to the link; None for any other command.
+    """
+
+    t_ns: int
+    frame: Frame | StereoFrame | None
+    state: VehicleState | None
+    tick: Tick | None
+    decision: SafetyDecision
+    sent: Command | None
+    latency_ns: int | None
+
+
+class RunObserver(Protocol):
+    """Who wants to watch: progress, laps, a simulator's truth."""
+
+    def on_tick(self, record: TickRecord) -> None:
+        """One turn; it is called in the loop, so it has to be quick."""
+        ...
+
+
+class RunEnd(enum.Enum):
+    """Why a run ended."""
+
+    STOP = "asked to stop"
+    FRAMES = "the number of frames is reached"
+    SOURCE = "the source has no more frames"
+    SIGNAL = "a signal"
+    SOURCE_FAILED = "the source failed"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunResult:
+    """What came of a run.
+
+    `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts turns that worked longer
+    than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`. `traceback` is
+    that of the first exception of the chain.
+    """
+
+    end: RunEnd
+    frames: int
+    skipped: int
+    overruns: int
+    stops: int
+    latencies_ns: NDArray[np.int64]
+    events: tuple[Event, ...]
+    traceback: str | None
+
+    def latency_ms(self, percentile: float) -> float | None:
+        """A percentile (0 .. 100) of the latency [ms], None where nothing was driven."""
+        if len(self.latencies_ns) == 0:
+            return None
+        return float(np.percentile(self.latencies_ns, percentile)) * 1e-6

@@ -1,0 +1,296 @@
+"""The run: one turn after the other until someone says stop, and the car in neutral however it ends.
+
+A turn waits for the newest frame, at most 20 ms, so that the vehicle is polled, the safety machine stepped and a
+signal answered at that pace whatever the camera does. What goes to the wire goes first; recording, telling and the
+collector come after it. The whole run lives on the clock it is given: with a `VirtualClock` and a source that
+advances it inside `read` the same code runs in lock-step.
+
+Event kinds besides those of `automodel.runtime.safety`: fault (something not finite, or an exception of the chain),
+vehicle-fault, link-lost, link-back, source-failed, source-back, recorder-failed, end.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import traceback
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from automodel.interfaces import Source
+from automodel.runtime.clocks import NS_PER_S
+from automodel.runtime.loop import Tick, motion_faults, state_faults
+from automodel.runtime.os_signals import collect_all, collect_young, no_garbage_collection, stop_on_signals
+from automodel.runtime.run_log import Journal
+from automodel.runtime.run_types import (
+    MotionStage,
+    RunConfig,
+    RunEnd,
+    RunObserver,
+    RunParts,
+    RunResult,
+    TickRecord,
+)
+from automodel.runtime.safety import Action, SafetyDecision, SafetyInputs, SafetyMode, Seen
+from automodel.runtime.supervised_link import SupervisedLink
+from automodel.runtime.supervised_source import SupervisedSource
+from automodel.signals import (
+    NEUTRAL,
+    Command,
+    Event,
+    Frame,
+    LaneEstimate,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
+from automodel.sources.errors import EndOfSource
+
+__all__ = ["MotionStage", "RunConfig", "RunEnd", "RunObserver", "RunParts", "RunResult", "Runner", "TickRecord"]
+
+SLICE_NS = 20_000_000  # the longest wait for a frame in one turn: a signal goes unanswered no longer
+SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual time pass
+
+
+class Runner:
+    """Drives `parts` in turns; one runner makes one run.
+
+    `arm_requested` is asked every turn whether a person has asked to arm since. `reopen` gives a new source in place of
+    one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without it a
+    source that failed ends the run as soon as the car stands. `on_event` is told of every event, after its turn's
+    command has gone out; it has to be quick.
+    """
+
+    def __init__(
+        self,
+        parts: RunParts,
+        config: RunConfig,
+        *,
+        observer: RunObserver | None = None,
+        arm_requested: Callable[[], bool] | None = None,
+        reopen: Callable[[], Source] | None = None,
+        on_event: Callable[[Event], None] | None = None,
+    ) -> None:
+        self._motion = parts.motion
+        self._loop = parts.loop
+        self._safety = parts.safety
+        self._clock = parts.clock
+        self._config = config
+        self._validity_ns = round(config.command_validity_s * NS_PER_S)
+        self._observer = observer
+        self._arm_requested = arm_requested
+        self._journal = Journal(parts.recorder, on_event)
+        self._source = SupervisedSource(parts.source, parts.clock, self._journal, reopen)
+        self._link = SupervisedLink(parts.link, self._journal.note)
+        self._on_wire = NEUTRAL
+        self._said: VehicleState | None = None  # the vehicle's last word, right or wrong
+        self._state: VehicleState | None = None  # the last one that made sense
+        self._end = "an error"
+        self._index: int | None = None
+        self._frames = self._skipped = self._overruns = self._stops = 0
+        self._latencies_ns = array("q")
+        self._error: Exception | None = None
+        self._traceback: str | None = None
+
+    def run(self, stop: Callable[[], bool] | None = None, max_frames: int | None = None) -> RunResult:
+        """Drive until `stop` says so, after `max_frames`, at the source's end, or on a signal.
+
+        Raises the link's OSError where the vehicle could not be reached in the first place, and whatever a part raised
+        that is not to be expected of it; the car is in neutral and everything closed by then.
+        """
+        with contextlib.ExitStack() as leaving:
+            signalled = leaving.enter_context(stop_on_signals())
+            if self._config.collector_off:
+                leaving.enter_context(no_garbage_collection())
+            # The last one in is the first to be called, and each is called whatever the ones before it raise.
+            leaving.callback(self._source.close)
+            leaving.callback(self._journal.tell_news)
+            leaving.callback(lambda: self._journal.close(self._clock.now_ns()))
+            leaving.callback(self._link.close)
+            leaving.callback(self._park)
+            self._link.open(self._clock.now_ns())
+            end = self._drive(signalled, stop, max_frames)
+            self._end = signalled() or end.value
+        return RunResult(
+            end=end,
+            frames=self._frames,
+            skipped=self._skipped,
+            overruns=self._overruns,
+            stops=self._stops,
+            latencies_ns=np.array(self._latencies_ns, dtype=np.int64),
+            events=self._journal.events,
+            traceback=self._traceback,
+        )
+
+    def _drive(
+        self, signalled: Callable[[], str | None], stop: Callable[[], bool] | None, max_frames: int | None
+    ) -> RunEnd:
+        while True:
+            if signalled() is not None:
+                return RunEnd.SIGNAL
+            if stop is not None and stop():
+                return RunEnd.STOP
+            if max_frames is not None and self._frames >= max_frames:
+                return RunEnd.FRAMES
+            if self._source.dead and self._at_rest():
+                return RunEnd.SOURCE_FAILED
+            try:
+                self._turn()
+            except EndOfSource:
+                return RunEnd.SOURCE
+
+    def _turn(self) -> None:
+        frame = self._await_frame()
+        taken_ns = self._clock.now_ns()
+        heard, faults = self._listen(taken_ns)
+        seen, tick = None, None
+        if frame is not None:
+            tick = self._look(frame, taken_ns)
+            faults += tick.faults if tick is not None else ()
+            seen = Seen(
+                frame_t_ns=frame.t_ns,
+                taken_ns=taken_ns,
+                status=tick.estimate.status if tick is not None else LaneStatus.LOST,
+                valid_until_ns=tick.command.valid_until_ns if tick is not None else None,
+            )
+        arm = self._arm_requested is not None and self._arm_requested()
+        was_at_rest = self._at_rest()
+        state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next turn
+        inputs = SafetyInputs(seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm)
+        decision = self._safety.step(inputs, self._clock.now_ns())
+        sent, sent_ns = self._send(decision, tick)
+        own = frame is not None and tick is not None and sent is tick.command
+        record = TickRecord(
+            t_ns=sent_ns,
+            frame=frame,
+            state=self._state,
+            tick=tick,
+            decision=decision,
+            sent=sent,
+            latency_ns=sent_ns - frame.t_ns if own and frame is not None else None,
+        )
+        self._settle(record, faults)
+        self._count(record, taken_ns)
+        self._journal.write(record, heard)
+        if self._observer is not None:
+            self._observer.on_tick(record)
+        self._journal.tell_news()
+        self._tidy(record, was_at_rest)
+
+    def _await_frame(self) -> Frame | StereoFrame | None:
+        now_ns = self._clock.now_ns()
+        due_ns = self._safety.frame_due_ns()
+        wait_ns = SLICE_NS
+        if due_ns is not None and due_ns > now_ns:
+            wait_ns = max(min(SLICE_NS, due_ns - now_ns), SLICE_MIN_NS)
+        return self._source.read(wait_ns / NS_PER_S, self._at_rest())
+
+    def _listen(self, now_ns: int) -> tuple[VehicleState | None, tuple[str, ...]]:
+        """The vehicle's state where a new one has come that makes sense, and what does not make sense in it."""
+        said = self._link.poll(now_ns)
+        if said is None:
+            self._said = self._state = None
+        if said is None or said == self._said:
+            return None, ()
+        self._said = said
+        faults = state_faults(said)
+        if faults:
+            return None, faults
+        before = self._state.faults if self._state is not None else ()
+        if set(said.faults) - set(before):
+            self._journal.tell("vehicle-fault", f"the vehicle reports {', '.join(said.faults)}", now_ns)
+        self._state = said
+        return said, ()
+
+    def _look(self, frame: Frame | StereoFrame, now_ns: int) -> Tick | None:
+        """The chain's tick; LOST where the chain failed, None for a frame whose time is wrong."""
+        if self._safety.frame_time_fault(frame.t_ns, now_ns) is not None:
+            return None  # dead reckoning over a wrong time would spoil the estimate; the safety machine tells why
+        motion = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+        try:
+            measured = self._motion.step(self._state, self._on_wire, frame.t_ns)
+            motion = motion if motion_faults(measured) else measured
+            return self._loop.tick(frame, measured, self._state, now_ns)
+        except Exception as error:  # noqa: BLE001 - the one place that catches everything: the car must be held first
+            self._error = error
+            nothing = self._standstill(0.0, now_ns)
+            lost = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
+            return Tick(estimate=lost, motion=motion, wanted=nothing, command=nothing, faults=(_one_line(error),))
+
+    def _send(self, decision: SafetyDecision, tick: Tick | None) -> tuple[Command | None, int]:
+        """What went out, None where nothing did, and the time when it had."""
+        now_ns = self._clock.now_ns()
+        command: Command | None = None
+        if decision.action is Action.HOLD_STEERING:
+            command = self._standstill(self._on_wire.steering_rad, now_ns)
+        elif decision.action is Action.NEUTRAL:
+            command = self._standstill(0.0, now_ns)
+        elif tick is not None:
+            command = tick.command
+        sent = command is not None and self._link.send(command, now_ns)
+        sent_ns = self._clock.now_ns()
+        if decision.arm:
+            self._link.arm(now_ns)
+        elif decision.disarm:
+            self._link.disarm(now_ns)
+        if command is not None:  # a vehicle that cannot be reached falls back to neutral by itself
+            self._on_wire = command if sent else NEUTRAL
+        return (command if sent else None), sent_ns
+
+    def _settle(self, record: TickRecord, faults: tuple[str, ...]) -> None:
+        """What could wait until the command was out: clean the chain up after a fault, and tell of it."""
+        error, self._error = self._error, None
+        if error is not None:
+            self._loop.failed()
+            if self._traceback is None:
+                self._traceback = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+        if record.decision.action is not Action.PASS or (record.tick is not None and record.sent is None):
+            self._loop.overruled(self._on_wire)
+        if faults:
+            self._journal.tell("fault", "; ".join(faults), record.t_ns)
+        for event in record.decision.events:
+            self._journal.note(event)
+            self._stops += event.kind == "stop"
+
+    def _count(self, record: TickRecord, taken_ns: int) -> None:
+        if record.frame is None:
+            return
+        self._frames += 1
+        if self._index is not None:
+            self._skipped += max(record.frame.index - self._index - 1, 0)
+        self._index = record.frame.index
+        self._overruns += record.t_ns - taken_ns > self._config.period_s * NS_PER_S
+        if record.latency_ns is not None:
+            self._latencies_ns.append(record.latency_ns)
+
+    def _tidy(self, record: TickRecord, was_at_rest: bool) -> None:
+        if not self._config.collector_off:
+            return
+        if self._at_rest() and not was_at_rest:
+            collect_all()
+        elif record.frame is not None:
+            collect_young()
+
+    def _at_rest(self) -> bool:
+        return self._safety.mode in (SafetyMode.DISARMED, SafetyMode.STOPPED)
+
+    def _standstill(self, steering_rad: float, now_ns: int) -> Command:
+        return Command(t_ns=now_ns, steering_rad=steering_rad, speed_mps=0.0, valid_until_ns=now_ns + self._validity_ns)
+
+    def _park(self) -> None:
+        now_ns = self._clock.now_ns()
+        self._link.send(self._standstill(0.0, now_ns), now_ns)
+        self._link.disarm(now_ns)
+        self._journal.note(Event(t_ns=now_ns, kind="end", text=self._end))
+
+
+def _one_line(error: Exception) -> str:
+    place = error.__traceback__
+    while place is not None and place.tb_next is not None:
+        place = place.tb_next
+    where = f" at {Path(place.tb_frame.f_code.co_filename).name}:{place.tb_lineno}" if place is not None else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"

@@ -1,0 +1,272 @@
+"""Whether the car may drive: a pure state machine, time passed in.
+
+*Unwell* (may pass by itself): no frame yet, the newest older than `frame_timeout_s`, its time not after the one
+before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
+that cannot be true (`automodel.checks`).
+*Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
+should not), a command stale before it was sent, a loop that stood still for longer than a command lives, a clock that
+went back. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop,
+and a board that no longer obeys says so by being disarmed.
+
+    mode              | on                                                       | next     | sent
+    ------------------|----------------------------------------------------------|----------|---------------
+    DISARMED, STOPPED | arm request, healthy for rearm_s                         | ARMING   | NEUTRAL, arm
+    DISARMED, STOPPED | arm request, not healthy for so long: refused, forgotten | the same | NEUTRAL
+    DISARMED          | auto-arm not yet used up, healthy for rearm_s            | ARMING   | NEUTRAL, arm
+    ARMING            | unwell, broken or ARM_TIMEOUT_S over                     | DISARMED | NEUTRAL, disarm
+    ARMING            | the vehicle says it is armed, healthy frame in this turn | DRIVING  | PASS
+    DRIVING           | broken                                                   | STOPPED  | NEUTRAL, disarm
+    DRIVING           | unwell                                                   | HOLD     | HOLD_STEERING
+    HOLD              | broken, or hold_s over                                   | STOPPED  | NEUTRAL, disarm
+    HOLD              | healthy frame in this turn                               | DRIVING  | PASS
+
+The first row that fits counts, and nothing else changes the mode. TRACKING, ONE_LINE and COASTING all drive; driving
+slower on less is the controller's task. A request is never remembered: a car that starts off seconds after the key
+was pressed, because the camera came back just then, surprises whoever lifts it. Auto-arm (`--arm`) is the one
+exception, a request made once at the start that is used up when the car first drives; no stop brings it back.
+
+Event kinds: arming, driving, hold, stop, disarmed (arming given up), arm-refused.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+from automodel.config import SafetyConfig
+from automodel.runtime.clocks import NS_PER_S
+from automodel.signals import Event, LaneStatus, VehicleState
+
+FUTURE_S = 0.05  # a frame further ahead of the clock than this carries a wrong time
+LINK_SILENCE_S = 0.1  # a vehicle that has said nothing for so long is gone: of 150 ms for a stop 45 are left then
+ARM_TIMEOUT_S = 1.0  # the vehicle's time to say that it is armed
+REPEAT_S = 0.1  # arm and disarm are asked for again so often while the vehicle does not follow: a wire may lose bytes
+
+
+class SafetyMode(enum.Enum):
+    """The states of the machine."""
+
+    DISARMED = "DISARMED"  # nothing has been asked for yet
+    ARMING = "ARMING"  # the vehicle has been asked to take commands, and has not yet said that it does
+    DRIVING = "DRIVING"
+    HOLD = "HOLD"  # steering held, neutral throttle, for a bounded time
+    STOPPED = "STOPPED"  # straight, neutral, latched until a person arms again
+
+
+class Action(enum.Enum):
+    """What goes to the vehicle."""
+
+    PASS = "PASS"  # the limited command of this turn's frame; nothing in a turn without one
+    HOLD_STEERING = "HOLD_STEERING"  # the steering sent last, neutral throttle
+    NEUTRAL = "NEUTRAL"  # straight, neutral throttle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """What this turn's frame gave.
+
+    `taken_ns` is when the loop took the frame up, `valid_until_ns` the life of the command made from it (None: the
+    chain gave none).
+    """
+
+    frame_t_ns: int
+    taken_ns: int
+    status: LaneStatus
+    valid_until_ns: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyInputs:
+    """One turn of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
+
+    `faults` are texts of what was found wrong in this turn; `arm` is a person's request made in this turn.
+    """
+
+    seen: Seen | None
+    state: VehicleState | None
+    link_up: bool = True
+    faults: tuple[str, ...] = ()
+    arm: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SafetyDecision:
+    """What to do now. `reason` tells why the input is not healthy, None where it is."""
+
+    mode: SafetyMode
+    action: Action
+    arm: bool
+    disarm: bool
+    reason: str | None
+    events: tuple[Event, ...]
+
+
+class Safety:
+    """The state machine; `auto_arm` counts as one request made by a person at the start."""
+
+    def __init__(self, config: SafetyConfig, auto_arm: bool = False) -> None:
+        self._frame_timeout_ns = round(config.frame_timeout_s * NS_PER_S)
+        self._validity_ns = round(config.command_validity_s * NS_PER_S)
+        self._hold_ns = round(config.hold_s * NS_PER_S)
+        self._rearm_ns = round(config.rearm_s * NS_PER_S)
+        self._auto_arm = auto_arm
+        self._mode = SafetyMode.DISARMED
+        self._since_ns = 0  # when the mode was entered
+        self._must_disarm = False
+        self._asked_ns: int | None = None  # when the vehicle was last asked to arm or to disarm
+        self._boot_id: int | None = None  # of the vehicle as it was armed
+        self._healthy_since_ns: int | None = None
+        self._last_ns: int | None = None
+        self._frame_t_ns: int | None = None
+        self._frame_fault: str | None = "no frame has come yet"  # holds until the next frame
+
+    @property
+    def mode(self) -> SafetyMode:
+        """The mode now."""
+        return self._mode
+
+    def frame_time_fault(self, t_ns: int, now_ns: int) -> str | None:
+        """Why a frame taken at `t_ns` must not be used, None where its time is right; changes nothing."""
+        if self._frame_t_ns is not None and t_ns <= self._frame_t_ns:
+            return f"the frame's time is not after the one before: {_s(t_ns - self._frame_t_ns)} s"
+        if t_ns - now_ns > FUTURE_S * NS_PER_S:
+            return f"the frame's time lies {_s(t_ns - now_ns)} s ahead"
+        return None
+
+    def frame_due_ns(self) -> int | None:
+        """When the newest frame will be too old [ns], None before the first."""
+        return None if self._frame_t_ns is None else self._frame_t_ns + self._frame_timeout_ns
+
+    def step(self, inputs: SafetyInputs, now_ns: int) -> SafetyDecision:
+        """One turn at `now_ns`; call it at least every 20 ms, with or without a frame."""
+        broken = self._clock_fault(inputs, now_ns) or self._vehicle_fault(inputs, now_ns)
+        unwell = self._chain_fault(inputs, now_ns)
+        self._last_ns = now_ns
+        reason = broken or unwell
+        if reason is not None:
+            self._healthy_since_ns = None
+        elif self._healthy_since_ns is None:
+            self._healthy_since_ns = now_ns
+        events: tuple[Event, ...] = ()
+        if self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED):
+            events = self._at_rest(inputs, reason, now_ns)
+        elif self._mode is SafetyMode.ARMING:
+            events = self._arming(inputs, reason, now_ns)
+        elif broken is not None:
+            events = self._enter(SafetyMode.STOPPED, "stop", broken, now_ns)
+        elif self._mode is SafetyMode.DRIVING:
+            if unwell is not None:
+                events = self._enter(SafetyMode.HOLD, "hold", unwell, now_ns)
+        else:
+            events = self._held(inputs, unwell, now_ns)
+        return self._decide(inputs, reason, events, now_ns)
+
+    def _at_rest(self, inputs: SafetyInputs, reason: str | None, now_ns: int) -> tuple[Event, ...]:
+        healthy_ns = 0 if self._healthy_since_ns is None else now_ns - self._healthy_since_ns
+        if reason is None and healthy_ns >= self._rearm_ns:
+            if inputs.arm or self._auto_arm:
+                self._boot_id = inputs.state.boot_id if inputs.state is not None else None
+                text = "by request" if inputs.arm else "by itself, as was asked for at the start"
+                return self._enter(SafetyMode.ARMING, "arming", text, now_ns)
+        elif inputs.arm:
+            why = reason or f"the input is healthy for {_s(healthy_ns)} s only; {_s(self._rearm_ns)} s are wanted"
+            return (Event(t_ns=now_ns, kind="arm-refused", text=why),)
+        return ()
+
+    def _arming(self, inputs: SafetyInputs, reason: str | None, now_ns: int) -> tuple[Event, ...]:
+        if reason is None and now_ns - self._since_ns >= ARM_TIMEOUT_S * NS_PER_S:
+            reason = f"the vehicle has not armed within {ARM_TIMEOUT_S} s"
+        if reason is not None:
+            self._healthy_since_ns = None
+            return self._enter(SafetyMode.DISARMED, "disarmed", reason, now_ns)
+        if inputs.seen is not None and inputs.state is not None and inputs.state.armed:
+            self._auto_arm = False
+            return self._enter(SafetyMode.DRIVING, "driving", "the vehicle is armed", now_ns)
+        return ()
+
+    def _held(self, inputs: SafetyInputs, unwell: str | None, now_ns: int) -> tuple[Event, ...]:
+        held_ns = now_ns - self._since_ns
+        if held_ns >= self._hold_ns:
+            return self._enter(SafetyMode.STOPPED, "stop", f"held for {_s(held_ns)} s: {unwell or 'no frame'}", now_ns)
+        if unwell is None and inputs.seen is not None:
+            return self._enter(SafetyMode.DRIVING, "driving", f"healthy again after {_s(held_ns)} s", now_ns)
+        return ()
+
+    def _enter(self, mode: SafetyMode, kind: str, text: str, now_ns: int) -> tuple[Event, ...]:
+        if mode in (SafetyMode.STOPPED, SafetyMode.DISARMED):
+            self._boot_id = None
+            self._must_disarm = True
+        if mode is not SafetyMode.HOLD:
+            self._asked_ns = None  # so that the vehicle is asked at once
+        self._mode = mode
+        self._since_ns = now_ns
+        return (Event(t_ns=now_ns, kind=kind, text=text),)
+
+    def _decide(
+        self, inputs: SafetyInputs, reason: str | None, events: tuple[Event, ...], now_ns: int
+    ) -> SafetyDecision:
+        action, arm, disarm = Action.NEUTRAL, False, False
+        if self._mode is SafetyMode.DRIVING:
+            action = Action.PASS
+        elif self._mode is SafetyMode.HOLD:
+            action = Action.HOLD_STEERING
+        else:
+            due = self._asked_ns is None or now_ns - self._asked_ns >= REPEAT_S * NS_PER_S
+            armed = inputs.state is not None and inputs.state.armed
+            arm = due and self._mode is SafetyMode.ARMING
+            disarm = due and self._mode is not SafetyMode.ARMING and (armed or self._must_disarm)
+            if arm or disarm:
+                self._asked_ns = now_ns
+                self._must_disarm = False
+        return SafetyDecision(mode=self._mode, action=action, arm=arm, disarm=disarm, reason=reason, events=events)
+
+    def _clock_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
+        """Whether time itself went wrong: it stepped back, or the loop spent it so that a command went stale."""
+        if self._last_ns is not None:
+            if now_ns < self._last_ns:
+                return f"the clock went back by {_s(self._last_ns - now_ns)} s"
+            if now_ns - self._last_ns > self._validity_ns:
+                return f"the loop stood still for {_s(now_ns - self._last_ns)} s"
+        seen = inputs.seen
+        if seen is None or seen.valid_until_ns is None or now_ns < seen.valid_until_ns:
+            return None
+        if seen.taken_ns - seen.frame_t_ns >= self._frame_timeout_ns:
+            return None  # it was late when it came: the camera's doing, which may pass
+        return f"the command went stale in the loop, {_s(now_ns - seen.taken_ns)} s after the frame was taken up"
+
+    def _vehicle_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
+        state = inputs.state
+        if not inputs.link_up:
+            return "the link to the vehicle is down"
+        if state is None:
+            return "the vehicle has not said hello"
+        if abs(now_ns - state.t_ns) > LINK_SILENCE_S * NS_PER_S:
+            return f"the vehicle has said nothing for {_s(now_ns - state.t_ns)} s"
+        if self._boot_id is not None and state.boot_id != self._boot_id:
+            return "the vehicle's controller has restarted"
+        if self._mode in (SafetyMode.DRIVING, SafetyMode.HOLD) and not state.armed:
+            return "the vehicle has disarmed itself"
+        if self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED) and state.armed:
+            return "the vehicle is still armed"
+        return None
+
+    def _chain_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
+        seen = inputs.seen
+        if seen is not None:
+            self._frame_fault = self.frame_time_fault(seen.frame_t_ns, now_ns)
+            self._frame_t_ns = seen.frame_t_ns
+            if self._frame_fault is None and inputs.faults:
+                self._frame_fault = "; ".join(inputs.faults)
+            if self._frame_fault is None and seen.status is LaneStatus.LOST:
+                self._frame_fault = "the lane is lost"
+        elif inputs.faults:
+            return "; ".join(inputs.faults)
+        if self._frame_fault is None and self._frame_t_ns is not None:
+            age_ns = now_ns - self._frame_t_ns
+            if age_ns >= self._frame_timeout_ns:
+                return f"the newest frame is {_s(age_ns)} s old"
+        return self._frame_fault
+
+
+def _s(duration_ns: int) -> str:
+    return f"{duration_ns / NS_PER_S:.3f}"

@@ -1,0 +1,70 @@
+"""A source that may fail and be replaced: its errors become values, and no error makes the loop spin."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+from automodel.interfaces import Source
+from automodel.runtime.clocks import NS_PER_S, SleepingClock
+from automodel.runtime.run_log import Journal
+from automodel.signals import Event, Frame, StereoFrame
+
+REOPEN_S = 0.2  # between two tries to open a source that failed
+
+
+class SupervisedSource:
+    """Wraps a `Source`; `reopen` gives a new one in its place or raises OSError, None where there is no other.
+
+    A ValueError is a picture that is none, of a device that gives what it never gave before. Only EndOfSource is passed
+    on.
+    """
+
+    def __init__(
+        self, source: Source, clock: SleepingClock, journal: Journal, reopen: Callable[[], Source] | None
+    ) -> None:
+        self._source = source
+        self._clock = clock
+        self._journal = journal
+        self._reopen = reopen
+        self._failed = False
+        self._tried_ns: int | None = None  # when it was opened again last
+
+    @property
+    def dead(self) -> bool:
+        """Whether no frame will ever come again."""
+        return self._failed and self._reopen is None
+
+    def read(self, timeout_s: float, at_rest: bool) -> Frame | StereoFrame | None:
+        """A frame, or None after `timeout_s` on the clock, also where the source has failed.
+
+        A failed source is only replaced `at_rest`, because opening a camera takes seconds.
+        """
+        if self._failed and at_rest:
+            self._replace()
+        try:
+            frame = self._source.read(timeout_s)
+        except (OSError, ValueError) as error:
+            self._failed = True
+            self._journal.tell("source-failed", str(error), self._clock.now_ns())
+            self._clock.sleep(timeout_s)  # a broken source fails at once
+            return None
+        if frame is not None and self._failed:
+            self._failed = False
+            event = Event(t_ns=self._clock.now_ns(), kind="source-back", text="frames come again; arm to drive on")
+            self._journal.note(event)
+        return frame
+
+    def close(self) -> None:
+        """Close what there is; never raises an OSError."""
+        with contextlib.suppress(OSError):
+            self._source.close()
+
+    def _replace(self) -> None:
+        now_ns = self._clock.now_ns()
+        if self._reopen is None or (self._tried_ns is not None and now_ns - self._tried_ns < REOPEN_S * NS_PER_S):
+            return
+        self._tried_ns = now_ns
+        self.close()
+        with contextlib.suppress(OSError):  # what is wrong has been told already
+            self._source = self._reopen()

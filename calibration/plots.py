@@ -1,0 +1,150 @@
+"""A figure of matplotlib as a picture.
+
+The picture of a servo's calibration.
+
+The picture of an odometry's calibration.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+
+from automodel.types import Image
+from calibration.actuator import Actuator, modelled_yaw_rates
+from calibration.odometry import MotorTable, SteadySpeed, TicksPerMetre, Way
+from calibration.servo import ServoTable
+from calibration.servo_log import ServoLog, holds_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def picture_of(figure: Figure) -> Image:
+    """The figure as it would be saved: (h, w, 3) BGR."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    FigureCanvasAgg(figure)
+    file = io.BytesIO()
+    figure.savefig(file, format="png")
+    return np.asarray(cv2.imdecode(np.frombuffer(file.getvalue(), np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_SHOWN_S = 6.0
+
+
+def servo_picture(log: ServoLog, table: ServoTable, actuator: Actuator, wheelbase_m: float) -> Image:
+    """The table through its measurements, what is left over, and the fastest steps with the model (h, w, 3) BGR."""
+    from matplotlib.figure import Figure
+
+    holds = holds_of(log, wheelbase_m)
+    pulses = np.array([hold.pulse_us for hold in holds])
+    angles = np.degrees([hold.steering_rad for hold in holds])
+    rose = np.array([hold.rose for hold in holds])
+    middle = np.degrees(table.angle_rad(pulses))
+    figure = Figure(figsize=(11, 9), layout="constrained", dpi=90)
+    grid = figure.add_gridspec(3, 1, height_ratios=(5, 2, 4))
+    top, left, steps = (figure.add_subplot(grid[i]) for i in range(3))
+    half = 0.5 * np.degrees(table.play_rad)
+    nodes = np.degrees(table.steering_rad)
+    top.fill_between(table.pulse_us, nodes - half, nodes + half, color="tab:blue", alpha=0.15, label="play")
+    top.plot(table.pulse_us, nodes, "o-", color="tab:blue", markersize=4, label="table")
+    for axis, values in ((top, angles), (left, angles - middle)):
+        for chosen, marker, colour, label in (
+            (rose, "^", "tab:green", "pulse came from below"),
+            (~rose, "v", "tab:orange", "from above"),
+        ):
+            axis.plot(pulses[chosen], values[chosen], marker, color=colour, markersize=5, label=label)
+        axis.grid(alpha=0.3)
+    top.axvline(table.centre_us, color="grey", linewidth=0.8, linestyle=":")
+    top.set_ylabel("road wheels, left positive [deg]")
+    top.set_title(
+        f"centre {table.centre_us:.0f} us   play {2 * half:.1f} deg   scatter {np.degrees(table.rms_rad):.2f} deg",
+        loc="left",
+    )
+    top.legend(fontsize=8)
+    left.axhline(half, color="tab:blue", linewidth=0.8, linestyle=":")
+    left.axhline(-half, color="tab:blue", linewidth=0.8, linestyle=":")
+    left.set_ylabel("from the table [deg]")
+    left.set_xlabel("pulse [us]")
+    _plot_steps(steps, log, table, actuator, wheelbase_m)
+    return picture_of(figure)
+
+
+def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator, wheelbase_m: float) -> None:
+    """The stretch with the largest steps: what the pulses ask for, what was measured, and the model."""
+    t_ns, model = modelled_yaw_rates(log, table, actuator, wheelbase_m)
+    seconds = (log.t_ns - t_ns[0]) * 1e-9
+    wanted = np.interp((t_ns - t_ns[0]) * 1e-9, (log.pulse_t_ns - t_ns[0]) * 1e-9, table.angle_rad(log.pulse_us))
+    gain = np.interp((t_ns - t_ns[0]) * 1e-9, seconds, log.speed_mps) / wheelbase_m
+    jumps = np.abs(np.diff(table.angle_rad(log.pulse_us)))
+    score = np.convolve(jumps, np.ones(int(_SHOWN_S / 0.02)), mode="valid")
+    first_s = float((log.pulse_t_ns[int(np.argmax(score))] - t_ns[0]) * 1e-9) if len(score) else 0.0
+    seen = [a & b for a, b in ((s >= first_s, s <= first_s + _SHOWN_S) for s in (seconds, (t_ns - t_ns[0]) * 1e-9))]
+    draw = axis.plot
+    shown_s = ((t_ns - t_ns[0]) * 1e-9)[seen[1]]
+    draw(shown_s, (gain * np.tan(wanted))[seen[1]], color="grey", linewidth=0.8, label="pulse at the pin")
+    draw(seconds[seen[0]], log.yaw_rate_radps[seen[0]], ".", color="tab:green", markersize=4, label="measured")
+    draw(shown_s, model[seen[1]], color="tab:blue", linewidth=1.2, label="model")
+    rate = actuator.rate_max_radps
+    limit = f"at most {rate:.1f} rad/s" if rate is not None else f"no limit up to {actuator.rate_seen_radps:.1f} rad/s"
+    axis.set_title(
+        f"dead time {1e3 * actuator.delay_s:.0f} ms   lag {1e3 * actuator.lag_s:.0f} ms   {limit}", loc="left"
+    )
+    axis.set_xlabel("time [s]")
+    axis.set_ylabel("yaw rate [rad/s]")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+
+
+def odometry_picture(
+    ways: Sequence[Way], ticks: TicksPerMetre, steady: Sequence[SteadySpeed], motor: MotorTable | None
+) -> Image:
+    """Each run's ticks a metre with their mean, and the motor's table with the speeds driven (h, w, 3) BGR."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 4.5), layout="constrained", dpi=90)
+    axes = figure.subplots(1, 1 if motor is None else 2, squeeze=False)[0]
+    numbers = np.arange(1, len(ways) + 1)
+    # a count starts and ends anywhere between two ticks
+    axes[0].errorbar(
+        numbers,
+        [way.ticks / way.distance_m for way in ways],
+        yerr=[1.0 / way.distance_m for way in ways],
+        fmt="o",
+        capsize=4,
+        color="tab:green",
+        label="run, one tick either way",
+    )
+    axes[0].axhline(ticks.ticks_per_m, color="tab:blue", label="mean")
+    axes[0].axhspan(
+        ticks.ticks_per_m - ticks.scatter_per_m, ticks.ticks_per_m + ticks.scatter_per_m, color="tab:blue", alpha=0.15
+    )
+    axes[0].set_xticks(numbers)
+    axes[0].set_xlabel("run")
+    axes[0].set_ylabel("ticks a metre")
+    axes[0].set_title(f"{ticks.ticks_per_m:.1f} +/- {ticks.sd_per_m:.1f} ticks a metre", loc="left")
+    if motor is not None:
+        axes[1].plot(motor.pulse_us, motor.speed_mps, "o-", color="tab:blue", markersize=4, label="table")
+        axes[1].plot(
+            [s.pulse_us for s in steady], [s.speed_mps for s in steady], "^", color="tab:green", label="driven"
+        )
+        reach = 1.3 * max(s.speed_mps for s in steady)
+        far = max(abs(s.pulse_us - motor.pulse_us[motor.speed_mps.index(0.0)]) for s in steady)
+        middle = motor.pulse_us[motor.speed_mps.index(0.0)]
+        axes[1].set_xlim(middle - 2.0 * far, middle + 2.0 * far)
+        axes[1].set_ylim(-reach, reach)
+        axes[1].set_xlabel("pulse [us]")
+        axes[1].set_ylabel("speed [m/s]")
+        axes[1].set_title(f"band {motor.band_us:.0f} us   scatter {motor.rms_mps:.3f} m/s", loc="left")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    return picture_of(figure)
