@@ -6,13 +6,13 @@ import functools
 
 import numpy as np
 import pytest
-from servo_drives import WHEELBASE_M, changed, driven
 
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.randomised_plant import hidden_servo
 from calibration.actuator import Actuator, fit_actuator, wheel_angles
 from calibration.servo import ServoTable, fit_table
 from calibration.servo_log import ServoLog, without_bias
+from support.servo_drives import WHEELBASE_M, changed, driven
 
 MS = 1_000_000
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from drawn_boards import LENS, charuco, chessboard, held
 
 from automodel.config import load_car
 from automodel.viewer.video import VideoWriter
+from support.drawn_boards import LENS, charuco, chessboard, held
 
 BOARD = ("--board", "9x6", "--square-mm", "25")
 PICTURES = {"camera_coverage.png", "camera_residuals.png", "camera_undistorted.png"}
@@ -171,7 +171,7 @@ def test_wrong_arguments(arguments: str, named: str, cli) -> None:
 
 
 def test_an_implausible_camera_is_drawn_but_not_written(folder: Path, cli) -> None:
-    from drawn_boards import PAPER_PX, seen, turned
+    from support.drawn_boards import PAPER_PX, seen, turned
 
     for path in folder.iterdir():
         path.unlink()

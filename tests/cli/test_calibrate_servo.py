@@ -9,13 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from calibrated_cars import SIMULATED, during, untouched
 
 from automodel.assembly import calibration_rigs
 from automodel.config import ServoConfig, load_car
 from automodel.sim.plant import CarState, Plant, Ranges
 from calibration import servo_drive
 from calibration.drive_plan import DrivePlan, Leg
+from support.calibrated_cars import SIMULATED, during, untouched
 
 
 @pytest.fixture

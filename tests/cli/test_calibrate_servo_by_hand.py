@@ -7,7 +7,6 @@ import signal
 from pathlib import Path
 
 import pytest
-from calibrated_cars import untouched
 
 from automodel.config import load_car
 from automodel.runtime.clocks import VirtualClock
@@ -15,6 +14,7 @@ from calibration import servo_dialogue as servo_terminal
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.transport import MemoryTransport
+from support.calibrated_cars import untouched
 
 
 def test_circles_become_a_table(car: Path, tmp_path: Path, cli) -> None:

@@ -13,9 +13,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command_line import Said
-from fake_cars import StillCamera, road
-from fake_cars import car_toml as written
 
 from automodel.assembly import parts
 from automodel.cli import doctor
@@ -29,6 +26,9 @@ from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
+from support.command_line import Said
+from support.fake_cars import StillCamera, road
+from support.fake_cars import car_toml as written
 
 MACHINE = ["python", "packages", "opencv", "gstreamer", "network", "clock"]
 BOARD = ["serial port", "board", "board start", "wire", "board faults", "battery", "ranges", "odometry", "servo", "can"]

@@ -8,7 +8,6 @@ import datetime
 import cv2
 import numpy as np
 import pytest
-from fake_cars import road
 
 from automodel.config import (
     CalibrationRecord,
@@ -36,6 +35,7 @@ from automodel.doctor.camera import (
 )
 from automodel.doctor.findings import Finding, Verdict, failed, summary
 from automodel.signals import Frame, VehicleState
+from support.fake_cars import road
 
 OK, WARN, FAIL, SKIP = Verdict.OK, Verdict.WARN, Verdict.FAIL, Verdict.SKIP
 CAR = CarConfig()

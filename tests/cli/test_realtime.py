@@ -12,10 +12,10 @@ import time
 from pathlib import Path
 
 import pytest
-from terminal_signals import signals_of_a_terminal
 
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
+from support.terminal_signals import signals_of_a_terminal
 
 pytestmark = pytest.mark.realtime
 TRIES = 5  # a machine that does something else for a third of a second stops the car, rightly

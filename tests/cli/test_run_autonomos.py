@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fake_cars import StillCamera, car_toml, road
 
 from automodel.assembly import drive_real
 from automodel.recording.reader import Recording
@@ -15,6 +14,7 @@ from firmware_link import autonomos
 from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard, Pins
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.pty import PtyBoard
+from support.fake_cars import StillCamera, car_toml, road
 
 RUN = ("run", "--track", "oval", "--pipeline", "windows")
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from realtime_rig import PATIENCE_S, BoardClock
 
 from automodel.config import LinkConfig, VehicleConfig
 from automodel.signals import Command as Wish
@@ -21,6 +20,7 @@ from firmware_link.emulator.logic import DEFAULT_LIMITS
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.messages import Arm, Command, Fault, Limits, ResetCause
 from firmware_link.transport import SerialTransport
+from support.realtime_rig import PATIENCE_S, BoardClock
 
 MS = 1_000_000
 US = 1_000

@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
-from firmware_build import FIRMWARE, host_library, need
 
 from firmware_link import messages, protocol_header
+from support.firmware_build import FIRMWARE, host_library, need
 
 TESTS = Path(__file__).parent
 LOGIC_TESTS = (

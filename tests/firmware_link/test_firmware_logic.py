@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from compiled_board import CompiledArduino
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
@@ -17,6 +16,7 @@ from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic, limits_fit
 from firmware_link.messages import PULSE_STEP_US, Arm, Command, Limits, ResetCause
+from support.compiled_board import CompiledArduino
 
 MS = 1_000_000
 CODECS = {entry.codec.cls: entry.codec for entry in messages.TABLE}

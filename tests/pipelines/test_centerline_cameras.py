@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from masked_drives import CAR, MaskedDrive, arc, clothoid, errors, line, road, scaled
-from rendered_drives import camera, with_camera
 
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.track import load_track
+from support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, line, road, scaled
+from support.rendered_drives import camera, with_camera
 
 BEND = line(1.8) + clothoid(0.0, 1.0, 0.4) + arc(1.0, 2.0)
 CAMERAS = {

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
-from rendered_drives import Seen, camera, with_camera
 
 from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.signals import LaneStatus
 from automodel.sim.track import load_track
 from automodel.types import Image
+from support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
+from support.rendered_drives import Seen, camera, with_camera
 
 WIDE = with_camera(camera(focal_px=240.0))  # sees the other line also in a bend
 STRAIGHT = line(14.0)

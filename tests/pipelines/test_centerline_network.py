@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx_files as files
 import onnxruntime
 import pytest
-from masked_drives import CAR, arc, errors, gap, line, road
-from rendered_drives import RenderedDrive, Seen, check_sound
 
 from automodel.config import CarConfig, CenterlineConfig, ConfigError, parse_car
 from automodel.perception.markings.ridge import RidgeMarkings
@@ -23,6 +20,9 @@ from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneStatus, Motion
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import load_track
+from support import onnx_files as files
+from support.masked_drives import CAR, arc, errors, gap, line, road
+from support.rendered_drives import RenderedDrive, Seen, check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 PICTURES = {

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from masked_drives import CAR, PERIOD_NS, MaskedDrive, Told, arc, bits, gap, line, road
-from rendered_drives import check_sound
 
 from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.truth import Truth
 from automodel.types import Image
+from support.masked_drives import CAR, PERIOD_NS, MaskedDrive, Told, arc, bits, gap, line, road
+from support.rendered_drives import check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLANK = np.zeros(SIZE, np.uint8)

@@ -6,11 +6,11 @@ from dataclasses import replace
 from functools import lru_cache
 
 import pytest
-from rendered_drives import CAR, RenderedDrive, Seen, check_sound
 
 from automodel.bench.accuracy import FALSE_LANE
 from automodel.pipelines.contour import Contour
 from automodel.sim.track import load_track
+from support.rendered_drives import CAR, RenderedDrive, Seen, check_sound
 
 RIGHT = 20  # frames for which the odometer is right
 PERIOD_S = 1.0 / 30.0

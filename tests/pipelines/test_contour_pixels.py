@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from masked_drives import arc, gap, line, road
-from rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
 
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track import load_track
+from support.masked_drives import arc, gap, line, road
+from support.rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
 
 WINDING = road(line(1.0), arc(1.0, 1.2), arc(1.0, -2.4), line(3.0))
 BROKEN = road(line(12.0), gap(1.5, 5.0, "left", "right"))

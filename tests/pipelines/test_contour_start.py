@@ -9,14 +9,14 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from masked_drives import arc, gap, line, road
-from rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 from automodel.bench.accuracy import FALSE_LANE
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track import Track, load_track, parse_track
+from support.masked_drives import arc, gap, line, road
+from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 HIGHWAY_CAR = replace(
     with_camera(camera(focal_px=500.0, x_m=1.5, z_m=1.2, pitch_rad=0.12)),

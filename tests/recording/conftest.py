@@ -4,10 +4,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from recorded_values import CAR_TEXT, record_turn
 
 from automodel.config import RecordingConfig
 from automodel.recording.writer import McapRecorder
+from support.recorded_values import CAR_TEXT, record_turn
 
 
 @pytest.fixture

@@ -7,13 +7,6 @@ import time
 from pathlib import Path
 
 import pytest
-from recorded_values import (
-    make_command,
-    make_estimate,
-    make_frame,
-    make_motion,
-    record_turn,
-)
 
 from automodel.config import RecordingConfig
 from automodel.recording import writer as writer_module
@@ -23,6 +16,13 @@ from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.signals import Frame, Motion, MotionSource, StereoFrame
 from automodel.sources.errors import SourceError
+from support.recorded_values import (
+    make_command,
+    make_estimate,
+    make_frame,
+    make_motion,
+    record_turn,
+)
 
 
 class Gate:

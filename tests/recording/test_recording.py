@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from recorded_values import (
+
+from automodel.config import ConfigError, RecordingConfig
+from automodel.recording.codec import encode
+from automodel.recording.reader import Recording, RecordingSource
+from automodel.recording.writer import McapRecorder
+from automodel.signals import Frame, LaneEstimate, LaneStatus, StereoFrame
+from automodel.sources.errors import EndOfSource, SourceError
+from support.recorded_values import (
     CAR_TEXT,
     make_command,
     make_estimate,
@@ -17,13 +24,6 @@ from recorded_values import (
     make_state,
     record_turn,
 )
-
-from automodel.config import ConfigError, RecordingConfig
-from automodel.recording.codec import encode
-from automodel.recording.reader import Recording, RecordingSource
-from automodel.recording.writer import McapRecorder
-from automodel.signals import Frame, LaneEstimate, LaneStatus, StereoFrame
-from automodel.sources.errors import EndOfSource, SourceError
 
 Run = Callable[[int], Path]
 

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Cli, cli
+
+from support.command_line import Cli, cli
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")

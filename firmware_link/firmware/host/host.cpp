@@ -19,7 +19,7 @@ namespace {
 constexpr uint16_t kRxCapacity = 64;
 constexpr uint16_t kTxCapacity = 256;
 
-// One turn of the loop: what goes in, what comes out. The layout is known to tests/compiled_board.py.
+// One turn of the loop: what goes in, what comes out. The layout is known to tests/support/compiled_board.py.
 struct Turn {
   uint32_t t_ms;
   uint16_t rx_count, tx_room;

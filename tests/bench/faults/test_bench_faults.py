@@ -1,0 +1,172 @@
+"""`automodel bench faults`: the product passes, the figures repeat, and a product that is broken is found out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from automodel.bench.faults import rig as fault_rig
+from automodel.bench.faults.catalogue import FAULTS
+from automodel.bench.faults.fault import Must
+from automodel.control import longitudinal as speed_module
+from automodel.runtime import safety
+from automodel.runtime.input_checks import InputChecks, LaneJumpCheck, PictureCheck, SteeringCheck
+from automodel.runtime.supervised_source import SupervisedSource
+from firmware_link import arduino
+from firmware_link.emulator import logic
+from support.command_line import Cli, cli
+
+__all__ = ["cli"]
+
+KEYS = ["fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms"]
+BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
+
+
+def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
+    said = cli(*BENCH, "--runs", "60", "--json")
+    assert (said.code, said.err) == (0, "")
+    rows = {row["fault"]: row for row in said.rows}
+    assert all(list(row) == KEYS for row in rows.values())
+    assert list(rows) == [fault.name for fault in FAULTS]
+    for fault in FAULTS:
+        row = rows[fault.name]
+        assert (row["runs"], row["violations"]) == (1, 0)
+        if fault.must is Must.STOP and not fault.when_shown:
+            assert 0 <= row["reaction_p50_ms"] <= row["reaction_max_ms"] <= fault.within_s * 1e3
+        elif fault.must is Must.NOTHING:
+            assert row["reaction_max_ms"] is None
+
+
+SOME = ["--only", "camera-black", "--only", "serial-random", "--only", "disk-slow", "--only", "perception-blip"]
+RUNS = ["--runs", "4", "--json"]
+
+
+def test_the_same_seed_gives_the_same_bytes(cli: Cli) -> None:
+    first, again = (cli(*BENCH, *SOME, *RUNS, "--seed", "5").out for _ in range(2))
+    assert first == again
+    assert first != cli(*BENCH, *SOME, *RUNS, "--seed", "6").out
+
+
+def test_runs_are_shared_out_and_a_run_does_not_depend_on_the_others(cli: Cli) -> None:
+    rows = cli(*BENCH, "--only", "board-hang", "--only", "camera-size", "--runs", "5", "--json").rows
+    assert [(row["fault"], row["runs"]) for row in rows] == [("camera-size", 3), ("board-hang", 2)]
+    (alone,) = cli(*BENCH, "--only", "board-hang", "--runs", "2", "--json").rows
+    assert alone == rows[1]
+
+
+@pytest.mark.slow
+def test_other_processes_give_the_same_figures(cli: Cli) -> None:
+    one = cli("bench", "faults", *SOME, *RUNS, "--jobs", "1")
+    two = cli("bench", "faults", *SOME, *RUNS, "--jobs", "2")
+    assert (one.code, two.code) == (0, 0)  # with pictures, and the pipeline that is the default
+    assert one.rows == two.rows
+
+
+def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
+    lines = cli("bench", "faults", "--list").out.splitlines()
+    assert [line.split()[0] for line in lines] == [fault.name for fault in FAULTS]
+    for line, fault in zip(lines, FAULTS, strict=True):
+        assert line.split()[1:3] == [fault.kind.value, fault.must.value]
+        assert line.endswith(fault.text)
+    (row,) = cli("bench", "faults", "--list", "--only", "servo-stuck", "--json").rows
+    assert (row["fault"], row["must"], row["within_ms"]) == ("servo-stuck", "stop", 450.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--only", "camera-of"], "automodel: --only 'camera-of': no such fault; near: camera-off, camera-gone"),
+        (["--only", "camera-off", "--only", "zzz"], "automodel: --only 'zzz': no such fault; see --list"),
+        (["--runs", "0"], "automodel bench faults: Invalid value for '--runs'"),
+        (["--pipeline", "lidar"], "automodel bench faults: Invalid value for '--pipeline'"),
+    ],
+)
+def test_wrong_arguments_are_one_line(cli: Cli, arguments: list[str], text: str) -> None:
+    said = cli("bench", "faults", *arguments)
+    assert (said.code, said.out) == (2, "")
+    assert said.line().startswith(text)
+
+
+def _nothing(*_: object, **__: object) -> None:
+    return None
+
+
+def _restarting(self: safety.Safety, *arguments: object) -> tuple[object, ...]:
+    """A safety machine that needs nobody's wish once it has driven."""
+    self._auto_arm = True
+    return _AT_REST(self, *arguments)  # type: ignore[arg-type]
+
+
+def _remembering(self: safety.Safety, inputs: safety.SafetyInputs, *rest: object) -> tuple[object, ...]:
+    """A safety machine that does not forget who has asked to arm."""
+    self._auto_arm = self._auto_arm or inputs.arm
+    return _AT_REST(self, inputs, *rest)  # type: ignore[arg-type]
+
+
+def _newest(self: speed_module.ObstacleGuard) -> float:
+    return self._readings[-1] if self._readings else math.inf
+
+
+_AT_REST = safety.Safety._at_rest
+Break = Callable[[pytest.MonkeyPatch], None]
+BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how the product is broken, what is said
+    ("camera-stuck", 1, lambda m: m.setattr(PictureCheck, "step", _nothing), "never went neutral"),
+    ("camera-flat", 1, lambda m: m.setattr(PictureCheck, "step", _nothing), "never went neutral"),
+    ("camera-size", 1, lambda m: m.setattr(PictureCheck, "misfit", _nothing), "never went neutral"),
+    ("perception-decoy", 1, lambda m: m.setattr(LaneJumpCheck, "step", _nothing), "never went neutral"),
+    ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
+    ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "are allowed"),
+    ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "are allowed"),
+    ("serial-falls-behind", 2, lambda m: m.setattr(logic, "MAX_DEADLINE_MS", 0x10000), "neutral"),
+    ("command-impossible", 1, lambda m: m.setattr(logic, "PULSE_RANGE_US", (0.0, 40000.0)), "neutral"),
+    ("command-extreme", 2, lambda m: m.setattr(logic.Pulses, "want", _unlimited), "beyond the car's limits"),
+    ("camera-off", 1, lambda m: m.setattr(safety.Safety, "_at_rest", _restarting), "drove off by itself"),
+    ("camera-off", 6, lambda m: m.setattr(safety.Safety, "_at_rest", _remembering), "drove off by itself"),
+    ("camera-pauses", 1, lambda m: m.setattr(safety.Safety, "_held", _nothing_held), "stop after"),
+    ("camera-drops-1", 1, lambda m: m.setattr(fault_rig, "InputChecks", _strict_checks), "hold after"),
+    ("perception-blip", 1, lambda m: m.setattr(SupervisedSource, "read", _raising), "the run ended by"),
+    ("sonar-spikes", 3, lambda m: m.setattr(speed_module.ObstacleGuard, "range_m", property(_newest)), "neutral"),
+    ("battery-low", 1, lambda m: m.setattr(arduino.BatteryMeter, "step", _nothing), "was told"),
+]
+
+
+def _unlimited(self: logic.Pulses, servo_us: float, motor_us: float) -> None:
+    self.servo_us = self._servo_want_us = servo_us
+    self.motor_us = self._motor_want_us = motor_us
+
+
+def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_ns: int) -> tuple[object, ...]:
+    return self._enter(safety.SafetyMode.STOPPED, "stop", "at once", now_ns)
+
+
+def _strict_checks(car: object) -> object:
+    """Checks that take one dropped frame for a fault."""
+
+    class Strict(InputChecks):
+        last_ns: int | None = None
+
+        def of_frame(self, frame):
+            before, self.last_ns = self.last_ns, frame.t_ns
+            return ("late",) if before is not None and frame.t_ns - before > 25_000_000 else ()
+
+    return Strict(car)  # type: ignore[arg-type]
+
+
+def _raising(self: SupervisedSource, timeout_s: float, at_rest: bool) -> object:
+    frame = self._source.read(timeout_s)
+    if frame is not None and frame.t_ns > 1_950_000_000:
+        raise LookupError("a bug")
+    return frame
+
+
+@pytest.mark.parametrize(("name", "runs", "break_it", "text"), BROKEN, ids=[f"{row[0]}-{row[3]}" for row in BROKEN])
+def test_a_product_that_is_broken_is_found_out(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, name: str, runs: int, break_it: Break, text: str
+) -> None:
+    break_it(monkeypatch)
+    said = cli(*BENCH, "--only", name, "--runs", runs, "--json")
+    assert said.code == 1
+    assert said.rows[0]["violations"] > 0
+    assert text in said.err

@@ -1,0 +1,162 @@
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomlkit
+
+from automodel.config import PIPELINES, CarConfig, ConfigError, load_car, parse_car
+
+CARS = Path(__file__).resolve().parents[1] / "cars"
+
+# text | the error, file and line first
+REFUSED = {
+    '[camera]\nwidth_px = "640"': "car.toml:2: [camera] width_px: '640' where a whole number is wanted",
+    "[camera]\nwidth_px = 640.5": "car.toml:2: [camera] width_px: 640.5 where a whole number is wanted",
+    "[camera]\nwidth_px = true": "car.toml:2: [camera] width_px: True where a whole number is wanted",
+    "[camera]\n\nwidth_px = 0": "car.toml:3: [camera] width_px: 0 where a positive number is wanted",
+    "[camera]\nrate_hz = inf": "car.toml:2: [camera] rate_hz: inf where a finite number is wanted",
+    "[camera]\nrate_hz = -1": "car.toml:2: [camera] rate_hz: -1.0 where a positive number is wanted",
+    "[camera]\ndevice = -1": "car.toml:2: [camera] device: -1 where a number >= 0 is wanted",
+    "[camera]\nsource = 3": "car.toml:2: [camera] source: 3 where a string is wanted",
+    "[camera]\ncolour = 1": "car.toml:2: [camera] colour: 1 where true or false is wanted",
+    "[camera]\nwidht_px = 640": "car.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
+    "camera = 3": "car.toml:1: camera: 3 where a table is wanted",
+    "[cammera]\nwidth_px = 640": "car.toml:1: cammera: unknown key; did you mean camera?",
+    "[camera.intrinsics]\nfx_px = nan": "car.toml:2: [camera.intrinsics] fx_px: nan where a finite number is wanted",
+    "[camera.intrinsics]\nfy_px = 0.0": "car.toml:2: [camera.intrinsics] fy_px: 0.0 where a positive number is wanted",
+    "[camera.intrinsics]\ndistortion = [0.1]": "car.toml:2: [camera.intrinsics] distortion: 1 numbers where "
+    "k1 k2 p1 p2 k3 are wanted",
+    "[camera.intrinsics]\ndistortion = 0.1": "car.toml:2: [camera.intrinsics] distortion: 0.1 where a list is wanted",
+    '[camera.intrinsics]\ndistortion = ["a"]': "car.toml:2: [camera.intrinsics] distortion: 'a' where a finite number "
+    "is wanted",
+    "[camera.extrinsics]\nz_m = 0": "car.toml:2: [camera.extrinsics] z_m: 0.0 where a positive number is wanted",
+    "[camera.extrinsics]\npitch_rad = 15": "car.toml:2: [camera.extrinsics] pitch_rad: 15.0 where -1.5 .. 1.5 is "
+    "wanted (radians, positive looks down)",
+    "[camera.right.extrinsics]\nz_m = -1": "car.toml:2: [camera.right.extrinsics] z_m: -1.0 where a positive number "
+    "is wanted",
+    "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: 0.0 where a positive number is wanted",
+    "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: -0.1 where a number >= 0 is wanted",
+    "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
+    '[pipeline]\nname = "window"': (
+        f"car.toml:2: [pipeline] name: 'window' is none of {', '.join(PIPELINES)}; did you mean 'windows'?"
+    ),
+    "[pipeline.windows]\nmarking_px = 0": "car.toml:2: [pipeline.windows] marking_px: 0.0 where a positive number "
+    "is wanted",
+    '[control]\ncontroller = "pid"': "car.toml:2: [control] controller: 'pid' is none of stanley, pure_pursuit",
+    "[control]\nspeed_mps = -1": "car.toml:2: [control] speed_mps: -1.0 where a number >= 0 is wanted",
+    "[control]\nobstacle_stop_m = 0.4\nobstacle_go_m = 0.3": "car.toml:3: [control] obstacle_go_m: 0.3 is less than "
+    "obstacle_stop_m",
+    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: 'ardiuno' is none of arduino, autonomos; "
+    "did you mean 'arduino'?",
+    "[link]\nbaud = 0": "car.toml:2: [link] baud: 0 where a positive number is wanted",
+    "[link.servo]\npulse_us = [1500, 1400, 1300]": "car.toml:2: [link.servo] pulse_us: must rise from entry to entry",
+    "[link.servo]\npulse_us = [100, 1500, 2000]": "car.toml:2: [link.servo] pulse_us: servo pulses lie between "
+    "500 and 2500 us",
+    "[link.servo]\nsteering_rad = [0.4, 0.0]": "car.toml:2: [link.servo] steering_rad: 2 values for 3 pulses; "
+    "as many are wanted, two at least",
+    "[link.servo]\nsteering_rad = [0.4, 0.1, 0.2]": "car.toml:2: [link.servo] steering_rad: must rise throughout or "
+    "fall throughout",
+    "[link.motor]\nspeed_mps = [1.0, 2.0, 3.0]": "car.toml:2: [link.motor] speed_mps: must span 0, "
+    "the neutral position",
+    "[safety]\nhold_s = 0": "car.toml:2: [safety] hold_s: 0.0 where a positive number is wanted",
+    '[recording]\nimage = "gif"': "car.toml:2: [recording] image: 'gif' is none of png, jpeg",
+    "[recording]\njpeg_quality = 101": "car.toml:2: [recording] jpeg_quality: 101 where 1 .. 100 is wanted",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_is_wrong_is_refused_with_file_line_and_key(text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse_car(text, "car.toml")
+    assert str(caught.value) == REFUSED[text]
+
+
+def test_an_empty_file_is_the_simulated_car() -> None:
+    car = parse_car("", "car.toml")
+    assert car == CarConfig()
+    assert (car.camera.source, car.link.port) == ("sim", "sim")
+
+
+def as_toml(section: object) -> dict[str, Any]:
+    """A section as the table that gives it."""
+    table: dict[str, Any] = {}
+    for field in dataclasses.fields(section):  # type: ignore[arg-type]
+        value = getattr(section, field.name)
+        if dataclasses.is_dataclass(value):
+            table[field.name] = as_toml(value)
+        elif value is not None:
+            table[field.name] = list(value) if isinstance(value, tuple) else value
+    return table
+
+
+def test_every_default_comes_back_from_a_file() -> None:
+    assert parse_car(tomlkit.dumps(as_toml(CarConfig())), "car.toml") == CarConfig()
+
+
+def leaves(section: object, path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """Every key of every section with its default."""
+    found = []
+    for field in dataclasses.fields(section):  # type: ignore[arg-type]
+        value = getattr(section, field.name)
+        inner = leaves(value, (*path, field.name)) if dataclasses.is_dataclass(value) else None
+        found += [((*path, field.name), value)] if inner is None else inner
+    return found
+
+
+KEYS = leaves(CarConfig())
+
+
+@pytest.mark.parametrize(("path", "value"), KEYS, ids=[".".join(path) for path, _ in KEYS])
+def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value: object) -> None:
+    header = f"[{'.'.join(path[:-1])}]"
+    with pytest.raises(ConfigError, match=rf"car\.toml:2: \[{'.'.join(path[:-1])}\] {path[-1]}: "):
+        parse_car(f"{header}\n{path[-1]} = 1979-05-27", "car.toml")
+    if value is not None:
+        written = tomlkit.item(list(value) if isinstance(value, tuple) else value).as_string()  # type: ignore[arg-type]
+        assert parse_car(f"{header}\n{path[-1]} = {written}", "car.toml") == CarConfig()
+
+
+def test_units_are_in_every_name() -> None:
+    """A number without a unit is a count, a share, a level or a name's number, and listed here."""
+    units = (
+        "_m",
+        "_rad",
+        "_s",
+        "_hz",
+        "_px",
+        "_us",
+        "_v",
+        "_mps",
+        "_mps2",
+        "_mps3",
+        "_radps",
+        "_per_m",
+        "_per_s",
+        "_lanes",
+    )
+    plain = {"device", "distortion", "baud", "jpeg_quality", "contrast", "view_ahead_lanes", "view_half_lanes"}
+    plain |= {"one_line_speed", "coasting_speed"}
+    plain |= {"providers", "threads", "threshold", "nodes"}
+    for path, value in leaves(CarConfig()):
+        if isinstance(value, float | int | tuple) and not isinstance(value, bool):
+            assert path[-1].endswith(units) or path[-1] in plain, ".".join(path)
+
+
+@pytest.mark.parametrize("path", sorted(CARS.glob("*.toml")), ids=lambda path: path.stem)
+def test_the_cars_of_the_real_recordings_load(path: Path) -> None:
+    car = load_car(path)
+    assert car.link.port == "none"  # they are for replays
+    assert car.camera.source != "sim"
+
+
+def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "my car.toml"
+    with pytest.raises(ConfigError, match="no such file"):
+        load_car(path)
+    path.write_text("[lane]\nwidth_m = -1")
+    with pytest.raises(ConfigError) as caught:
+        load_car(path)
+    assert str(caught.value) == f"{path}:2: [lane] width_m: -1.0 where a positive number is wanted"

@@ -1,0 +1,255 @@
+"""The lane-pose filter: both lines, one line or none, a changing lane, gates, and bad numbers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint
+from automodel.geometry import SE2
+from support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
+from support.world_lanes import WorldLane, arc
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "heading_rad", "width_m"), [(0.0, 0.0, 0.4), (0.1, -0.6, 0.45), (-0.12, 0.5, 0.33)]
+)
+def test_both_lines_give_the_pose(offset_m: float, heading_rad: float, width_m: float) -> None:
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(offset_m + 0.02, heading_rad + 0.1, width_m - 0.02)
+    truth = pose_state(offset_m, heading_rad, width_m)
+    for _ in range(30):
+        done = tracker.update(point(truth, 1), point(truth, -1))
+        assert done.left
+        assert done.right
+        assert not done.heading
+        assert done.dimensions == 4
+    assert tracker.offset_m == pytest.approx(offset_m, abs=5e-4)
+    assert tracker.heading_rad == pytest.approx(heading_rad, abs=0.003)
+    assert tracker.width_m == pytest.approx(width_m, abs=1e-3)
+    np.testing.assert_allclose(tracker.state, truth, atol=0.005)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_one_line_leaves_the_width_alone(side: int) -> None:
+    """The lane is wider than the filter believes: the line's distance is right, and the width stays as it was."""
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.0, 0.1, 0.38, sigma=(0.05, 0.1, 0.045))
+    truth = pose_state(0.03, 0.05, 0.40)
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        tracker.predict(SE2(), 0.0, 0.01)
+        measured = point(truth, side, rng)
+        tracker.update(*((measured, None) if side > 0 else (None, measured)))
+    assert tracker.width_m == 0.38
+    beside = 0.5 * tracker.width_m - side * tracker.offset_m
+    assert beside == pytest.approx(0.5 * 0.40 - side * 0.03, abs=0.002)
+    assert tracker.heading_rad == pytest.approx(0.05, abs=0.012)
+    # what is not known of the width is not known of the offset
+    offset, _, width = np.sqrt(np.diag(tracker.covariance))
+    assert offset == pytest.approx(0.5 * width, rel=0.1)
+    assert abs(tracker.offset_m - 0.03) < 2.0 * offset
+
+
+def test_one_line_after_the_other_teaches_a_width_that_is_hardly_known() -> None:
+    """Neither says anything of it alone; a car that stands still sees first the left one and then the right one."""
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.05, 0.0, 0.40, sigma=(0.05, 0.2, 0.15))
+    truth = pose_state(0.03, 0.0, 0.34)
+    rng = np.random.default_rng(2)
+    for side in (+1, -1):
+        for _ in range(20):
+            tracker.predict(SE2(), 0.0, 0.005)
+            measured = point(truth, side, rng)
+            tracker.update(*((measured, None) if side > 0 else (None, measured)))
+        if side > 0:
+            assert abs(tracker.width_m - 0.34) > 0.02
+    assert tracker.width_m == pytest.approx(0.34, abs=0.01)
+    assert tracker.offset_m == pytest.approx(0.03, abs=0.01)
+
+
+def driven(
+    tracker: LanePoseFilter,
+    lane: WorldLane,
+    frames: int,
+    lines: str = "LR",
+    noise: np.random.Generator | None = None,
+    start: int = 0,
+) -> list[tuple[float, float]]:
+    """A weaving car; errors of (offset, heading) after each frame. The filter is told the true curvature."""
+    errors, before = [], None
+    for i in range(start, start + frames):
+        s, offset, heading = 1.0 + 0.03 * i, 0.06 * math.sin(0.1 * i), 0.2 * math.cos(0.1 * i)
+        car = lane.car(s, offset, heading, REFERENCE_M)
+        if before is not None:
+            tracker.predict(car.inverse() @ before, float(lane.curvature(np.array(s - 0.015))), 0.03)
+        truth = pose_state(offset, heading, lane.width_m)
+        left = point(truth, 1, noise) if "L" in lines else None
+        right = point(truth, -1, noise) if "R" in lines else None
+        tracker.update(left, right)
+        errors.append((tracker.offset_m - offset, tracker.heading_rad - heading))
+        before = car
+    return errors
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.9, -0.9])
+def test_the_motion_keeps_it_from_lagging(bend: float) -> None:
+    rng = np.random.default_rng(2)
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.0, 0.2, UNIT)
+    errors = np.array(driven(tracker, arc(bend), 150, noise=rng))[20:]
+    assert np.abs(errors[:, 0]).mean() < 0.002
+    assert np.abs(errors[:, 1]).mean() < 0.012
+    assert np.abs(errors.mean(axis=0)).max() < 0.004
+    # the paper's random walk, without the motion
+    blind = LanePoseFilter(FILTER)
+    blind.begin(0.0, 0.2, UNIT)
+    blind.predict = lambda *_: LanePoseFilter.predict(blind, SE2(), 0.0, 0.03)  # type: ignore[method-assign]
+    lagging = np.array(driven(blind, arc(bend), 150, noise=np.random.default_rng(2)))[20:]
+    assert np.abs(lagging[:, 1]).mean() > 3.0 * np.abs(errors[:, 1]).mean()
+
+
+def test_without_lines_it_coasts_on_the_motion() -> None:
+    tracker, lane = LanePoseFilter(FILTER), arc(0.8)
+    tracker.begin(0.0, 0.2, UNIT, sigma=(0.01, 0.01, 0.01))
+    driven(tracker, lane, 20, noise=np.random.default_rng(3))
+    spread = np.sqrt(np.diag(tracker.covariance))
+    s, offset, heading = 1.0 + 0.03 * 19, 0.06 * math.sin(1.9), 0.2 * math.cos(1.9)
+    car = lane.car(s, offset, heading, REFERENCE_M)
+    for i in range(17):  # half a metre
+        after = lane.car(s + 0.03 * (i + 1), offset, heading, REFERENCE_M)
+        tracker.predict(after.inverse() @ car, 0.8, 0.03)
+        assert tracker.update(None, None).dimensions == 0
+        car = after
+    assert tracker.offset_m == pytest.approx(offset, abs=0.01)
+    assert tracker.heading_rad == pytest.approx(heading, abs=0.02)
+    assert (np.sqrt(np.diag(tracker.covariance))[:2] > 1.3 * spread[:2]).all()
+
+
+@pytest.mark.parametrize("ratio", [0.7, 1.3])
+def test_it_follows_a_lane_that_changes_its_width(ratio: float) -> None:
+    """30 % within two metres; the wedge turns the lines by 3.4 deg, which the points do not show."""
+    rng = np.random.default_rng(4)
+    tracker = LanePoseFilter(FILTER)
+    errors = []
+    for i in range(120):
+        width = UNIT * (1.0 + (ratio - 1.0) * min(max((i - 20) / 66.0, 0.0), 1.0))
+        truth = pose_state(0.05, 0.0, width)
+        tracker.predict(SE2.arc(0.03, 0.0).inverse(), 0.0, 0.03)
+        done = tracker.update(point(truth, 1, rng), point(truth, -1, rng))
+        assert done.left
+        assert done.right
+        errors.append((tracker.width_m - width, tracker.offset_m - 0.05))
+    width_error, offset_error = np.abs(errors[10:]).max(axis=0)
+    assert width_error < 0.02
+    assert offset_error < 0.01
+    assert tracker.width_m == pytest.approx(UNIT * ratio, abs=0.008)
+
+
+def test_what_fails_the_gate_changes_nothing() -> None:
+    tracker = LanePoseFilter(FILTER)
+    truth = pose_state(0.02, 0.1)
+    tracker.begin(0.02, 0.1, UNIT, sigma=(0.02, 0.01, 0.01))
+    for _ in range(5):
+        tracker.update(point(truth, 1), point(truth, -1))
+    before = tracker.state
+    far = LinePoint(point_m=np.array((REFERENCE_M, 0.35)), covariance_m2=np.eye(2) * 0.004**2)
+    done = tracker.update(far, None)
+    assert (done.left, done.right, done.dimensions, tracker.rejected) == (False, False, 0, 1)
+    np.testing.assert_array_equal(tracker.state, before)
+    done = tracker.update(far, point(truth, -1), (2.0, 0.01**2))
+    assert (done.left, done.right, done.heading, tracker.rejected) == (False, True, False, 3)
+    assert tracker.offset_m == pytest.approx(0.02, abs=1e-3)
+    tracker.begin(0.0, 0.0, UNIT)
+    assert tracker.rejected == 0
+
+
+def test_lines_that_insist_are_believed_in_the_end() -> None:
+    """The filter sits on a wrong pose with too much confidence: after `patience` refusals it opens up."""
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.15, 0.0, 0.3, sigma=(0.002, 0.002, 0.002))
+    truth = pose_state(-0.03, 0.05)
+    for i in range(FILTER.patience):
+        done = tracker.update(point(truth, 1), point(truth, -1))
+        assert not done.left, i
+    for _ in range(20):
+        done = tracker.update(point(truth, 1), point(truth, -1))
+    assert done.left
+    assert done.right
+    assert tracker.offset_m == pytest.approx(-0.03, abs=0.003)
+    assert tracker.width_m == pytest.approx(UNIT, abs=0.004)
+
+
+def test_a_direction_helps_where_the_points_say_little() -> None:
+    """Right above the left line: its point shows no direction; the centerline's own heading does."""
+    truth = pose_state(0.19, 0.3)
+    spread = []
+    for theta in (None, (truth[0], 0.01**2)):
+        tracker = LanePoseFilter(FILTER)
+        tracker.begin(0.19, 0.2, UNIT)
+        for _ in range(5):
+            done = tracker.update(point(truth, 1), None, theta)
+            assert done.heading == (theta is not None)
+        spread.append(math.sqrt(tracker.covariance[1, 1]))
+    assert spread[0] > 0.1
+    assert spread[1] < 0.006
+    assert tracker.heading_rad == pytest.approx(0.3, abs=0.002)
+
+
+def test_directions_wrap() -> None:
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.0, 3.1, UNIT)
+    for _ in range(20):
+        tracker.update(None, None, (3.15, 0.05**2))  # a car that faces the wrong way
+    assert math.remainder(tracker.heading_rad + 3.15, math.tau) == pytest.approx(0.0, abs=0.01)
+    assert abs(tracker.heading_rad) <= math.pi
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_left_out(bad: float) -> None:
+    tracker = LanePoseFilter(FILTER)
+    truth = pose_state(0.02, 0.1)
+    tracker.update(point(truth, 1), point(truth, -1))
+    before, covariance = tracker.state, np.eye(2) * 1e-5
+    spoilt = covariance.copy()
+    spoilt[0, 0] = bad
+    for left in (
+        LinePoint(point_m=np.array((bad, 0.2)), covariance_m2=covariance),
+        LinePoint(point_m=np.array((0.13, 0.2)), covariance_m2=spoilt),
+    ):
+        assert tracker.update(left, None).dimensions == 0
+    assert tracker.update(None, None, (bad, 0.01)).dimensions == 0
+    assert tracker.update(None, None, (0.1, bad)).dimensions == 0
+    np.testing.assert_array_equal(tracker.state, before)
+    tracker.predict(SE2(bad, 0.0, 0.0), 0.0, 0.03)
+    tracker.predict(SE2(), bad, 0.03)
+    tracker.predict(SE2(), 0.0, bad)
+    np.testing.assert_allclose(tracker.state, before)
+    assert np.isfinite(tracker.covariance).all()
+
+
+@pytest.mark.parametrize("covariance", [-np.eye(2), np.array(((1.0, 5.0), (5.0, 1.0))) * 1e-3])
+def test_impossible_covariances_are_left_out(covariance: np.ndarray) -> None:
+    tracker = LanePoseFilter(FILTER)
+    assert tracker.update(LinePoint(point_m=np.array((0.13, 0.2)), covariance_m2=covariance), None).dimensions == 0
+
+
+def test_unknown_motion_opens_the_filter() -> None:
+    tracker = LanePoseFilter(FILTER)
+    tracker.begin(0.0, 0.0, UNIT, sigma=(0.01, 0.01, 0.01))
+    before = tracker.state
+    tracker.predict(SE2.arc(0.3, 0.4).inverse(), 0.0, 0.1, motion_known=False)
+    np.testing.assert_allclose(tracker.state, before)
+    offset, heading, width = np.sqrt(np.diag(tracker.covariance))
+    assert heading > 0.2
+    assert offset > 0.04
+    assert width < 0.01
+
+
+@pytest.mark.parametrize("change", [{"lane_width_m": 0.0}, {"gate": 1.0}, {"gate": 0.0}])
+def test_the_scales_are_checked(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="PoseFilterConfig"):
+        replace(FILTER, **change)

@@ -1,0 +1,307 @@
+"""The marking network as the car loads and runs it."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import onnxruntime
+import pytest
+
+from automodel.config.toml_reader import ConfigError
+from automodel.perception.markings import unet
+from automodel.perception.markings.self_test import drawn_lines, self_test
+from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
+from support import onnx_files as files
+
+SMALL = (files.HEIGHT, files.WIDTH)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    """A network of a few lines, which marks what is brighter than its surroundings."""
+    path = tmp_path / "ridge.onnx"
+    path.write_bytes(files.model())
+    return path
+
+
+def config(path: Path | str, **keys: Any) -> UnetConfig:
+    return UnetConfig(model=str(path), size="256x128", threads=1, **keys)
+
+
+def refusal(path: Path, data: bytes | None = None, **keys: Any) -> str:
+    if data is not None:
+        path.write_bytes(data)
+    with pytest.raises(ConfigError) as error:
+        MarkingNetwork(config(path, **keys))
+    said = str(error.value)
+    assert said.startswith(f"{path}: ")
+    assert "\n" not in said
+    return said.removeprefix(f"{path}: ")
+
+
+def with_nodes(*nodes: bytes) -> bytes:
+    return files.model(files.graph(nodes))
+
+
+def test_the_mask_is_where_the_line_is(path: Path) -> None:
+    network = MarkingNetwork(config(path))
+    grey = np.full(SMALL, 80, np.uint8)
+    grey[:, 100:104] = 230
+    mask = network.step(grey)
+    assert mask.dtype == np.uint8
+    assert mask.shape == SMALL
+    assert (mask[:, 100:104] == 255).all()
+    assert not mask[:, :100].any()
+    assert not mask[:, 104:].any()
+    assert network.faults == 0
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.5, 5.0])
+def test_pictures_of_any_size_are_stretched_to_the_networks(path: Path, factor: float) -> None:
+    h, w = round(96 * factor), round(320 * factor)
+    grey = np.full((h, w), 80, np.uint8)
+    grey[:, round(0.4 * w) : round(0.43 * w)] = 230
+    mask = MarkingNetwork(config(path)).step(grey)
+    assert mask.shape == SMALL
+    assert np.median(np.flatnonzero(mask[64])) == pytest.approx(0.415 * files.WIDTH - 0.5, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [np.zeros(SMALL, np.uint8), np.full(SMALL, 255, np.uint8), np.zeros((1, 1), np.uint8)],
+    ids=["black", "white", "one pixel"],
+)
+def test_a_picture_of_nothing_gives_an_empty_mask(path: Path, picture: Any) -> None:
+    network = MarkingNetwork(config(path))
+    assert not network.step(picture).any()
+    assert network.faults == 0
+
+
+@pytest.mark.parametrize(
+    "picture",
+    [np.zeros((0, 5), np.uint8), np.full(SMALL, np.nan), np.zeros((4, 4, 3), np.uint8), np.zeros(9, np.uint8)],
+    ids=["empty", "nan", "colour", "flat"],
+)
+def test_what_is_no_grey_picture_is_a_fault(path: Path, picture: Any) -> None:
+    network = MarkingNetwork(config(path))
+    mask = network.step(picture)
+    assert mask.shape == SMALL
+    assert not mask.any()
+    assert network.faults == 1
+
+
+def _raise(*_: object) -> None:
+    raise onnxruntime.capi.onnxruntime_pybind11_state.RuntimeException("the device is gone")
+
+
+@pytest.mark.parametrize(
+    "run",
+    [
+        _raise,
+        lambda *_: [np.full((1, 1, *SMALL), np.nan, np.float32)],
+        lambda *_: [np.zeros((1, 1, 5, 5), np.uint8)],
+        lambda *_: [np.zeros((), np.uint8)],
+        lambda *_: [None],
+    ],
+    ids=["an error", "nan", "another shape", "a scalar", "nothing"],
+)
+def test_an_output_that_cannot_be_used_is_an_empty_mask_and_counted(
+    path: Path, monkeypatch: pytest.MonkeyPatch, run: Any
+) -> None:
+    network = MarkingNetwork(config(path))
+    monkeypatch.setattr(network, "_session", types.SimpleNamespace(run=run))
+    for count in (1, 2):
+        mask = network.step(np.full(SMALL, 90, np.uint8))
+        assert mask.shape == SMALL
+        assert mask.dtype == np.uint8
+        assert not mask.any()
+        assert network.faults == count
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    assert refusal(tmp_path / "missing.onnx") == "no such file"
+    assert refusal(tmp_path) == "cannot be read: Is a directory"
+    assert refusal(tmp_path / "large.onnx", bytes(unet.MAX_BYTES + 1)).startswith("more than 8 MB")
+    assert refusal(tmp_path / "text.onnx", b"hello\n")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_random_bytes_are_refused(tmp_path: Path, seed: int) -> None:
+    assert refusal(tmp_path / "noise.onnx", np.random.default_rng(seed).bytes(20_000))
+
+
+def test_a_hostile_file_never_reaches_onnxruntime(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unet, "open_session", lambda *_: pytest.fail("was given to onnxruntime"))
+    assert "'Evil'" in refusal(path, with_nodes(*files.NODES, files.node("Evil", "grey", "x")))
+
+
+def test_the_bytes_that_were_checked_are_those_that_are_loaded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    checked = unet.check_onnx
+
+    def check_and_swap(data: bytes, *size: int) -> None:
+        checked(data, *size)
+        path.write_bytes(b"something else by now")
+
+    monkeypatch.setattr(unet, "check_onnx", check_and_swap)
+    assert MarkingNetwork(config(path)).provider == "cpu"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        with_nodes(files.node("Cast", "nowhere", "marking", to=2)),
+        with_nodes(files.node("Cast", "image", "grey", to=1), files.node("Conv", "grey", "marking")),
+        with_nodes(files.node("Identity", "image", "image")),
+        with_nodes(files.node("Flatten", "image", "marking")),
+        with_nodes(files.node("Cast", "image", "marking", to=1)),
+        with_nodes(),
+    ],
+    ids=["no such value", "no kernel", "a loop", "another shape", "another type", "no layers"],
+)
+def test_a_graph_that_makes_no_sense_is_refused(path: Path, data: bytes) -> None:
+    assert "runs on none of the providers asked for: cpu: " in refusal(path, data, providers=("cpu",))
+
+
+@pytest.mark.parametrize(
+    ("nodes", "said"),
+    [
+        ((files.node("Identity", "image", "marking"),), "of what lies beside them"),
+        ((files.node("Sub", "image image", "marking"),), "marks 0% of two drawn lines"),
+    ],
+    ids=["the picture itself", "nothing"],
+)
+def test_a_network_that_does_not_find_two_lines_is_refused(path: Path, nodes: tuple[bytes, ...], said: str) -> None:
+    assert said in refusal(path, with_nodes(*nodes), providers=("cpu",))
+
+
+def test_the_self_test_refuses_marks_on_black() -> None:
+    def network(grey: Any) -> Any:
+        return drawn_lines(256, 128)[1] if grey.any() else np.full(SMALL, 255, np.uint8)
+
+    with pytest.raises(ValueError, match="marks a black picture"):
+        self_test(network, 256, 128)
+
+
+@pytest.mark.parametrize("size", SIZES.values())
+def test_the_drawn_lines_run_together_ahead(size: tuple[int, int]) -> None:
+    picture, lines = drawn_lines(*size)
+    assert picture.shape == lines.shape == size[::-1]
+    gaps = []
+    for row in range(int(0.5 * size[1]), size[1]):
+        count, _, stats, _ = cv2.connectedComponentsWithStats(lines[row][None], connectivity=8)
+        assert count == 3
+        gaps.append(abs(int(stats[2, 0]) - int(stats[1, 0])))
+    assert (np.diff(gaps) >= 0).all()
+    assert gaps[-1] > 2 * gaps[0]
+    assert picture[lines > 0].mean() > picture[lines == 0].mean() + 80
+
+
+def test_providers_that_are_not_there_are_passed_over(path: Path) -> None:
+    network = MarkingNetwork(config(path, providers=("cpu", "tensorrt")))
+    if "TensorrtExecutionProvider" not in onnxruntime.get_available_providers():
+        assert network.provider == "cpu"
+        assert network.told == f"{path} runs on cpu (tensorrt: not in this onnxruntime)"
+
+
+def test_no_provider_at_all_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
+    assert (
+        refusal(path, providers=("cuda",)) == "runs on none of the providers asked for: cuda: not in this onnxruntime"
+    )
+
+
+ALL = list(unet.PROVIDERS.values())
+
+
+def test_a_provider_that_fails_gives_way_to_the_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[str] = []
+
+    def open_session(data: bytes, provider: str, *options: Any) -> Any:
+        opened.append(provider)
+        if provider == "tensorrt":
+            raise RuntimeError("no engine\nfor this board")
+        session = real(data, "cpu", *options)
+        if provider == "cuda":  # it starts, and gives wrong masks
+            return types.SimpleNamespace(run=lambda *_: [np.zeros((1, 1, *SMALL), np.uint8)])
+        return session
+
+    real = unet.open_session
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ALL)
+    monkeypatch.setattr(unet, "open_session", open_session)
+    network = MarkingNetwork(config(path, providers=("cpu", "cuda", "tensorrt")))
+    assert opened == ["tensorrt", "cuda", "cpu"]
+    assert network.provider == "cpu"
+    assert "tensorrt: no engine for this board; cuda: it fails the self-test: marks 0%" in network.told
+
+
+def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[Any] = []
+
+    def session(data: bytes, options: Any, providers: Any, **_: Any) -> Any:
+        given.append(providers)
+        return real(data, options, ["CPUExecutionProvider"])
+
+    real = onnxruntime.InferenceSession
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ALL)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", session)
+    network = MarkingNetwork(config(path, engine_cache="engines"))
+    assert network.told.count("its libraries cannot be loaded") == 2
+    assert network.provider == "cpu"
+    assert given[0][0] == (ALL[0], {"trt_engine_cache_enable": True, "trt_engine_cache_path": "engines"})
+    assert given[1:] == [ALL[1:], ALL[2:]]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"size": "100x100"}, "size: '100x100' is none of 512x256, 256x128"),
+        ({"providers": ()}, "providers: "),
+        ({"providers": ("cpu", "tpu")}, "providers: "),
+        ({"threads": -1}, "threads: -1"),
+    ],
+)
+def test_a_wrong_configuration_is_refused(keys: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        UnetConfig(**keys)
+
+
+def test_onnxruntime_is_imported_only_when_a_network_is_loaded() -> None:
+    code = "import sys, automodel.perception.markings.unet; sys.exit('onnxruntime' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_networks_that_ship_find_lines(size: str) -> None:
+    network = MarkingNetwork(UnetConfig(size=size, providers=("cpu",), threads=1))
+    assert network.told == f"marking_{size}.onnx runs on cpu"
+    picture, lines = drawn_lines(672, 376)
+    found = cv2.resize(network.step(picture), (672, 376)) > 127
+    assert found[lines > 0].mean() > 0.7
+    assert found[lines == 0].mean() < 0.02
+    _, data = unet.read_network(UnetConfig(size=size))
+    assert len(data) < 2_000_000
+
+
+def test_the_networks_that_ship_are_described() -> None:
+    card = (Path(unet.__file__).parents[1] / "weights" / "MODEL_CARD.md").read_text(encoding="utf-8")
+    for size in SIZES:
+        assert f"## marking_{size}.onnx" in card
+
+
+def test_a_network_in_use_reports_to_nobody(tmp_path) -> None:
+    """onnxruntime by itself sends reports to its makers, and keeps the machine's number in the temporary folder."""
+    code = (
+        "from automodel.perception.markings.unet import MarkingNetwork, UnetConfig\n"
+        "MarkingNetwork(UnetConfig(providers=('cpu',)))"
+    )
+    environment = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
+    environment |= {"TMPDIR": str(tmp_path), "HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    assert subprocess.run([sys.executable, "-c", code], check=False, env=environment).returncode == 0
+    assert list(tmp_path.iterdir()) == []

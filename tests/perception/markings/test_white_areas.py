@@ -1,0 +1,155 @@
+"""The white-areas filter on drawn views."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from automodel.config import CarConfig
+from automodel.geometry import BirdsEye, GroundCamera, View
+from automodel.perception.markings.white_areas import WhiteAreas
+from support.drawn_views import bar, disc, grey, line_at, share
+
+MARKING_M = 0.03
+# 5, 6 and 7.5 pixels a marking, and rows that are coarser than columns
+VIEWS = [
+    View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.006),
+    View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.005),
+    View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.004, m_per_row=0.006),
+]
+VIEW = VIEWS[0]
+CAMERA = GroundCamera.from_config(CarConfig().camera)
+
+
+def white_areas(view: View = VIEW, contrast: float = 12.0, dark: bool = False) -> WhiteAreas:
+    return WhiteAreas(BirdsEye(CAMERA, view), MARKING_M, contrast, dark)
+
+
+def middle_columns(lines: np.ndarray) -> np.ndarray:
+    """The centroid of each row that has any, of a view with one line."""
+    filled = lines.any(axis=1)
+    columns = np.arange(lines.shape[1])
+    return np.where(filled, (lines * columns).sum(axis=1) / np.maximum(lines.sum(axis=1), 1), np.nan)
+
+
+def rows_in_sight(filter_: WhiteAreas, near: np.ndarray) -> np.ndarray:
+    """Rows in which all of `near` (h, w) is well inside the picture."""
+    return np.asarray(((filter_.mask == 0) & (near > 0)).sum(axis=1) == 0)
+
+
+@pytest.mark.parametrize("view", VIEWS, ids=["5 px", "6 px", "7.5 px"])
+@pytest.mark.parametrize("slope", [0.0, 0.3, -0.3])
+def test_a_kept_line_stays_where_it_is(view: View, slope: float) -> None:
+    filter_ = white_areas(view)
+    shifts = []
+    for place in np.linspace(-0.05, 0.05, 5):  # not the same place between the pixels
+        drawn = share(view, line_at(place, slope=slope))
+        picture = np.round(40.0 + 160.0 * drawn).astype(np.uint8)
+        lines = filter_.step(picture)[1]
+        kept = rows_in_sight(filter_, drawn) & (lines.sum(axis=1) > 0)
+        assert kept.sum() > 0.9 * rows_in_sight(filter_, drawn).sum()
+        shifts.append((middle_columns(lines) - middle_columns(drawn))[kept].mean())
+    assert abs(np.mean(shifts)) < 0.1
+    assert np.abs(shifts).max() < 0.5
+
+
+def test_lines_of_the_right_width_are_kept_whole() -> None:
+    for line in (line_at(0.0), line_at(0.0, slope=0.3), line_at(0.5, slope=-0.6)):
+        drawn = share(VIEW, line)
+        filter_ = white_areas()
+        bright, lines = filter_.step(grey(VIEW, line))
+        inner = (drawn == 1.0) & (filter_.mask > 0)
+        assert set(np.unique(lines)) <= {0, 255}
+        assert (lines[inner] == 255).mean() > 0.97
+        assert (bright[inner] == 255).mean() > 0.97
+        assert not lines[drawn == 0.0].any()
+
+
+def test_wide_things_and_specks_are_removed() -> None:
+    filter_ = white_areas()
+    wide = line_at(-0.25, 3.2 * MARKING_M)
+    specks = [disc(0.5 + 0.2 * k, 0.1 * k - 0.1, 0.004) for k in range(4)]
+    blob = disc(0.9, 0.25, 2.0 * MARKING_M)
+    for shape in (wide, blob):
+        bright, lines = filter_.step(grey(VIEW, line_at(0.0), shape))
+        on = (share(VIEW, shape) > 0.0) & (filter_.mask > 0)
+        assert (lines[on] > 0).mean() < 0.3  # a disc's top and bottom are as short as a line
+        assert (bright[on] > 0).mean() > 0.5
+        assert lines.any()
+        if shape is wide:
+            assert not lines[on].any()
+    lines = filter_.step(grey(VIEW, line_at(0.0), *specks))[1]
+    assert not lines[(share(VIEW, *specks) > 0.0) & (share(VIEW, line_at(0.0)) == 0.0)].any()
+
+
+def test_crossing_bars_are_bright_but_no_lines() -> None:
+    filter_ = white_areas()
+    stop = bar(0.8, 0.04)
+    bright, lines = filter_.step(grey(VIEW, line_at(0.2), line_at(-0.2), stop))
+    on = (share(VIEW, stop) == 1.0) & (filter_.mask > 0)
+    between = on & (share(VIEW, line_at(0.0, 0.2)) > 0)
+    assert (bright[between] > 0).mean() > 0.9
+    assert not lines[between].any()
+
+
+def test_light_that_changes_over_the_floor_has_no_say() -> None:
+    filter_ = white_areas()
+    columns = np.linspace(0.25, 1.0, VIEW.width_px)  # four times as bright on one side
+    drawn = share(VIEW, line_at(0.2), line_at(-0.2))
+    for light in (columns, columns[::-1], np.linspace(0.25, 1.0, VIEW.height_px)[:, None]):
+        picture = np.round((60.0 + 190.0 * drawn) * light).astype(np.uint8)
+        bright, lines = filter_.step(picture)
+        inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
+        assert (lines[inner] > 0).mean() > 0.9
+        assert not bright[drawn == 0.0].any()
+
+
+def test_nothing_is_seen_on_a_bare_floor() -> None:
+    filter_ = white_areas()
+    rng = np.random.default_rng(0)
+    for picture in (
+        np.zeros((VIEW.height_px, VIEW.width_px), np.uint8),
+        np.full((VIEW.height_px, VIEW.width_px), 255, np.uint8),
+        np.clip(rng.normal(60.0, 2.0, (VIEW.height_px, VIEW.width_px)), 0, 255).astype(np.uint8),
+    ):
+        bright, lines = filter_.step(picture)
+        assert not bright.any()
+        assert not lines.any()
+
+
+def test_faint_markings_count_from_the_contrast_on() -> None:
+    inner = share(VIEW, line_at(0.0)) == 1.0
+    for step, seen in ((8.0, False), (30.0, True)):
+        filter_ = white_areas(contrast=12.0)
+        lines = filter_.step(grey(VIEW, line_at(0.0), floor=50.0, marking=50.0 + step))[1]
+        inner &= rows_in_sight(filter_, inner)[:, None]
+        assert (lines[inner] > 0).mean() > 0.95 if seen else not lines.any()
+
+
+def test_dark_markings_are_the_negative() -> None:
+    picture = grey(VIEW, line_at(0.2), line_at(-0.2, slope=0.1))
+    light = white_areas().step(picture)
+    dark = white_areas(dark=True).step(255 - picture)
+    for one, other in zip(light, dark, strict=True):
+        assert (one != other).mean() < 0.002
+        assert one.any()
+    assert not white_areas(dark=True).step(picture)[1][share(VIEW, line_at(0.2)) == 1.0].any()
+
+
+@pytest.mark.parametrize("side", [+1, -1])
+def test_a_line_that_the_pictures_edge_cuts_is_kept_inside_of_it(side: int) -> None:
+    filter_, shape = white_areas(), line_at(side * 0.16, slope=side * 0.3)
+    visible = BirdsEye(CAMERA, VIEW).mask > 0
+    seen = grey(VIEW, shape)
+    for row in np.flatnonzero(visible.any(axis=1)):  # the view repeats the picture's edge
+        inside = np.flatnonzero(visible[row])
+        seen[row, : inside[0]], seen[row, inside[-1] + 1 :] = seen[row, inside[0]], seen[row, inside[-1]]
+    lines = filter_.step(seen)[1]
+    drawn = share(VIEW, shape)
+    assert not lines[filter_.mask == 0].any()
+    assert not lines[drawn == 0.0].any()
+    whole = rows_in_sight(filter_, drawn) & (drawn == 1.0).any(axis=1)
+    assert whole.sum() > 50
+    assert (lines[whole][drawn[whole] == 1.0] > 0).mean() > 0.97
+    away = (middle_columns(lines) - middle_columns(drawn))[whole]
+    assert abs(np.nanmean(away)) < 0.1

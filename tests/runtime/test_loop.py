@@ -1,0 +1,178 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from automodel.runtime.loop import Loop, estimate_faults, motion_faults, state_faults
+from automodel.signals import (
+    NEUTRAL,
+    Command,
+    Crossing,
+    LaneEstimate,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
+from support.runner_fakes import MS, PICTURE, FakeController, FakeLimits, FakePipeline, Straight, estimate, frame
+
+MOTION = Motion(t_ns=0, speed_mps=0.5, yaw_rate_radps=0.1)
+
+
+def make(pipeline: FakePipeline | None = None, **how: object) -> tuple[Loop, FakePipeline, FakeController, FakeLimits]:
+    parts = (pipeline or FakePipeline(), FakeController(), FakeLimits())
+    return Loop(*parts, validity_s=0.1, **how), *parts  # type: ignore[arg-type]
+
+
+def test_a_tick_is_the_chain() -> None:
+    loop, pipeline, controller, _ = make()
+    controller.override = Command(t_ns=0, steering_rad=0.3, speed_mps=9.0, valid_until_ns=70 * MS)
+    tick = loop.tick(frame(10.0), MOTION, None, 12 * MS)
+    assert pipeline.motions == [MOTION]
+    assert tick.estimate.status is LaneStatus.TRACKING
+    assert tick.motion is MOTION
+    assert (tick.wanted.speed_mps, tick.command.speed_mps, tick.command.steering_rad) == (9.0, 2.0, 0.3)
+    assert (tick.limited_by, tick.faults) == (("speed",), ())
+    assert tick.command.valid_until_ns == 70 * MS  # a shorter life than the frame's is kept
+
+
+@pytest.mark.parametrize(("captured_ms", "valid_until_ms"), [(10.0, 110), (40.0, 112)])
+def test_a_command_lives_no_longer_than_its_frame_allows(captured_ms: float, valid_until_ms: int) -> None:
+    loop, *_ = make()  # the controller would let it live for a second
+    tick = loop.tick(frame(captured_ms), MOTION, None, 12 * MS)  # 40 ms: from a clock that runs ahead
+    assert tick.command.valid_until_ns == valid_until_ms * MS
+
+
+def test_stages_are_timed_by_the_stopwatch() -> None:
+    readings = iter([0, 100, 130, 134])
+    loop, *_ = make(stopwatch=lambda: next(readings))
+    assert loop.tick(frame(0.0), MOTION, None, 0).stages_ns == (100, 30, 4)
+    assert make()[0].tick(frame(0.0), MOTION, None, 0).stages_ns == (0, 0, 0)
+
+
+def test_the_stopwatch_changes_nothing_else() -> None:
+    odd = count(17, 1000)
+    timed, plain = make(stopwatch=lambda: next(odd))[0], make()[0]
+    for i in range(5):
+        a = timed.tick(frame(16.0 * i, i), MOTION, None, 16 * i * MS)
+        b = plain.tick(frame(16.0 * i, i), MOTION, None, 16 * i * MS)
+        assert a.command == b.command
+
+
+def test_a_pipeline_of_one_camera_sees_the_left_picture_of_a_pair() -> None:
+    loop, pipeline, *_ = make()
+    right = np.ones((2, 2), dtype=np.uint8)
+    loop.tick(StereoFrame(t_ns=5, index=3, left=PICTURE, right=right), MOTION, None, 6)
+    assert (pipeline.seen[0].t_ns, pipeline.seen[0].index) == (5, 3)
+    assert not pipeline.seen[0].image.any()
+
+
+def test_an_exception_of_a_stage_goes_up() -> None:
+    loop, *_ = make(FakePipeline({0: KeyError("x")}))
+    with pytest.raises(KeyError):
+        loop.tick(frame(0.0), MOTION, None, 0)
+
+
+def test_an_estimate_that_is_not_finite_is_lost() -> None:
+    loop, pipeline, *_ = make(FakePipeline({0: math.nan}))
+    tick = loop.tick(frame(7.0), MOTION, None, 8 * MS)
+    assert (tick.estimate.status, tick.estimate.t_ns, tick.estimate.pose) == (LaneStatus.LOST, 7 * MS, None)
+    assert tick.faults == ("the estimate's pose is not finite",)
+    assert tick.command.speed_mps == 0.0
+    assert pipeline.resets == 0  # it still knows the lane
+    assert loop.tick(frame(20.0, 1), MOTION, None, 21 * MS).faults == ()
+
+
+def test_a_pipeline_that_fails_four_times_in_a_row_begins_anew() -> None:
+    failing = dict.fromkeys((0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 11), math.nan)
+    loop, pipeline, *_ = make(FakePipeline(failing))
+    resets = []
+    for index in range(13):
+        loop.tick(frame(16.0 * index, index), MOTION, None, 16 * index * MS)
+        resets.append(pipeline.resets)
+    assert resets == [0] * 7 + [1] * 4 + [2] * 2
+    for _ in range(4):
+        loop.failed()  # by an exception: it is the same
+    assert pipeline.resets == 3
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("field", ["steering_rad", "speed_mps"])
+@pytest.mark.parametrize("stage", ["controller", "limits"])
+def test_a_command_that_is_not_finite_is_a_standstill(stage: str, field: str, bad: float) -> None:
+    loop, _, controller, limits = make()
+    command = replace(Command(t_ns=0, steering_rad=0.1, speed_mps=0.5, valid_until_ns=50 * MS), **{field: bad})
+    if stage == "controller":
+        controller.override = command
+    else:
+        limits.override = command
+    tick = loop.tick(frame(0.0), MOTION, None, 0)
+    assert (tick.command.steering_rad, tick.command.speed_mps) == (0.0, 0.0)
+    assert len(tick.faults) == 1
+    assert tick.faults[0].startswith(f"the {stage} gave")
+    assert (controller.resets, len(limits.told)) == ((1, 0) if stage == "controller" else (0, 1))
+
+
+@pytest.mark.parametrize("bad", [{"speed_mps": math.nan}, {"yaw_rate_radps": math.inf}])
+def test_a_motion_that_is_not_finite_never_reaches_the_pipeline(bad: dict[str, float]) -> None:
+    loop, pipeline, *_ = make()
+    tick = loop.tick(frame(0.0), replace(MOTION, **bad), None, 0)
+    assert pipeline.motions == [Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)]
+    assert tick.motion == pipeline.motions[0]
+    assert len(tick.faults) == 1
+
+
+def test_overruled_starts_the_ramp_anew_and_tells_the_limits_what_is_on_the_wire() -> None:
+    loop, _, _, limits = make()
+    speeds = [loop.tick(frame(16.0 * i, i), MOTION, None, 16 * i * MS).command.speed_mps for i in range(4)]
+    assert speeds == pytest.approx([0.1, 0.2, 0.3, 0.4])
+    loop.overruled(NEUTRAL)
+    assert limits.told == [NEUTRAL]
+    assert loop.tick(frame(90.0, 5), MOTION, None, 90 * MS).command.speed_mps == pytest.approx(0.1)
+
+
+def test_reset_forgets_all() -> None:
+    loop, pipeline, _, limits = make()
+    loop.tick(frame(0.0), MOTION, None, 0)
+    loop.reset()
+    assert (pipeline.resets, limits.told) == (1, [None])
+    assert loop.tick(frame(16.0, 1), MOTION, None, 16 * MS).command.speed_mps == pytest.approx(0.1)
+
+
+def test_estimate_faults() -> None:
+    good = estimate(0)
+    assert good.pose is not None
+    assert estimate_faults(good) == ()
+    assert estimate_faults(estimate(0, LaneStatus.LOST)) == ()
+    assert len(estimate_faults(LaneEstimate(t_ns=0, status=LaneStatus.COASTING))) == 1
+    assert len(estimate_faults(replace(good, centerline=None))) == 1
+    for name in ("offset_m", "heading_rad", "width_m", "curvature_per_m"):
+        assert len(estimate_faults(replace(good, pose=replace(good.pose, **{name: math.nan})))) == 1
+    covariance = np.eye(3)
+    covariance[1, 2] = math.inf
+    assert len(estimate_faults(replace(good, pose=replace(good.pose, covariance=covariance)))) == 1
+    assert estimate_faults(replace(good, crossing=Crossing(distance_m=1.0, angle_rad=1.5))) == ()
+    assert len(estimate_faults(replace(good, crossing=Crossing(distance_m=math.inf, angle_rad=1.5)))) == 1
+    assert len(estimate_faults(replace(good, crossing=Crossing(distance_m=1.0, angle_rad=math.nan)))) == 1
+    assert len(estimate_faults(replace(good, centerline=Straight(math.nan)))) == 1
+
+
+def test_motion_and_state_faults() -> None:
+    assert motion_faults(MOTION) == ()
+    assert len(motion_faults(replace(MOTION, yaw_rate_radps=-math.inf))) == 1
+    state = VehicleState(t_ns=0, speed_mps=1.0, ranges_m=(None, 0.4, 1.0), battery_v=7.4)
+    assert state_faults(state) == ()
+    for bad in ({"speed_mps": math.nan}, {"ranges_m": (None, math.nan)}, {"battery_v": math.inf}):
+        assert len(state_faults(replace(state, **bad))) == 1  # type: ignore[arg-type]
+    for name in ("yaw_rate_radps", "steering_rad"):
+        assert len(state_faults(replace(state, **{name: math.nan}))) == 1
+
+
+def test_a_life_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="validity_s"):
+        Loop(FakePipeline(), FakeController(), FakeLimits(), validity_s=0.0)

@@ -1,0 +1,298 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from automodel.runtime.safety import Action, Safety, SafetyInputs, SafetyMode, Seen
+from automodel.signals import LaneStatus
+from support.safety_rig import CONFIG, MS, Rig
+
+
+def test_starts_disarmed_and_sends_neutral() -> None:
+    decision = Rig().turns(200)
+    assert (decision.mode, decision.action, decision.reason) == (SafetyMode.DISARMED, Action.NEUTRAL, None)
+    assert not decision.arm
+
+
+def test_arms_by_request_after_healthy_time() -> None:
+    rig = Rig()
+    rig.turns(51)  # the first healthy turn starts the 500 ms
+    asked = rig.turn(arm=True)
+    assert (asked.mode, asked.action, asked.arm) == (SafetyMode.ARMING, Action.NEUTRAL, True)
+    driving = rig.turn()
+    assert (driving.mode, driving.action, driving.arm) == (SafetyMode.DRIVING, Action.PASS, False)
+    assert [kind for kind, _ in rig.events] == ["arming", "driving"]
+
+
+def test_request_before_healthy_time_is_refused_and_forgotten() -> None:
+    rig = Rig()
+    rig.turns(50)  # 490 ms since the first
+    decision = rig.turn(step_ms=9.0, arm=True)
+    assert (decision.mode, decision.arm) == (SafetyMode.DISARMED, False)
+    assert rig.events == [("arm-refused", "the input is healthy for 0.499 s only; 0.500 s are wanted")]
+    assert rig.turns(100).mode is SafetyMode.DISARMED
+
+
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ({"status": LaneStatus.LOST}, "the lane is lost"),
+        ({"faults": ("the pose is not finite",)}, "the pose is not finite"),
+        ({"age_ms": 61.0, "step_ms": 70.0}, "the newest frame is 0.061 s old"),
+        ({"age_ms": -51.0}, "the frame's time lies 0.051 s ahead"),
+        ({"age_ms": 30.0}, "the frame's time is not after the one before: -0.018 s"),
+        ({"age_ms": 12.0}, "the frame's time is not after the one before: 0.000 s"),
+        ({"link_up": False}, "the link to the vehicle is down"),
+        ({"hello": False}, "the vehicle has not said hello"),
+        ({"work_ms": 0.0, "age_ms": None, "step_ms": 58.0}, "the newest frame is 0.060 s old"),
+        ({"step_ms": 101.0}, "the loop stood still for 0.101 s"),
+        ({"step_ms": -5.0, "age_ms": -20.0}, "the clock went back by 0.005 s"),
+    ],
+)
+def test_request_while_unhealthy_is_refused_with_the_reason(how: dict[str, object], text: str) -> None:
+    rig = Rig()
+    rig.turns(100)
+    decision = rig.turn(arm=True, **how)  # type: ignore[arg-type]
+    assert (decision.mode, decision.action, decision.reason) == (SafetyMode.DISARMED, Action.NEUTRAL, text)
+    assert rig.events == [("arm-refused", text)]
+    rig.turn(age_ms=-1.0 if how.get("age_ms") == -51.0 else 2.0)
+    assert rig.turn(arm=True).mode is SafetyMode.DISARMED  # the 500 ms begin anew
+
+
+def test_request_before_the_first_frame_is_refused() -> None:
+    rig = Rig()
+    decision = rig.turn(age_ms=None, arm=True)
+    assert decision.reason == "no frame has come yet"
+    assert rig.events == [("arm-refused", "no frame has come yet")]
+
+
+@pytest.mark.parametrize("status", [LaneStatus.TRACKING, LaneStatus.ONE_LINE, LaneStatus.COASTING])
+def test_every_status_but_lost_drives(status: LaneStatus) -> None:
+    decision = Rig().drive().turns(300, status=status)
+    assert (decision.mode, decision.action) == (SafetyMode.DRIVING, Action.PASS)
+
+
+def test_drives_on_between_frames() -> None:
+    rig = Rig().drive()
+    decision = rig.turn(step_ms=57.9, age_ms=None)
+    assert (decision.mode, decision.action) == (SafetyMode.DRIVING, Action.PASS)
+    decision = rig.turn(step_ms=0.1, age_ms=None)
+    assert (decision.mode, decision.action) == (SafetyMode.HOLD, Action.HOLD_STEERING)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        {"status": LaneStatus.LOST},
+        {"faults": ("the pose is not finite",)},
+        {"faults": ("the state is not finite",), "age_ms": None},
+        {"age_ms": 60.0, "step_ms": 70.0, "work_ms": 0.0},
+        {"age_ms": 101.0, "step_ms": 99.9, "work_ms": 1.0, "status": LaneStatus.TRACKING},  # late when it came
+        {"age_ms": 40.0},
+        {"age_ms": -51.0},
+    ],
+)
+def test_unwell_holds_at_once_and_drives_on_with_the_next_good_frame(how: dict[str, object]) -> None:
+    rig = Rig().drive()
+    rig.turns(10)
+    if how.get("age_ms") == 101.0:
+        rig.turn(age_ms=99.0, step_ms=98.0, work_ms=0.0)  # late as well, so that frame times go forward
+    held = rig.turn(**how)  # type: ignore[arg-type]
+    assert (held.mode, held.action) == (SafetyMode.HOLD, Action.HOLD_STEERING)
+    assert not held.disarm
+    if how.get("age_ms") != -51.0:
+        assert rig.turn(age_ms=None).mode is SafetyMode.HOLD  # healthy without a new frame is not enough
+    back = rig.turn(step_ms=60.0)
+    assert (back.mode, back.action) == (SafetyMode.DRIVING, Action.PASS)
+    assert rig.events[-1][0] == "driving"
+
+
+def test_a_fault_of_a_frame_lasts_until_the_next_frame() -> None:
+    rig = Rig().drive()
+    rig.turn(faults=("the pose is not finite",))
+    decision = rig.turn(age_ms=None)
+    assert decision.reason == "the pose is not finite"
+    assert decision.mode is SafetyMode.HOLD
+
+
+def test_hold_is_bounded_and_the_stop_latched() -> None:
+    rig = Rig().hold()
+    held = rig.turns(29, status=LaneStatus.LOST)
+    assert (held.mode, held.action) == (SafetyMode.HOLD, Action.HOLD_STEERING)
+    stopped = rig.turn(status=LaneStatus.LOST)
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert rig.events[-1] == ("stop", "held for 0.300 s: the lane is lost")
+    assert rig.turns(300).mode is SafetyMode.STOPPED
+
+
+def test_a_good_frame_comes_too_late_when_the_hold_is_over() -> None:
+    rig = Rig().hold()
+    rig.turns(29, status=LaneStatus.LOST)
+    assert rig.turn().mode is SafetyMode.STOPPED
+
+
+@pytest.mark.parametrize("mode", [SafetyMode.DRIVING, SafetyMode.HOLD])
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ({"link_up": False}, "the link to the vehicle is down"),
+        ({"hello": False}, "the vehicle has not said hello"),
+        ({"step_ms": 101.0}, "the loop stood still for 0.101 s"),
+        ({"work_ms": 60.0, "age_ms": 100.0, "step_ms": 99.0}, "the command went stale in the loop, 0.060 s after"),
+        ({"step_ms": -1.0, "age_ms": -10.0}, "the clock went back by 0.001 s"),
+    ],
+)
+def test_broken_stops_at_once(mode: SafetyMode, how: dict[str, object], text: str) -> None:
+    rig = Rig().drive() if mode is SafetyMode.DRIVING else Rig().hold()
+    stopped = rig.turn(**how)  # type: ignore[arg-type]
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert rig.events[-1][0] == "stop"
+    assert rig.events[-1][1].startswith(text)
+    assert rig.turns(300).mode is SafetyMode.STOPPED
+
+
+@pytest.mark.parametrize("mode", [SafetyMode.DRIVING, SafetyMode.HOLD])
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"boot_id": 4}, "the vehicle's controller has restarted"),
+        ({"boot_id": 4, "armed": False}, "the vehicle's controller has restarted"),
+        ({"boot_id": None}, "the vehicle's controller has restarted"),
+        ({"armed": False}, "the vehicle has disarmed itself"),
+    ],
+)
+def test_a_board_that_restarts_or_disarms_stops(mode: SafetyMode, change: dict[str, object], text: str) -> None:
+    rig = Rig().drive() if mode is SafetyMode.DRIVING else Rig().hold()
+    rig.state = replace(rig.state, **change)  # type: ignore[arg-type]
+    assert rig.turn().mode is SafetyMode.STOPPED
+    assert rig.events[-1] == ("stop", text)
+
+
+def test_a_silent_vehicle_stops() -> None:
+    rig = Rig().drive()
+    assert rig.turns(10, silent=True).mode is SafetyMode.DRIVING
+    assert rig.turn(silent=True).mode is SafetyMode.STOPPED
+    assert rig.events[-1] == ("stop", "the vehicle has said nothing for 0.110 s")
+
+
+def test_a_vehicle_that_speaks_from_the_future_stops() -> None:
+    rig = Rig().drive()
+    rig.state = replace(rig.state, t_ns=rig.now_ns + 300 * MS)
+    assert rig.turn(silent=True).mode is SafetyMode.STOPPED
+
+
+def test_reported_faults_alone_stop_nothing() -> None:
+    rig = Rig().drive()
+    rig.state = replace(rig.state, faults=("frame errors",))
+    assert rig.turns(50).mode is SafetyMode.DRIVING
+
+
+def test_the_vehicle_is_asked_again_while_it_does_not_follow() -> None:
+    rig = Rig()
+    rig.obeys = False
+    rig.turns(52)
+    asked = [rig.turn(arm=n == 0).arm for n in range(40)]
+    assert [n for n, arm in enumerate(asked) if arm] == [0, 10, 20, 30]
+    rig.state = replace(rig.state, armed=True)
+    assert rig.turn().mode is SafetyMode.DRIVING
+    asked = [rig.turn(link_up=n != 0).disarm for n in range(25)]
+    assert [n for n, disarm in enumerate(asked) if disarm] == [0, 10, 20]
+    rig.state = replace(rig.state, armed=False)
+    assert not any(rig.turn().disarm for _ in range(20))
+
+
+def test_a_vehicle_found_armed_is_disarmed_before_all_else() -> None:
+    rig = Rig()
+    rig.state = replace(rig.state, armed=True)
+    first = rig.turn()
+    assert (first.mode, first.disarm, first.reason) == (SafetyMode.DISARMED, True, "the vehicle is still armed")
+
+
+def test_arming_is_given_up_after_a_second() -> None:
+    rig = Rig()
+    rig.obeys = False
+    rig.turns(52)
+    rig.turn(arm=True)
+    assert rig.turns(99).mode is SafetyMode.ARMING
+    given_up = rig.turn()
+    assert (given_up.mode, given_up.disarm) == (SafetyMode.DISARMED, True)
+    assert rig.events[-1] == ("disarmed", "the vehicle has not armed within 1.0 s")
+    assert rig.turns(200).mode is SafetyMode.DISARMED
+
+
+def test_auto_arm_waits_before_it_asks_a_vehicle_again_that_did_not_arm() -> None:
+    rig = Rig(auto_arm=True)
+    rig.obeys = False
+    rig.turns(51 + 100)
+    assert rig.safety.mode is SafetyMode.DISARMED
+    assert rig.turns(50).mode is SafetyMode.DISARMED
+    assert rig.turn().mode is SafetyMode.ARMING
+
+
+@pytest.mark.parametrize("how", [{"status": LaneStatus.LOST}, {"link_up": False}, {"step_ms": 150.0}])
+def test_arming_is_given_up_when_anything_goes_wrong(how: dict[str, object]) -> None:
+    rig = Rig()
+    rig.turns(52)
+    rig.turn(arm=True)
+    decision = rig.turn(**how)  # type: ignore[arg-type]
+    assert (decision.mode, decision.action, decision.disarm) == (SafetyMode.DISARMED, Action.NEUTRAL, True)
+
+
+def test_a_board_that_restarts_while_arming_does_not_drive() -> None:
+    rig = Rig()
+    rig.turns(52)
+    rig.turn(arm=True)
+    rig.state = replace(rig.state, boot_id=9, armed=True)
+    assert rig.turn().mode is SafetyMode.DISARMED
+
+
+def test_after_a_stop_a_person_can_arm_again() -> None:
+    rig = Rig().drive()
+    rig.turn(link_up=False)
+    refused = rig.turn(arm=True)
+    assert refused.mode is SafetyMode.STOPPED
+    assert rig.events[-1][0] == "arm-refused"
+    rig.turns(51)
+    assert rig.turn(arm=True).mode is SafetyMode.ARMING
+    assert rig.turn().mode is SafetyMode.DRIVING
+
+
+def test_auto_arm_arms_once_when_healthy_and_never_after_a_stop() -> None:
+    rig = Rig(auto_arm=True)
+    rig.turns(100, status=LaneStatus.LOST)
+    rig.turns(50)
+    assert rig.turn().mode is SafetyMode.ARMING
+    assert rig.turn().mode is SafetyMode.DRIVING
+    rig.turn(link_up=False)
+    assert rig.turns(500).mode is SafetyMode.STOPPED
+    assert rig.turn(arm=True).mode is SafetyMode.ARMING
+
+
+def test_auto_arm_outlives_an_arming_that_came_to_nothing() -> None:
+    rig = Rig(auto_arm=True)
+    assert rig.turns(51).mode is SafetyMode.ARMING
+    assert rig.turn(status=LaneStatus.LOST).mode is SafetyMode.DISARMED
+    assert rig.turns(50).mode is SafetyMode.DISARMED
+    rig.turns(2)
+    assert rig.safety.mode is SafetyMode.DRIVING
+
+
+def test_one_event_for_one_change() -> None:
+    rig = Rig().hold()
+    rig.turns(60, status=LaneStatus.LOST)
+    rig.turns(60, link_up=False)
+    assert [kind for kind, _ in rig.events] == ["arming", "driving", "hold", "stop"]
+
+
+def test_frame_due_and_time_fault() -> None:
+    safety = Safety(CONFIG)
+    assert safety.frame_due_ns() is None
+    assert safety.frame_time_fault(0, 0) is None
+    seen = Seen(frame_t_ns=1000 * MS, taken_ns=1001 * MS, status=LaneStatus.TRACKING, valid_until_ns=None)
+    safety.step(SafetyInputs(seen=seen, state=None), 1001 * MS)
+    assert safety.frame_due_ns() == 1060 * MS
+    assert safety.frame_time_fault(1001 * MS, 1001 * MS) is None
+    assert safety.frame_time_fault(1000 * MS, 1001 * MS) is not None
+    assert safety.frame_time_fault(1051 * MS, 1001 * MS) is None
+    assert safety.frame_time_fault(1051 * MS + 1, 1001 * MS) is not None

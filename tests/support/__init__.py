@@ -1,0 +1,1 @@
+"""What several tests share: rigs, drawn images, fakes, child programs."""
