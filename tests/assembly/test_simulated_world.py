@@ -13,8 +13,8 @@ from automodel.sim.lockstep import LockStepSource
 from automodel.sim.realtime import RealTimeWorld
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError
-from support import spawned_worlds
-from support.spawned_worlds import SHAPE, small_world
+from tests.support import spawned_worlds
+from tests.support.spawned_worlds import SHAPE, small_world
 
 MS = 1_000_000
 RIGHT_US, FORWARD_US = 1800.0, 1700.0

@@ -12,7 +12,7 @@ from automodel.bench.tusimple import centre_error_pct, ego_lines, lines_px, pars
 from automodel.config.toml_reader import ConfigError
 from automodel.curves.tabulated import TabulatedCurve
 from automodel.signals import LaneEstimate, LaneLine, LaneStatus
-from support.highway_pictures import camera_model, mounted
+from tests.support.highway_pictures import camera_model, mounted
 
 ROWS = np.arange(240.0, 440.0, 10.0)  # twenty of them
 

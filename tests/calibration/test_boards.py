@@ -10,7 +10,7 @@ import pytest
 
 from automodel.geometry import CameraModel
 from calibration.boards import Board, FoundBoard, find_board, other_dictionary
-from support.drawn_boards import LENS, PAPER_PX, SIZE, charuco, chessboard, held, seen, turned
+from tests.support.drawn_boards import LENS, PAPER_PX, SIZE, charuco, chessboard, held, seen, turned
 
 BOARD = Board(columns=9, rows=6, square_m=0.025)
 CHARUCO = Board(columns=9, rows=6, square_m=0.025, marker_m=0.01875)

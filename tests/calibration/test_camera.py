@@ -15,7 +15,7 @@ from calibration.boards import Board, FoundBoard
 from calibration.camera import CameraCalibration, calibrate_camera, check_camera, field_of_view_deg
 from calibration.pictures import coverage_picture, undistorted_picture
 from calibration.views import CalibrationError, Refused, View, Views, coverage, edge_width_px, missing_sights, settle
-from support.drawn_boards import LENS, PAPER_PX, SIZE, chessboard, held, seen, turned
+from tests.support.drawn_boards import LENS, PAPER_PX, SIZE, chessboard, held, seen, turned
 
 BOARD = Board(columns=9, rows=6, square_m=0.025)
 

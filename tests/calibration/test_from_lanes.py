@@ -15,7 +15,7 @@ from automodel.config import Extrinsics
 from automodel.geometry import GroundCamera, cam_from_body_rotation
 from calibration.from_lanes import LanesCalibration, camera_from_lanes, level, solve_attitude, steepness
 from calibration.vanishing_point_fit import Pencil
-from support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
+from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
 BENT = (-0.25, 0.06, 0.0, 0.0, 0.0)
 DRIVE = [(0.3, 0.01), (-0.4, -0.012), (0.1, 0.0), (-0.2, 0.006), (0.5, -0.004)]  # offset [m], heading [rad]

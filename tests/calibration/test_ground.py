@@ -16,7 +16,7 @@ from calibration.ground import NAMES, GroundPoints, camera_from_points, distance
 from calibration.pictures import ground_picture
 from calibration.printed_targets import ArucoSheet, SeenSheet, SheetPlace, camera_from_sheet, find_sheet
 from calibration.views import CalibrationError
-from support.drawn_boards import LENS, PAPER_PX, SIZE, charuco, chessboard, marker, on_floor
+from tests.support.drawn_boards import LENS, PAPER_PX, SIZE, charuco, chessboard, marker, on_floor
 
 CAMERA = CameraModel(LENS, *SIZE)
 MOUNT = Extrinsics(x_m=0.21, y_m=0.012, z_m=0.19, pitch_rad=0.33, yaw_rad=0.04, roll_rad=-0.05)

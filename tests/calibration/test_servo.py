@@ -16,7 +16,7 @@ from automodel.sim.randomised_plant import hidden_servo
 from calibration.drive_plan import DrivePlan, Leg, servo_plan
 from calibration.servo import ServoError, ServoTable, fit_table
 from calibration.servo_log import SETTLE_NS, ServoLog, holds_of, without_bias
-from support.servo_drives import WHEELBASE_M, changed, driven
+from tests.support.servo_drives import WHEELBASE_M, changed, driven
 
 DEG = math.pi / 180.0
 QUIET = PlantConfig(gyro_noise_radps=0.0, gyro_bias_radps=0.0)

@@ -12,7 +12,7 @@ from automodel.sim.randomised_plant import hidden_servo
 from calibration.actuator import Actuator, fit_actuator, wheel_angles
 from calibration.servo import ServoTable, fit_table
 from calibration.servo_log import ServoLog, without_bias
-from support.servo_drives import WHEELBASE_M, changed, driven
+from tests.support.servo_drives import WHEELBASE_M, changed, driven
 
 MS = 1_000_000
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, mounted
+from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, mounted
 
 KEYS = [
     "pipeline", "frames", "found", "both_ego", "ego_accuracy", "ego_fp", "ego_fn", "all_accuracy", "all_fp", "all_fn",

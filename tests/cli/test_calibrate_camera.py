@@ -12,7 +12,7 @@ import pytest
 
 from automodel.config import load_car
 from automodel.viewer.video import VideoWriter
-from support.drawn_boards import LENS, charuco, chessboard, held
+from tests.support.drawn_boards import LENS, charuco, chessboard, held
 
 BOARD = ("--board", "9x6", "--square-mm", "25")
 PICTURES = {"camera_coverage.png", "camera_residuals.png", "camera_undistorted.png"}
@@ -171,7 +171,7 @@ def test_wrong_arguments(arguments: str, named: str, cli) -> None:
 
 
 def test_an_implausible_camera_is_drawn_but_not_written(folder: Path, cli) -> None:
-    from support.drawn_boards import PAPER_PX, seen, turned
+    from tests.support.drawn_boards import PAPER_PX, seen, turned
 
     for path in folder.iterdir():
         path.unlink()

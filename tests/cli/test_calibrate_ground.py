@@ -10,7 +10,7 @@ import pytest
 
 from automodel.config import Extrinsics, load_car
 from automodel.geometry import CameraModel, GroundCamera
-from support.drawn_boards import LENS, PAPER_PX, SIZE, chessboard, marker, on_floor
+from tests.support.drawn_boards import LENS, PAPER_PX, SIZE, chessboard, marker, on_floor
 
 MOUNT = Extrinsics(x_m=0.21, y_m=0.01, z_m=0.19, pitch_rad=0.35, yaw_rad=0.04, roll_rad=-0.05)
 PLACES = ((0.55, 0.15), (0.55, -0.15), (0.95, 0.3), (0.95, -0.3), (1.4, 0.0))

@@ -20,7 +20,7 @@ from firmware_link.board_log import LoggedTransport
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.transport import MemoryTransport
-from support.calibrated_cars import during, untouched
+from tests.support.calibrated_cars import during, untouched
 
 
 def test_odometry_driven(car: Path, at_rest: Callable[[], bool], cli) -> None:

@@ -15,7 +15,7 @@ from automodel.config import ServoConfig, load_car
 from automodel.sim.plant import CarState, Plant, Ranges
 from calibration import servo_drive
 from calibration.drive_plan import DrivePlan, Leg
-from support.calibrated_cars import SIMULATED, during, untouched
+from tests.support.calibrated_cars import SIMULATED, during, untouched
 
 
 @pytest.fixture

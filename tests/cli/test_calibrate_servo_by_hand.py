@@ -14,7 +14,7 @@ from calibration import servo_dialogue as servo_terminal
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.transport import MemoryTransport
-from support.calibrated_cars import untouched
+from tests.support.calibrated_cars import untouched
 
 
 def test_circles_become_a_table(car: Path, tmp_path: Path, cli) -> None:

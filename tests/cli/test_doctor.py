@@ -26,9 +26,9 @@ from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
-from support.command_line import Said
-from support.fake_cars import StillCamera, road
-from support.fake_cars import car_toml as written
+from tests.support.command_line import Said
+from tests.support.fake_cars import StillCamera, road
+from tests.support.fake_cars import car_toml as written
 
 MACHINE = ["python", "packages", "opencv", "gstreamer", "network", "clock"]
 BOARD = ["serial port", "board", "board start", "wire", "board faults", "battery", "ranges", "odometry", "servo", "can"]

@@ -35,7 +35,7 @@ from automodel.doctor.camera import (
 )
 from automodel.doctor.findings import Finding, Verdict, failed, summary
 from automodel.signals import Frame, VehicleState
-from support.fake_cars import road
+from tests.support.fake_cars import road
 
 OK, WARN, FAIL, SKIP = Verdict.OK, Verdict.WARN, Verdict.FAIL, Verdict.SKIP
 CAR = CarConfig()

@@ -17,7 +17,7 @@ from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
-from support.fake_cars import StillCamera, car_toml, road
+from tests.support.fake_cars import StillCamera, car_toml, road
 
 pytestmark = pytest.mark.realtime
 PATIENCE_TURNS = 3000  # of the loop, at most 20 ms each: a test that hangs ends

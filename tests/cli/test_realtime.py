@@ -15,7 +15,7 @@ import pytest
 
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
-from support.terminal_signals import signals_of_a_terminal
+from tests.support.terminal_signals import signals_of_a_terminal
 
 pytestmark = pytest.mark.realtime
 TRIES = 5  # a machine that does something else for a third of a second stops the car, rightly

@@ -14,7 +14,7 @@ from firmware_link import autonomos
 from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard, Pins
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.pty import PtyBoard
-from support.fake_cars import StillCamera, car_toml, road
+from tests.support.fake_cars import StillCamera, car_toml, road
 
 RUN = ("run", "--track", "oval", "--pipeline", "windows")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.curves import TabulatedCurve
-from support.world_lanes import WorldLane
+from tests.support.world_lanes import WorldLane
 
 
 def circle(radius_m: float, turn_rad: float, count: int) -> TabulatedCurve:

@@ -13,10 +13,10 @@ from firmware_link import messages
 from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
-from support.avr_board import HeardAvr
-from support.compiled_board import load
-from support.firmware_build import host_library
-from support.link_rigs import MS, AutonomosOf2015Rig, AutonomosPtyRig, AutonomosRig, AvrRig, PtyRig, Rig
+from tests.support.avr_board import HeardAvr
+from tests.support.compiled_board import load
+from tests.support.firmware_build import host_library
+from tests.support.link_rigs import MS, AutonomosOf2015Rig, AutonomosPtyRig, AutonomosRig, AvrRig, PtyRig, Rig
 
 RIGS = [
     pytest.param(Rig, id="memory"),

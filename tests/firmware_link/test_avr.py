@@ -20,7 +20,7 @@ from firmware_link.emulator.logic import DEFAULT_LIMITS
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.messages import Arm, Command, Fault, Limits, ResetCause
 from firmware_link.transport import SerialTransport
-from support.realtime_rig import PATIENCE_S, BoardClock
+from tests.support.realtime_rig import PATIENCE_S, BoardClock
 
 MS = 1_000_000
 US = 1_000

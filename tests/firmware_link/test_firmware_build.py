@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from firmware_link import messages, protocol_header
-from support.firmware_build import FIRMWARE, host_library, need
+from tests.support.firmware_build import FIRMWARE, host_library, need
 
 TESTS = Path(__file__).parent
 LOGIC_TESTS = (

@@ -16,7 +16,7 @@ from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic, limits_fit
 from firmware_link.messages import PULSE_STEP_US, Arm, Command, Limits, ResetCause
-from support.compiled_board import CompiledArduino
+from tests.support.compiled_board import CompiledArduino
 
 MS = 1_000_000
 CODECS = {entry.codec.cls: entry.codec for entry in messages.TABLE}

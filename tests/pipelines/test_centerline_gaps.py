@@ -11,8 +11,8 @@ from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.signals import LaneStatus
 from automodel.sim.track import load_track
 from automodel.types import Image
-from support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
-from support.rendered_drives import Seen, camera, with_camera
+from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
+from tests.support.rendered_drives import Seen, camera, with_camera
 
 WIDE = with_camera(camera(focal_px=240.0))  # sees the other line also in a bend
 STRAIGHT = line(14.0)

@@ -20,9 +20,9 @@ from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneStatus, Motion
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import load_track
-from support import onnx_files as files
-from support.masked_drives import CAR, arc, errors, gap, line, road
-from support.rendered_drives import RenderedDrive, Seen, check_sound
+from tests.support import onnx_files as files
+from tests.support.masked_drives import CAR, arc, errors, gap, line, road
+from tests.support.rendered_drives import RenderedDrive, Seen, check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 PICTURES = {

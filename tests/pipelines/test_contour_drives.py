@@ -18,8 +18,8 @@ from automodel.pipelines.contour import Contour
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track
-from support.masked_drives import arc, gap, line, road
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.masked_drives import arc, gap, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 OFFSET_MAE_M, HEADING_MAE_RAD = 0.007, math.radians(0.7)
 ROADS = {

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from automodel.config import ContourConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource
-from support.masked_drives import arc, line, road
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.masked_drives import arc, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLACK, WHITE = np.zeros(SIZE, np.uint8), np.full(SIZE, 255, np.uint8)

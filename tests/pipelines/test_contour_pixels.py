@@ -14,8 +14,8 @@ from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track import load_track
-from support.masked_drives import arc, gap, line, road
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
+from tests.support.masked_drives import arc, gap, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
 
 WINDING = road(line(1.0), arc(1.0, 1.2), arc(1.0, -2.4), line(3.0))
 BROKEN = road(line(12.0), gap(1.5, 5.0, "left", "right"))

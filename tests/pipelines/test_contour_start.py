@@ -15,8 +15,8 @@ from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track import Track, load_track, parse_track
-from support.masked_drives import arc, gap, line, road
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.masked_drives import arc, gap, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 HIGHWAY_CAR = replace(
     with_camera(camera(focal_px=500.0, x_m=1.5, z_m=1.2, pitch_rad=0.12)),

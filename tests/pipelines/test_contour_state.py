@@ -14,8 +14,8 @@ from automodel.interfaces import Pipeline
 from automodel.pipelines import make_pipeline
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
-from support.masked_drives import arc, bits, line, road
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.masked_drives import arc, bits, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLACK, WHITE = np.zeros(SIZE, np.uint8), np.full(SIZE, 255, np.uint8)

@@ -11,7 +11,7 @@ import pytest
 from automodel.geometry import GroundCamera
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
-from support.rendered_drives import CAR, check_sound
+from tests.support.rendered_drives import CAR, check_sound
 
 CAMERA = GroundCamera.from_config(CAR.camera)
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)

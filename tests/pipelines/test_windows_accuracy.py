@@ -12,7 +12,7 @@ from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track, load_track, parse_track
-from support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 OVAL = load_track("oval")
 CAMERAS = {

@@ -14,7 +14,7 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.track import load_track
 from automodel.sim.trajectory import Drive, Odometer
 from automodel.sim.truth import TruthFollower
-from support.rendered_drives import CAR, check_sound, renderer
+from tests.support.rendered_drives import CAR, check_sound, renderer
 
 TMR = load_track("tmr")
 LANE = TMR.lane("forward")

@@ -7,7 +7,7 @@ import pytest
 
 from automodel.config import RecordingConfig
 from automodel.recording.writer import McapRecorder
-from support.recorded_values import CAR_TEXT, record_turn
+from tests.support.recorded_values import CAR_TEXT, record_turn
 
 
 @pytest.fixture

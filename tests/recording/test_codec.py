@@ -16,7 +16,7 @@ from automodel.recording.codec import TOPICS, Value, decode, encode
 from automodel.recording.images import ImageCodec, decode_image
 from automodel.recording.run_file import SCHEMAS
 from automodel.signals import Command, LaneEstimate, LaneStatus, Motion, MotionSource, VehicleState
-from support.recorded_values import make_command, make_estimate, make_event, make_frame, make_motion, make_state
+from tests.support.recorded_values import make_command, make_estimate, make_event, make_frame, make_motion, make_state
 
 
 def bits(value: Any) -> Any:

@@ -16,7 +16,7 @@ from automodel.recording.reader import Recording
 from automodel.recording.writer import McapRecorder
 from automodel.signals import Command, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus
 from automodel.sources.errors import SourceError
-from support.recorded_values import CAR_TEXT, make_command, make_estimate, make_frame
+from tests.support.recorded_values import CAR_TEXT, make_command, make_estimate, make_frame
 
 HEADER = (
     "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"

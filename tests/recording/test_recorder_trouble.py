@@ -16,7 +16,7 @@ from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.signals import Frame, Motion, MotionSource, StereoFrame
 from automodel.sources.errors import SourceError
-from support.recorded_values import (
+from tests.support.recorded_values import (
     make_command,
     make_estimate,
     make_frame,

@@ -14,7 +14,7 @@ from automodel.recording.reader import Recording, RecordingSource
 from automodel.recording.writer import McapRecorder
 from automodel.signals import Frame, LaneEstimate, LaneStatus, StereoFrame
 from automodel.sources.errors import EndOfSource, SourceError
-from support.recorded_values import (
+from tests.support.recorded_values import (
     CAR_TEXT,
     make_command,
     make_estimate,

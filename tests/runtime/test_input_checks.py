@@ -8,7 +8,7 @@ from automodel.config import CameraConfig, CarConfig
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.loop import Loop
 from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
-from support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline
+from tests.support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline
 
 CAR = dataclasses.replace(CarConfig(), camera=CameraConfig(width_px=160, height_px=90))
 MOTION = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0)

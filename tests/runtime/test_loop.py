@@ -19,7 +19,7 @@ from automodel.signals import (
     StereoFrame,
     VehicleState,
 )
-from support.runner_fakes import MS, PICTURE, FakeController, FakeLimits, FakePipeline, Straight, estimate, frame
+from tests.support.runner_fakes import MS, PICTURE, FakeController, FakeLimits, FakePipeline, Straight, estimate, frame
 
 MOTION = Motion(t_ns=0, speed_mps=0.5, yaw_rate_radps=0.1)
 

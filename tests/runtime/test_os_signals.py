@@ -12,15 +12,15 @@ from automodel.runtime import os_signals
 from automodel.runtime.os_signals import stop_on_signals
 
 pytestmark = pytest.mark.realtime
-TESTS = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def run_child(tmp_path: Path, what: str, first: signal.Signals, second: signal.Signals | None) -> tuple[str, list[str]]:
     """The child's last line and the log from the signal on; `second` is sent while the recording is being closed."""
     log = tmp_path / "log"
     with subprocess.Popen(
-        [sys.executable, "-m", "support.runner_child", str(log), what],
-        cwd=TESTS,
+        [sys.executable, "-m", "tests.support.runner_child", str(log), what],
+        cwd=ROOT,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

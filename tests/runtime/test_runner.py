@@ -6,8 +6,8 @@ import pytest
 
 from automodel.runtime.loop import Loop
 from automodel.runtime.runner import RunConfig, RunEnd, Runner, RunParts
-from support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
-from support.runner_fakes import MS, frames
+from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
+from tests.support.runner_fakes import MS, frames
 
 
 def test_arms_drives_and_parks() -> None:

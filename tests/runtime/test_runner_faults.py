@@ -9,9 +9,9 @@ import pytest
 from automodel.runtime.runner import RunEnd
 from automodel.runtime.safety import Action, SafetyMode
 from automodel.signals import LaneStatus, MotionSource
-from support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
-from support.runner_devices import BrokenSource, FakeRecorder, ScriptedSource
-from support.runner_fakes import MS, frame, frames
+from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
+from tests.support.runner_devices import BrokenSource, FakeRecorder, ScriptedSource
+from tests.support.runner_fakes import MS, frame, frames
 
 
 def test_lost_for_a_moment_holds_and_drives_on_from_a_low_speed() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from automodel.runtime.safety import Action, Safety, SafetyInputs, SafetyMode, Seen
 from automodel.signals import LaneStatus
-from support.safety_rig import CONFIG, MS, Rig
+from tests.support.safety_rig import CONFIG, MS, Rig
 
 
 def test_starts_disarmed_and_sends_neutral() -> None:

@@ -8,7 +8,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
 from automodel.signals import LaneStatus
-from support.safety_rig import Rig
+from tests.support.safety_rig import Rig
 
 
 class AnyHistory(RuleBasedStateMachine):

@@ -9,9 +9,9 @@ import pytest
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.supervised_link import SupervisedLink
 from automodel.signals import NEUTRAL, Event
-from support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
-from support.runner_devices import FakeLink
-from support.runner_fakes import MS, frames
+from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
+from tests.support.runner_devices import FakeLink
+from tests.support.runner_fakes import MS, frames
 
 
 def test_a_port_that_vanishes_stops_the_car_and_comes_back_disarmed() -> None:

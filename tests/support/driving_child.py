@@ -16,7 +16,7 @@ from automodel.assembly import drive_real
 from automodel.cli import main
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
-from support.board_time import BoardTime
+from tests.support.board_time import BoardTime
 
 PERIOD_NS = 16_666_667
 STALL_NS = 100_000_000

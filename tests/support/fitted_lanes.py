@@ -6,7 +6,7 @@ import numpy as np
 
 from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig, LanePrior, LineSamples
 from automodel.geometry import SE2
-from support.world_lanes import WorldLane, arc
+from tests.support.world_lanes import WorldLane, arc
 
 REFERENCE_M = 0.13
 WIDTH_M = 0.4

@@ -8,7 +8,7 @@ from automodel.config import LinkConfig, VehicleConfig
 from automodel.signals import Command
 from firmware_link.arduino import ArduinoLink
 from firmware_link.transport import SerialTransport
-from support.board_time import BoardTime
+from tests.support.board_time import BoardTime
 
 PERIOD_NS = 16_666_667
 VALID_NS = 100_000_000

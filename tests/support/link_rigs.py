@@ -18,7 +18,7 @@ from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport
-from support.avr_board import HeardAvr
+from tests.support.avr_board import HeardAvr
 
 MS = 1_000_000
 PERIOD_NS = 16_666_667

@@ -17,7 +17,7 @@ from automodel.sim.renderer import Renderer
 from automodel.sim.track import Lane, Track, parse_track
 from automodel.sim.truth import TruthFollower
 from automodel.types import Image
-from support.rendered_drives import CAR, Seen, check_sound, renderer
+from tests.support.rendered_drives import CAR, Seen, check_sound, renderer
 
 PERIOD_NS = 33_333_333
 

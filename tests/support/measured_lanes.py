@@ -11,7 +11,7 @@ from automodel.estimation.theta.line_spline import SampledLine, smooth
 from automodel.estimation.theta.pose_filter import LinePoint, PoseFilterConfig, expectation
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
-from support.world_lanes import WorldLane
+from tests.support.world_lanes import WorldLane
 
 UNIT, REFERENCE_M = 0.4, 0.13
 FILTER = PoseFilterConfig(lane_width_m=UNIT, reference_x_m=REFERENCE_M)

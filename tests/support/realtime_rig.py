@@ -28,8 +28,8 @@ from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.options import BoardOptions
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.messages import Command, CommandFlag, Message
-from support.avr_board import HeardAvr
-from support.terminal_signals import signals_of_a_terminal
+from tests.support.avr_board import HeardAvr
+from tests.support.terminal_signals import signals_of_a_terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 MS = 1_000_000
@@ -178,7 +178,7 @@ class Car:
     def __init__(self, bench: Bench, folder: Path, command: list[str]) -> None:
         self.bench = bench
         self.folder = folder
-        path = os.pathsep.join((str(ROOT), str(ROOT / "tests")))
+        path = str(ROOT)
         with (folder / "said").open("wb") as said, signals_of_a_terminal():
             self.child = subprocess.Popen(
                 [sys.executable, *command],

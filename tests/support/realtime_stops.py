@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from support.realtime_rig import MS, TIMER_MS, Bench
+from tests.support.realtime_rig import MS, TIMER_MS, Bench
 
 REACTION_MS = 150.0  # from the fault to neutral at the pin
 # Where the program ends by itself a turn that is under way may still send its command, which lives for 100 ms and then

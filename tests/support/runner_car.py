@@ -10,8 +10,8 @@ from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.loop import Loop
 from automodel.runtime.runner import RunConfig, Runner, RunParts, RunResult
 from automodel.runtime.safety import Safety, SafetyMode
-from support.runner_devices import FakeLink, FakeRecorder, ScriptedSource
-from support.runner_fakes import FakeController, FakeLimits, FakeMotion, FakePipeline, Watcher, frames
+from tests.support.runner_devices import FakeLink, FakeRecorder, ScriptedSource
+from tests.support.runner_fakes import FakeController, FakeLimits, FakeMotion, FakePipeline, Watcher, frames
 
 CONFIG = SafetyConfig(frame_timeout_s=0.06, command_validity_s=0.1, hold_s=0.3, rearm_s=0.5)
 DISARMED, ARMING, DRIVING = SafetyMode.DISARMED, SafetyMode.ARMING, SafetyMode.DRIVING

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
-from support.runner_fakes import MS
+from tests.support.runner_fakes import MS
 
 
 class ScriptedSource:

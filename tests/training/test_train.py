@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.command_line import Cli, cli
+from tests.support.command_line import Cli, cli
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")

@@ -16,7 +16,7 @@ from automodel.runtime.input_checks import InputChecks, LaneJumpCheck, PictureCh
 from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino
 from firmware_link.emulator import logic
-from support.command_line import Cli, cli
+from tests.support.command_line import Cli, cli
 
 __all__ = ["cli"]
 

@@ -16,7 +16,7 @@ from automodel.bench.faults.wrappers import FaultyPeripherals, FaultyPipeline, F
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneStatus, Motion
 from automodel.sources.errors import SourceError
-from support.runner_fakes import MS, estimate
+from tests.support.runner_fakes import MS, estimate
 
 PERIOD_MS = 20
 PLAN = Plan(

@@ -1,5 +1,5 @@
 from __future__ import annotations
 
-from support.command_line import cli, driven
+from tests.support.command_line import cli, driven
 
 __all__ = ["cli", "driven"]

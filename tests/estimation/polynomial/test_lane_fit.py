@@ -10,8 +10,8 @@ import pytest
 
 from automodel.estimation.polynomial.lane_fit import LineSamples
 from automodel.geometry import SE2
-from support.fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
-from support.world_lanes import arc
+from tests.support.fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
+from tests.support.world_lanes import arc
 
 
 @pytest.mark.parametrize("name", LANES)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from automodel.estimation.polynomial.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LineSamples
-from support.fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
-from support.world_lanes import WorldLane
+from tests.support.fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
+from tests.support.world_lanes import WorldLane
 
 
 def test_a_third_of_the_points_may_lie() -> None:

@@ -10,7 +10,7 @@ import pytest
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation
 from automodel.geometry import SE2
-from support.world_lanes import WorldLane, arc
+from tests.support.world_lanes import WorldLane, arc
 
 REFERENCE_M = 0.13
 NEAR_M, FAR_M = 0.4, 1.2  # body x between which points are shown

@@ -11,8 +11,8 @@ from automodel.estimation.theta.centerline_fusion import Centerline, to_centre
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, RLS, UNIT
-from support.world_lanes import WorldLane, arc
+from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
+from tests.support.world_lanes import WorldLane, arc
 
 KNOWN, UNKNOWN = 1e-6, 0.1**2  # variance of the width [m^2]
 

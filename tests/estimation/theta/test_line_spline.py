@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import BSpline
 
 from automodel.estimation.theta.line_spline import SampledLine, smooth
-from support.world_lanes import WorldLane
+from tests.support.world_lanes import WorldLane
 
 UNIT = 0.4  # lane width
 STEP, KNOT, RATE = 0.08 * UNIT, 0.6 * UNIT, 0.6 / UNIT**2

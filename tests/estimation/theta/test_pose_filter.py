@@ -10,8 +10,8 @@ import pytest
 
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint
 from automodel.geometry import SE2
-from support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
-from support.world_lanes import WorldLane, arc
+from tests.support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
+from tests.support.world_lanes import WorldLane, arc
 
 
 @pytest.mark.parametrize(

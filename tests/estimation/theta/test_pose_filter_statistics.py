@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from automodel.estimation.theta.pose_filter import LanePoseFilter, carried
 from automodel.geometry import SE2
-from support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
+from tests.support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
 
 
 @pytest.mark.parametrize(("lines", "dimensions"), [("LR", 4), ("L", 2), ("R", 2)])

@@ -9,8 +9,8 @@ import pytest
 
 from automodel.estimation.theta.pose_filter import LinePoint, carried, expectation
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, UNIT, pose_state
-from support.world_lanes import arc
+from tests.support.measured_lanes import REFERENCE_M, UNIT, pose_state
+from tests.support.world_lanes import arc
 
 STATES = [(0.0, 0.0, 0.4), (0.3, -0.5, 0.35), (-0.7, 0.8, 0.5), (0.5, 1.2, 0.4)]
 

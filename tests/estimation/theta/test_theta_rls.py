@@ -10,7 +10,7 @@ import pytest
 
 from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, RLS, UNIT
+from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
 
 FREE = replace(RLS, prior_rad=(math.inf, math.inf, math.inf))  # the paper's: no prior
 STILL = SE2()

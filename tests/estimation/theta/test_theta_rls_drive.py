@@ -11,8 +11,8 @@ import pytest
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, locate
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, RLS, UNIT, drive, see
-from support.world_lanes import WorldLane, arc
+from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT, drive, see
+from tests.support.world_lanes import WorldLane, arc
 
 STILL = SE2()
 

@@ -10,8 +10,8 @@ import pytest
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, UNIT
-from support.world_lanes import WorldLane, arc
+from tests.support.measured_lanes import REFERENCE_M, UNIT
+from tests.support.world_lanes import WorldLane, arc
 
 NOTHING = SeenLine(points_m=np.empty((0, 2)), sigma_m=np.empty(0))
 STEP_M, DT_S = 0.03, 0.03

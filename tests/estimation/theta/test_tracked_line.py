@@ -9,8 +9,8 @@ import pytest
 
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
-from support.measured_lanes import REFERENCE_M, RLS, UNIT
-from support.world_lanes import WorldLane, arc
+from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
+from tests.support.world_lanes import WorldLane, arc
 
 STEP_M = 0.03
 DT_S = 0.03

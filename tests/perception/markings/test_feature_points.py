@@ -12,8 +12,8 @@ import pytest
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.feature_points import FeaturePoints, resized_camera
-from support.drawn_roads import MARKING_M, Road
-from support.drawn_views import Shape, disc, share
+from tests.support.drawn_roads import MARKING_M, Road
+from tests.support.drawn_views import Shape, disc, share
 
 CAMERA = CarConfig().camera
 VIEW = View(x_near_m=0.36, x_far_m=1.96, half_width_m=0.64, m_per_px=0.008)

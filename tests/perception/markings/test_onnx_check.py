@@ -11,7 +11,7 @@ from hypothesis import given
 
 from automodel.perception.markings import onnx_check as onnx_reader
 from automodel.perception.markings.onnx_check import Allowance, MalformedError, Message, check_onnx
-from support import onnx_files as files
+from tests.support import onnx_files as files
 
 GOOD = files.model()
 field, node, value = files.field, files.node, files.value

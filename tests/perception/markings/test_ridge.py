@@ -11,7 +11,7 @@ import pytest
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import GroundCamera
 from automodel.perception.markings.ridge import RidgeMarkings, apparent_width_px
-from support.drawn_views import Shape, line_at
+from tests.support.drawn_views import Shape, line_at
 
 MARKING_M = 0.03
 CAMERA = GroundCamera.from_config(CarConfig().camera)

@@ -10,7 +10,7 @@ import pytest
 from automodel.config import CarConfig
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.markings.temporal_paint_check import GroundCheck
-from support.drawn_views import binary, disc, line_at, seen_from
+from tests.support.drawn_views import binary, disc, line_at, seen_from
 
 LANE_M, MARKING_M = 0.4, 0.03
 VIEW = View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.01)

@@ -18,7 +18,7 @@ from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings import unet
 from automodel.perception.markings.self_test import drawn_lines, self_test
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
-from support import onnx_files as files
+from tests.support import onnx_files as files
 
 SMALL = (files.HEIGHT, files.WIDTH)
 

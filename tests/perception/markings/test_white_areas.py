@@ -8,7 +8,7 @@ import pytest
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.white_areas import WhiteAreas
-from support.drawn_views import bar, disc, grey, line_at, share
+from tests.support.drawn_views import bar, disc, grey, line_at, share
 
 MARKING_M = 0.03
 # 5, 6 and 7.5 pixels a marking, and rows that are coarser than columns

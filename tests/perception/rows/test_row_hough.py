@@ -12,7 +12,7 @@ from automodel.perception.markings.ridge import Brightness
 from automodel.perception.rows.initial_lane import LaneGuess, StartConfig
 from automodel.perception.rows.lane_pair_search import RowSums
 from automodel.perception.rows.row_hough import RowStart
-from support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
+from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
 HIGHWAY = StartConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0)
 SCALE = StartConfig(lane_width_m=0.4, marking_m=0.03, reference_x_m=0.13, radius_lanes=1.4)

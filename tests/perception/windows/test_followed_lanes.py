@@ -12,8 +12,8 @@ from automodel.geometry import SE2, View
 from automodel.perception.markings.feature_points import FeaturePoints
 from automodel.perception.windows.line_following import ExpectedLine, LineFollowing
 from automodel.sim.track import Lane, load_track
-from support.drawn_roads import MARKING_M
-from support.rendered_drives import CAR, renderer
+from tests.support.drawn_roads import MARKING_M
+from tests.support.rendered_drives import CAR, renderer
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 

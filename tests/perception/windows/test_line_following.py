@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from automodel.geometry import View
 from automodel.perception.windows.line_following import ExpectedLine, FollowedLine, LineFollowing, LineStart
-from support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, crossing, within, zebra
-from support.drawn_views import Shape, bar, binary, disc, line_at
+from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, crossing, within, zebra
+from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 LONG_ROWS = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008, m_per_row=0.012)

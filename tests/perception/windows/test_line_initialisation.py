@@ -13,8 +13,8 @@ from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.windows.line_following import LineStart
 from automodel.perception.windows.line_initialisation import LineStarts
-from support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
-from support.drawn_views import Shape, binary, disc
+from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
+from tests.support.drawn_views import Shape, binary, disc
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 REFERENCE_M = 0.13

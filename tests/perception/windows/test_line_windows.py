@@ -13,8 +13,8 @@ from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.windows.line_following import ExpectedLine, LineFollowing, LineStart
 from automodel.perception.windows.line_windows import LineWindows
 from automodel.perception.windows.window_tracker import Guide
-from support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
-from support.drawn_views import Shape, bar, binary, disc, line_at
+from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
+from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
 VIEW = View(x_near_m=0.36, x_far_m=2.28, half_width_m=0.64, m_per_px=0.008)
 LONG_ROWS = replace(VIEW, m_per_row=0.012)

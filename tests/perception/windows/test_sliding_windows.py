@@ -9,7 +9,7 @@ import pytest
 
 from automodel.geometry import View
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, Start
-from support.drawn_views import Shape, bar, binary, dashed, line_at
+from tests.support.drawn_views import Shape, bar, binary, dashed, line_at
 
 LANE_M, MARKING_M, REFERENCE_M = 0.4, 0.03, 0.13
 VIEW = View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.006)

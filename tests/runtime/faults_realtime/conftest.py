@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from support.fake_cars import car_toml, road
-from support.realtime_rig import BOARDS, Bench, Car, MakeBoard
+from tests.support.fake_cars import car_toml, road
+from tests.support.realtime_rig import BOARDS, Bench, Car, MakeBoard
 
 CHILDREN = Path(__file__).resolve().parents[2] / "support"
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from support.avr_board import HeardAvr
-from support.realtime_rig import Car
-from support.realtime_stops import QUIET_MS, check_never_drives, check_stop, phase_ms
+from tests.support.avr_board import HeardAvr
+from tests.support.realtime_rig import Car
+from tests.support.realtime_stops import QUIET_MS, check_never_drives, check_stop, phase_ms
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 

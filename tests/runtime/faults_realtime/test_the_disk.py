@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from automodel.recording.recover import recover
-from support.realtime_rig import Car, emulated
-from support.realtime_stops import LAST_TURN_MS, check_stop, phase_ms
+from tests.support.realtime_rig import Car, emulated
+from tests.support.realtime_stops import LAST_TURN_MS, check_stop, phase_ms
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 

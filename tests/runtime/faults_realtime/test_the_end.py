@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pytest
 
 from firmware_link.messages import Command, Disarm
-from support.realtime_rig import BOARDS, MS, NEUTRAL_US, Bench, Car, MakeBoard, emulated
-from support.realtime_stops import LAST_TURN_MS, QUIET_MS, REACTION_MS, check_never_drives, check_stop, phase_ms
+from tests.support.realtime_rig import BOARDS, MS, NEUTRAL_US, Bench, Car, MakeBoard, emulated
+from tests.support.realtime_stops import LAST_TURN_MS, QUIET_MS, REACTION_MS, check_never_drives, check_stop, phase_ms
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 LIFE_MS = (80.0, 400.0)  # of the simplest host since it opened the port: it arms the board, and drives for a while

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from support.realtime_rig import MS, Car, emulated
-from support.realtime_stops import QUIET_MS, check_never_drives, check_stop, check_stop_by_the_timer, phase_ms
+from tests.support.realtime_rig import MS, Car, emulated
+from tests.support.realtime_stops import QUIET_MS, check_never_drives, check_stop, check_stop_by_the_timer, phase_ms
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 BACKLOG_MS = 1500.0  # of words that nobody reads: more than one read of the port takes
