@@ -54,8 +54,7 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.sources": GROUND | {"automodel.interfaces"},
     "automodel.viewer": GROUND,
     "automodel.recording": GROUND | {"automodel", "automodel.interfaces", "automodel.sources", "automodel.viewer"},
-    "automodel.sim": GROUND
-    | {"automodel.runtime.clocks", "automodel.runtime.os_signals", "automodel.sources.errors"},
+    "automodel.sim": GROUND | {"automodel.runtime.clocks", "automodel.runtime.os_signals", "automodel.sources.errors"},
     "automodel.console": {"automodel", "automodel.interfaces", "automodel.signals", "automodel.runtime.os_signals"},
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
     "calibration": PARTS - {"automodel.pipelines", "automodel.perception"},
