@@ -8,8 +8,7 @@ from pathlib import Path
 
 from automodel.assembly.links import make_link
 from automodel.assembly.parts import make_camera, make_loop, make_recorder
-from automodel.assembly.run_watcher import Watcher, drive, run_config
-from automodel.cli.run import Options
+from automodel.assembly.run_watcher import Options, Watcher, drive, run_config
 from automodel.config import CarConfig, ConfigError
 from automodel.console.keys import ArmKey
 from automodel.console.messages import EventTeller, say

@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 
 from automodel.assembly.parts import make_loop, make_recorder
-from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher, drive, run_config
+from automodel.assembly.run_watcher import Options, Stopwatch, TimedLink, TimedSource, Watcher, drive, run_config
 from automodel.assembly.simulated_car import Simulation, lock_step, real_time
-from automodel.cli.run import Options
 from automodel.config import CarConfig, ConfigError
 from automodel.console.messages import EventTeller, say
 from automodel.console.progress import progress

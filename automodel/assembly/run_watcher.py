@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,24 @@ TRUTH_COLUMNS = (
     "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
 )  # fmt: skip
 GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Options:
+    """What the command line says."""
+
+    laps: int | None
+    duration_s: float | None
+    track: str
+    direction: str
+    seed: int
+    style: str
+    link: str | None
+    realtime: bool
+    arm: bool
+    record: Path | None
+    truth: Path | None
+    as_json: bool
 
 
 class Watcher:

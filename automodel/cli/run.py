@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -11,24 +10,6 @@ from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
 from automodel.config import PIPELINES, ConfigError
 
 SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "link", "realtime", "truth")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
-    """What the command line says."""
-
-    laps: int | None
-    duration_s: float | None
-    track: str
-    direction: str
-    seed: int
-    style: str
-    link: str | None
-    realtime: bool
-    arm: bool
-    record: Path | None
-    truth: Path | None
-    as_json: bool
 
 
 @click.command("run")
@@ -74,6 +55,7 @@ def command(
 ) -> int:
     """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime)."""
     from automodel.assembly.parts import read_car
+    from automodel.assembly.run_watcher import Options
 
     car, text = read_car(car_file, pipeline, speed_mps)
     options = Options(**rest)  # type: ignore[arg-type]
