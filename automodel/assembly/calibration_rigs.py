@@ -14,14 +14,13 @@ from automodel.runtime.clocks import MonotonicClock, VirtualClock
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
-from automodel.sources.capture import CaptureThread
+from automodel.sources.cameras import CaptureThread
 from automodel.types import Image
 from calibration.calibration_drive import Rig, Ticks
 from calibration.calibration_output import check_before
 from firmware_link.arduino import ArduinoLink
-from firmware_link.board_log import LoggedTransport
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.transport import MemoryTransport, SerialTransport
+from firmware_link.transport import LoggedTransport, MemoryTransport, SerialTransport
 
 _HALL_M = 50.0  # half the side of the simulated floor: no drive leaves it
 

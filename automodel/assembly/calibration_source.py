@@ -13,10 +13,10 @@ from automodel.config import CarConfig, ConfigError
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
 from automodel.signals import Frame
-from automodel.sources.capture import CaptureThread
+from automodel.sources.cameras import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import SUFFIXES, natural_key
-from automodel.sources.pictures import read_picture
+from automodel.sources.files import SUFFIXES, natural_key
+from automodel.sources.images import read_picture
 from automodel.types import Image
 
 LIVE = "live"

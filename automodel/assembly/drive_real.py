@@ -21,7 +21,7 @@ from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunParts, RunResult
 from automodel.runtime.runner import Runner
 from automodel.runtime.safety import Safety
-from automodel.sources.capture import CaptureThread
+from automodel.sources.cameras import CaptureThread
 from firmware_link.errors import LinkError, PortNotFound
 from firmware_link.transport import likely_ports
 

@@ -86,11 +86,11 @@ def make_camera(car: CarConfig) -> Source:
     from automodel.assembly.recordings import open_source
 
     if car.camera.source == "csi":
-        from automodel.sources.csi import CsiSource
+        from automodel.sources.cameras import CsiSource
 
         return CsiSource(car.camera)
     if car.camera.source == "usb":
-        from automodel.sources.usb import UsbSource
+        from automodel.sources.cameras import UsbSource
 
         return UsbSource(car.camera)
     return open_source(Path(car.camera.source), car, car.camera.rate_hz)

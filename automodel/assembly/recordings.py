@@ -8,9 +8,7 @@ from automodel.config import CarConfig
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
 from automodel.sources.errors import SourceError
-from automodel.sources.images import ImageSource
-from automodel.sources.tub import TubSource, is_tub
-from automodel.sources.video import VideoSource
+from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub
 
 FOLDER_RATE_HZ = 20.0  # pictures carry no time
 

@@ -15,19 +15,16 @@ from automodel.geometry import GroundCamera
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, VirtualClock
 from automodel.sim.appearance import Appearance
-from automodel.sim.lockstep import LockStepSource
 from automodel.sim.plant import Plant, PlantConfig
-from automodel.sim.realtime import RealTimeWorld
 from automodel.sim.renderer import Renderer
+from automodel.sim.sources import LockStepSource, RealTimeWorld
 from automodel.sim.track import Lane, Track, load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.ultrasonic import UltrasonicRanges
-from automodel.sim.world import Scene, World
+from automodel.sim.world import Scene, UltrasonicRanges, World
 from firmware_link.arduino import ArduinoLink
 from firmware_link.autonomos import AutonomosLink
 from firmware_link.emulator.autonomos import EmulatedAutonomos
-from firmware_link.emulator.avr import AvrBoard
-from firmware_link.emulator.avr_build import AvrProgram, build_avr
+from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport

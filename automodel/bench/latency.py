@@ -26,11 +26,9 @@ from automodel.runtime.runner import Runner
 from automodel.runtime.safety import Safety
 from automodel.signals import Command
 from firmware_link.arduino import ArduinoLink
-from firmware_link.emulator.avr import AvrBoard
-from firmware_link.emulator.avr_build import build_avr
-from firmware_link.emulator.bench import BenchPeripherals
+from firmware_link.emulator.avr import AvrBoard, build_avr
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.errors import LinkError
 from firmware_link.pulses import PulseTable
 from firmware_link.transport import SerialTransport

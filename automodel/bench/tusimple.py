@@ -30,10 +30,10 @@ from automodel.curves.base import Curve
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
-from automodel.sources.images import natural_key
-from automodel.sources.pictures import read_picture
+from automodel.sources.files import natural_key
+from automodel.sources.images import read_picture
 from automodel.types import FloatArray, Image
-from automodel.viewer.contact_sheet import GREEN, RED, Picture, write_sheet
+from automodel.viewer.plots import GREEN, RED, Picture, write_sheet
 from calibration.from_lanes import camera_from_lanes
 
 NONE = -2  # stands in the files where a lane has no point

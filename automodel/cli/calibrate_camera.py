@@ -21,7 +21,7 @@ from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.geometry import CameraModel
 from automodel.sources.errors import SourceError
-from automodel.sources.images import SUFFIXES
+from automodel.sources.files import SUFFIXES
 from automodel.types import Image
 from calibration.boards import DICTIONARIES, Board, other_dictionary
 from calibration.calibration_output import check_before, picture_folder, write_pictures, write_values

@@ -20,13 +20,13 @@ from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
-from automodel.recording.poses_csv import PosesCsv
+from automodel.recording.export import PosesCsv
 from automodel.recording.reader import RecordingSource
 from automodel.runtime.loop import Tick
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.motion_csv import MotionTable, read_motion_csv
-from automodel.sources.pictures import check_size
+from automodel.sources.files import MotionTable, read_motion_csv
+from automodel.sources.images import check_size
 from automodel.types import Image
 from automodel.viewer.overlay import draw
 from automodel.viewer.video import VideoWriter

@@ -23,8 +23,8 @@ from automodel.console.workers import spread
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 
 if TYPE_CHECKING:
-    from automodel.training.card import Origin
     from automodel.training.dataset import Pictures
+    from automodel.training.metrics import Origin
     from automodel.training.train import Kept, Progress, TrainConfig
 
 BATCH = 8
@@ -143,7 +143,9 @@ class _Run:
 
     def _write(self, kept: Kept) -> None:
         """Put a network into the folder, with its weights, figures and card."""
-        from automodel.training import card, export, train
+        from automodel.training import metrics as card
+        from automodel.training import train
+        from automodel.training import unet as export
 
         origin = self._origin(kept)
         name = f"marking_{self._size}"
@@ -156,7 +158,7 @@ class _Run:
         say(f"step {kept.steps}: {found}; written to {self._out / name}.onnx")
 
     def _origin(self, kept: Kept) -> Origin:
-        from automodel.training.card import Origin
+        from automodel.training.metrics import Origin
 
         config = self._config
         length = f"--steps {config.steps}" if config.minutes is None else f"--minutes {config.minutes:g}"

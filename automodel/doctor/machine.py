@@ -28,7 +28,7 @@ from automodel.doctor.bounds import bounded
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
 from automodel.perception.markings.self_test import drawn_lines
 from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig
-from automodel.recording.images import ImageCodec
+from automodel.recording.codec import ImageCodec
 from automodel.types import Image
 
 LITTLE_MIN, SCARCE_MIN = 2.0, 15.0  # minutes of recording that the disk has room for

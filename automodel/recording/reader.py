@@ -15,8 +15,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
-from automodel.recording.codec import TOPICS, Value, decode
-from automodel.recording.images import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, decode_image
+from automodel.recording.codec import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, TOPICS, Value, decode, decode_image
 from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
 from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError

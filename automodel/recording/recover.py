@@ -23,7 +23,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from automodel.config import ConfigError
-from automodel.recording.images import CAMERA, LEFT
+from automodel.recording.codec import CAMERA, LEFT
 from automodel.recording.run_file import CHUNK_BYTES
 from automodel.sources.errors import SourceError
 

@@ -22,8 +22,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from automodel.config import ConfigError, RecordingConfig, parse_car
-from automodel.recording.codec import TOPICS, Value, encode
-from automodel.recording.images import CAMERA, LEFT, RIGHT, SCHEMA, ImageCodec, descriptor_set
+from automodel.recording.codec import CAMERA, LEFT, RIGHT, SCHEMA, TOPICS, ImageCodec, Value, descriptor_set, encode
 from automodel.signals import Frame, StereoFrame
 
 _Schema = dict[str, Any]

@@ -12,12 +12,10 @@ from scipy.interpolate import CubicSpline
 
 from automodel.config.toml_reader import ConfigError, read_text
 from automodel.curves import SplineCurve
-from automodel.sim.broken_lines import broken_spans
-from automodel.sim.circuit_sections import BrokenLines, RoadsideSection
-from automodel.sim.paint import Grain, Paint, on_line, paint_line
+from automodel.sim.paint import Grain, Paint, broken_spans, on_line, paint_line
 from automodel.sim.roadside import build_roadside
 from automodel.sim.track import Lane, Track, lane_between, reversed_lane
-from automodel.sim.track_sections import Marking
+from automodel.sim.track_sections import BrokenLines, Marking, RoadsideSection
 from automodel.types import FloatArray
 
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from automodel.curves import Curve
-from automodel.sim.circuit_sections import RoadsideSection
 from automodel.sim.paint import Paint
+from automodel.sim.track_sections import RoadsideSection
 from automodel.types import FloatArray
 
 Width = Callable[[ArrayLike], FloatArray]

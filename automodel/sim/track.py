@@ -14,12 +14,10 @@ from numpy.typing import ArrayLike
 from automodel.config.toml_reader import ConfigError, read_text, where
 from automodel.curves import Curve, OffsetCurve, ReversedCurve
 from automodel.geometry import SE2
-from automodel.sim.circuit_sections import LaneWidth
-from automodel.sim.crossings import RoadCrossing, find_crossings
-from automodel.sim.paint import Paint, paint_road
+from automodel.sim.paint import Paint, RoadCrossing, find_crossings, paint_road
 from automodel.sim.roadside import build_roadside
 from automodel.sim.track_reading import read_track
-from automodel.sim.track_sections import Box, TrackFile
+from automodel.sim.track_sections import Box, LaneWidth, TrackFile
 from automodel.types import FloatArray
 
 

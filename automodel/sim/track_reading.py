@@ -11,8 +11,18 @@ import numpy as np
 
 from automodel.config.toml_reader import ConfigError, parse_toml, read_section, where
 from automodel.curves import Curve, JoinedCurve
-from automodel.sim.circuit_sections import WidthAt
-from automodel.sim.track_sections import PIECES, ArcPiece, Box, Gap, LanesSection, Marking, Piece, StopLine, TrackFile
+from automodel.sim.track_sections import (
+    PIECES,
+    ArcPiece,
+    Box,
+    Gap,
+    LanesSection,
+    Marking,
+    Piece,
+    StopLine,
+    TrackFile,
+    WidthAt,
+)
 
 CLOSING_GAP_M = 1e-3
 CLOSING_TURN_RAD = math.radians(0.1)

@@ -1,4 +1,7 @@
-"""Prescribed drives along a lane: the driving styles of Cudrano et al. 2020, section VI, for benches."""
+"""Prescribed drives along a lane: the driving styles of Cudrano et al. 2020, section VI, for benches.
+
+Prescribed laps of a circuit at full scale, at the speed that its bends allow (Cudrano et al. 2020, section VI).
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.interpolate import CubicSpline
+from scipy.sparse.linalg import splu
 
 from automodel.curves import Curve, SplineCurve
 from automodel.signals import Motion, MotionSource
@@ -127,3 +134,157 @@ class CommandedMotion:
         speed = later.speed_mps / self._scale
         yaw_rate = speed * math.tan(steering) / self._wheelbase_m
         return Motion(t_ns=t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate, source=MotionSource.COMMAND)
+
+
+MAX_HEADING_RAD = math.radians(40.0)  # of the oscillating style
+_STEP_M = 1.0  # between the path's knots
+_SMOOTH_M = 20.0  # over which the lane's bends and widths are averaged for the swing
+_LINE_STEP_M = 4.0  # between the knots of the racing line
+_LINE_ROUNDS = 80  # of the weights that hold the racing line between the track's sides
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """Speeds and accelerations of a drive; the paper's cars went at 3 to 15 m/s."""
+
+    slowest_mps: float = 3.0
+    fastest_mps: float = 15.0
+    lateral_mps2: float = 3.0
+    speeding_up_mps2: float = 2.0
+    braking_mps2: float = 3.5
+
+
+class CircuitDrive:
+    """Laps of the closed lane `lane` in one of `trajectory.STYLES`; the rear axle's centre follows `path`.
+
+    centred: within 5 % of the lane's width. oscillating: from side to side with headings up to 40 degrees, calmer in
+    tight bends. racing: the line of least curvature that keeps the car's sides between the lines, as a racing line
+    close to one side and then the other.
+    """
+
+    def __init__(self, lane: Lane, style: str, car_width_m: float, seed: int = 0, pace: Pace | None = None) -> None:
+        if style not in STYLES:
+            raise ValueError(f"style: {style!r} is none of {', '.join(STYLES)}")
+        length_m = lane.centerline.length_m
+        count = round(length_m / _STEP_M)
+        s: FloatArray = np.linspace(0.0, length_m, count, endpoint=False)
+        free = 0.5 * (lane.width_m(s) - car_width_m)
+        phase = float(np.random.default_rng((seed, STYLES.index(style))).uniform(0.0, math.tau))
+        offsets = {"centred": _centred, "oscillating": _oscillating, "racing": _racing}[style](lane, s, free, phase)
+        self.lane = lane
+        self.path = SplineCurve(lane.centerline.offset_position(s, offsets), closed=True)
+        self._lane_s: FloatArray = np.append(s, length_m)
+        self._speed = _speeds(self.path, pace or Pace())
+        knots = self.path.knots_m
+        self._time = np.concatenate(([0.0], np.cumsum(2.0 * np.diff(knots) / (self._speed[1:] + self._speed[:-1]))))
+
+    @property
+    def lap_s(self) -> float:
+        """The time of a lap [s]."""
+        return float(self._time[-1])
+
+    def time_at(self, lane_s_m: float) -> float:
+        """When the car is at arc length `lane_s_m` of the lane's centerline [s], in the first lap."""
+        return float(np.interp(lane_s_m % self._lane_s[-1], self._lane_s, self._time))
+
+    def poses(self, t_s: ArrayLike) -> list[DrivenPose]:
+        """The poses at times (n,) [s] after the start; the acceleration is constant from knot to knot."""
+        t = np.asarray(t_s, dtype=np.float64) % self.lap_s
+        i = np.clip(np.searchsorted(self._time, t, side="right") - 1, 0, len(self._time) - 2)
+        begin, ahead = self._speed[i], t - self._time[i]
+        accel = (self._speed[i + 1] - begin) / (self._time[i + 1] - self._time[i])
+        speed = begin + accel * ahead
+        s = self.path.knots_m[i] + (begin + 0.5 * accel * ahead) * ahead
+        yaw_rate = self.path.curvature(s) * speed
+        columns = (*self.path.position(s).T, self.path.heading(s), speed, yaw_rate)
+        return [
+            DrivenPose(x_m=x, y_m=y, yaw_rad=math.remainder(yaw, math.tau), speed_mps=v, yaw_rate_radps=rate)
+            for x, y, yaw, v, rate in zip(*(column.tolist() for column in columns), strict=True)
+        ]
+
+
+def pick_stretches(lane: Lane, count: int, length_m: float, seed: int) -> list[float]:
+    """Arc lengths [m] of the middles of `count` stretches: half of them the sharpest bends, the others anywhere else.
+
+    They do not overlap as long as there is room for all.
+    """
+    lap_m = lane.centerline.length_m
+    s = np.arange(round(lap_m)) * (lap_m / round(lap_m))
+    sharp = _smoothed(np.abs(lane.centerline.curvature(s)), 30.0 * len(s) / lap_m)
+    rng = np.random.default_rng((seed, 51))
+    picked: list[float] = []
+    free = np.ones(len(s), np.bool_)
+    for k in range(count):
+        places = np.flatnonzero(free if free.any() else np.ones(len(s), np.bool_))
+        best = places[int(np.argmax(sharp[places]))] if 2 * k < count else places[int(rng.integers(len(places)))]
+        picked.append(float(s[best]))
+        free &= np.abs((s - s[best] + 0.5 * lap_m) % lap_m - 0.5 * lap_m) >= length_m
+    return sorted(picked)
+
+
+def _centred(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatArray:
+    width, length_m = lane.width_m(s), lane.centerline.length_m
+    waves = max(round(length_m / (9.0 * float(width.mean()))), 1)
+    return np.asarray(0.05 * width * np.sin(math.tau * waves * s / length_m + phase))
+
+
+def _oscillating(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatArray:
+    """A sine as high as the lane leaves room for, as short as its steepest headings allow."""
+    length_m = lane.centerline.length_m
+    window = _SMOOTH_M * len(s) / length_m
+    room = _smoothed(free, window)
+    bend = _smoothed(np.abs(lane.centerline.curvature(s)), window)
+    turned = np.cumsum(math.tan(MAX_HEADING_RAD) / room) * (length_m / len(s))
+    waves = max(round(float(turned[-1]) / math.tau), 1)
+    swell = 0.65 + 0.35 * np.sin(math.tau * max(waves // 8, 1) * s / length_m)  # headings of 12 to 40 degrees
+    calm = np.maximum(1.0 - 2.0 * bend * room, 0.0)
+    return np.asarray(room * calm * swell * np.sin(turned * (math.tau * waves / turned[-1]) + phase))
+
+
+def _racing(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatArray:
+    """The offsets with the least sum of squared curvature between the sides.
+
+    With H the Hessian and g the gradient of that sum at the centerline, (H + diag(l)) d = -g and l_i = 0 or |d_i| =
+    free_i (the conditions of Kuhn and Tucker for d_i^2 <= free_i^2). The weights l are found by repeated multiplication
+    with (d_i / free_i)^2.
+    """
+    lap_m = lane.centerline.length_m
+    count = round(lap_m / _LINE_STEP_M)
+    coarse = np.arange(count) * (lap_m / count)
+    room = np.interp(coarse, s, free)
+    points, heading = lane.centerline.position(coarse), lane.centerline.heading(coarse)
+    second = sparse.diags([1.0, -2.0, 1.0, 1.0, 1.0], [-1, 0, 1, count - 1, 1 - count], shape=(count, count))
+    across = [second @ sparse.diags(n) for n in (-np.sin(heading), np.cos(heading))]
+    hessian = sum(a.T @ a for a in across)
+    gradient = sum(a.T @ (second @ p) for a, p in zip(across, points.T, strict=True))
+    weights = np.full(count, 1e-3)
+    for _ in range(_LINE_ROUNDS):
+        offsets = splu((hessian + sparse.diags(weights)).tocsc()).solve(-gradient)
+        weights = np.clip(weights * (offsets / room) ** 2, 1e-9, 1e3)
+    inside = np.clip(offsets, -room, room)
+    smooth = CubicSpline(np.append(coarse, lap_m), np.append(inside, inside[0]), bc_type="periodic")
+    return np.asarray(smooth(s), dtype=np.float64)
+
+
+def _smoothed(values: FloatArray, window: float) -> FloatArray:
+    """A periodic series, averaged with a bell `window` samples broad at half height."""
+    half = max(round(window), 1)
+    kernel = np.hanning(2 * half + 1)
+    padded = np.concatenate((values[-half:], values, values[:half]))
+    return np.asarray(np.convolve(padded, kernel / kernel.sum(), mode="valid"))
+
+
+def _speeds(path: SplineCurve, pace: Pace) -> FloatArray:
+    """The speed [m/s] at each knot, the first again at the end: what the bends, then the accelerations allow."""
+    knots = path.knots_m
+    bend = np.abs(path.curvature(knots))
+    square = np.clip(pace.lateral_mps2 / np.maximum(bend, 1e-9), pace.slowest_mps**2, pace.fastest_mps**2)
+    step = np.diff(knots)
+    for _ in range(2):  # a second lap, for what comes before the first knot
+        for i in range(len(step)):
+            square[i + 1] = min(square[i + 1], square[i] + 2.0 * pace.speeding_up_mps2 * step[i])
+        square[0] = square[-1]
+        for i in range(len(step) - 1, -1, -1):
+            square[i] = min(square[i], square[i + 1] + 2.0 * pace.braking_mps2 * step[i])
+        square[-1] = square[0]
+    return np.sqrt(square)

@@ -1,60 +1,69 @@
-"""A folder of pictures as a source."""
+"""Pictures as the stages want them: decoded whole, grey or BGR, and of the configured size."""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
+import numpy as np
+
+from automodel.config import CameraConfig
 from automodel.signals import Frame
-from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.pictures import read_picture
+from automodel.sources.errors import SourceError
+from automodel.types import Image
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".pgm", ".ppm")
-
-
-def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sorts `2.png` before `10.png`."""
-    parts = re.findall(r"[0-9]+|[^0-9]+", name.lower())
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+_TAIL_BYTES = 4096  # cameras may write a few bytes after a picture's end mark
+_JPEG = (b"\xff\xd8", b"\xff\xd9")
+_PNG = (b"\x89PNG", b"IEND")
 
 
-class ImageSource:
-    """The pictures of a folder in natural order at a fixed rate, the first at time 0.
+@contextmanager
+def opencv_silenced() -> Iterator[None]:
+    """Keep OpenCV's own log lines off stderr: the error that is raised instead says it in one line."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
-    Raises SourceError for a folder that is not there or holds no picture, and (from `read`) for a damaged picture or
-    one of another size than the first, by name.
+
+def read_picture(path: Path, colour: bool) -> Image:
+    """The picture in a file, (h, w) grey or (h, w, 3) BGR; raises SourceError where it is missing, cut or no picture.
+
+    Decoders fill the missing part of a cut JPEG with grey and go on; here the end mark is demanded first.
     """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
+    for begin, end in (_JPEG, _PNG):
+        if data.startswith(begin) and end not in data[-_TAIL_BYTES:]:
+            raise SourceError(f"{path}: the picture is cut; replace it or take it out")
+    image: Image | None = None
+    if data:
+        with opencv_silenced():
+            flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)  # type: ignore[assignment]
+    if image is None:
+        raise SourceError(f"{path}: not a picture, or a damaged one; replace it or take it out")
+    return image
 
-    def __init__(self, folder: str | Path, rate_hz: float = 20.0, colour: bool = False) -> None:
-        self.folder, self.rate_hz, self.colour = Path(folder), rate_hz, colour
-        if not rate_hz > 0:
-            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
-        if not self.folder.is_dir():
-            raise SourceError(f"{folder}: no such folder")
-        found = (p for p in self.folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
-        self.files = sorted(found, key=lambda p: (natural_key(p.name), p.name))
-        if not self.files:
-            raise SourceError(f"{folder}: no pictures in this folder ({', '.join(SUFFIXES)})")
-        self._next = 0
-        self._shape: tuple[int, ...] | None = None
 
-    def read(self, timeout_s: float) -> Frame:
-        """The next picture; raises EndOfSource after the last."""
-        if self._next >= len(self.files):
-            raise EndOfSource
-        path = self.files[self._next]
-        image = read_picture(path, self.colour)
-        shape = image.shape[:2]
-        if self._shape is not None and shape != self._shape:
-            raise SourceError(
-                f"{path}: {shape[1]}x{shape[0]} pixels where the pictures before have "
-                f"{self._shape[1]}x{self._shape[0]}; keep one size a folder"
-            )
-        self._shape = shape
-        frame = Frame(t_ns=round(self._next * 1e9 / self.rate_hz), index=self._next, image=image)
-        self._next += 1
-        return frame
+def in_colour(image: Image, colour: bool) -> Image:
+    """The image as (h, w, 3) BGR where `colour`, else as (h, w) grey; unchanged where it is so already."""
+    if colour == (image.ndim == 3):
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
-    def close(self) -> None:
-        """No more frames."""
-        self._next = len(self.files)
+
+def check_size(frame: Frame, camera: CameraConfig) -> None:
+    """Raise SourceError unless the frame has the size that the camera was calibrated for."""
+    height, width = frame.image.shape[:2]
+    if (width, height) != (camera.width_px, camera.height_px):
+        raise SourceError(
+            f"frame {frame.index}: {width}x{height} pixels where car.toml says "
+            f"{camera.width_px}x{camera.height_px}; set [camera] width_px, height_px and the intrinsics for this source"
+        )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
-from automodel.training import noise, solids, vehicles
+from automodel.training import noise, solids
 from automodel.training.solids import Solid
 from automodel.types import FloatArray, Image
 
@@ -51,7 +51,7 @@ def _thing(camera: GroundCamera, rng: Rng, reach: float) -> Solid:
     if kind < 0.38:
         at = _place(camera, rng, reach, 0.2)
         yaw = rng.normal(0, 0.12) if rng.random() < 0.8 else rng.uniform(-math.pi, math.pi)
-        build = vehicles.truck if rng.random() < 0.2 else vehicles.car
+        build = solids.truck if rng.random() < 0.2 else solids.car
         return build(rng, at[0] + 0.6, at[1], yaw)
     if kind < 0.56:
         return _wall_beside(camera, rng, reach)

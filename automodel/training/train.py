@@ -20,10 +20,9 @@ from torch.nn import functional
 
 from automodel.config.toml_reader import ConfigError, positive
 from automodel.perception.markings.unet import open_session, run_network
-from automodel.training.export import onnx_bytes
 from automodel.training.metrics import Figures, measured
 from automodel.training.shapes import UNKNOWN
-from automodel.training.unet import MarkingNet
+from automodel.training.unet import MarkingNet, onnx_bytes
 from automodel.types import Image
 
 T = TypeVar("T")

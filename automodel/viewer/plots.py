@@ -1,13 +1,63 @@
-"""Figures as PNG files."""
+"""Figures as PNG files.
+
+Pictures side by side, with points drawn into them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from automodel.config import ConfigError
+from automodel.types import FloatArray, Image
+
+Colour = tuple[int, int, int]
+
+GREEN: Colour = (80, 220, 60)
+RED: Colour = (40, 40, 255)
+_WHITE: Colour = (255, 255, 255)
+_COLUMNS, _WIDTH_PX, _STRIP_PX = 2, 640, 18
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """A picture (h, w, 3) BGR, a line of text, and lines (k, n) of u [px] on `rows` (n,), each lot in one colour."""
+
+    image: Image
+    note: str
+    rows: FloatArray
+    lines: Sequence[tuple[FloatArray, Colour]]
+
+
+def write_sheet(path: Path, pictures: Sequence[Picture]) -> None:
+    """Write the pictures as one PNG, two a row, in order; raises ConfigError where that is not possible."""
+    drawn = [_drawn(picture) for picture in pictures]
+    tallest = max(image.shape[0] for image in drawn)
+    cells = [np.pad(image, ((0, tallest - image.shape[0]), (0, 0), (0, 0))) for image in drawn]
+    cells += [np.zeros_like(cells[0])] * (-len(cells) % _COLUMNS)
+    sheet = np.vstack([np.hstack(cells[at : at + _COLUMNS]) for at in range(0, len(cells), _COLUMNS)])
+    coded, data = cv2.imencode(".png", sheet)
+    if not coded:
+        raise ConfigError(f"{path}: cannot be written as a picture")
+    path.write_bytes(data.tobytes())
+
+
+def _drawn(picture: Picture) -> Image:
+    scale = _WIDTH_PX / picture.image.shape[1]
+    image = cv2.resize(picture.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for lines, colour in picture.lines:
+        for line in lines:
+            for u, v in zip(line, picture.rows, strict=True):
+                if np.isfinite(u):
+                    cv2.circle(image, (round((u + 0.5) * scale), round((v + 0.5) * scale)), 2, colour, -1, cv2.LINE_AA)
+    strip = np.zeros((_STRIP_PX, image.shape[1], 3), np.uint8)
+    cv2.putText(strip, picture.note, (4, _STRIP_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
+    return np.asarray(np.vstack((strip, image)), dtype=np.uint8)
+
 
 # name, times [s], estimates (offset [m], heading [rad]) and truths (offset, heading, width), NaN without an estimate
 Drive = tuple[str, Sequence[float], Sequence[tuple[float, float]], Sequence[tuple[float, float, float]]]

@@ -13,7 +13,7 @@ import re
 import sys
 
 from firmware_link.emulator.board import SERVO_FRAME_NS, Peripherals
-from firmware_link.emulator.options import BoardCounters
+from firmware_link.emulator.logic import BoardCounters
 from firmware_link.emulator.uart import UartLine
 
 NEUTRAL_US = 1500.0

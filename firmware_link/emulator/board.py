@@ -7,8 +7,7 @@ from typing import Protocol
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
-from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic
-from firmware_link.emulator.options import BoardCounters, BoardOptions
+from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardCounters, BoardLogic, BoardOptions
 from firmware_link.emulator.uart import UartLine
 from firmware_link.framing import RawFrame
 from firmware_link.messages import Fault, ResetCause, StatusFlag

@@ -1,4 +1,7 @@
-"""A board on a pseudo terminal: what opens a serial port opens this."""
+"""A board on a pseudo terminal: what opens a serial port opens this.
+
+A board on the bench: nothing moves, the pulses are noted, the sensors read what they are told to.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ import tempfile
 import threading
 import time
 import tty
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
+from automodel.signals import BoardSensors
 from firmware_link.transport import Board
 
 STEP_S = 0.001
@@ -161,3 +166,29 @@ class PtyBoard:
         if self._unread:
             with contextlib.suppress(OSError):
                 self._unread = self._unread[os.write(master, self._unread) :]
+
+
+class BenchPeripherals:
+    """Peripherals of a board on the bench.
+
+    `pulses` has the (t_ns, servo_us, motor_us) of the newest 10,000 servo frames. `sensors` is what is read; assign to
+    it.
+    """
+
+    def __init__(self) -> None:
+        self.pulses: deque[tuple[int, float, float]] = deque(maxlen=10_000)
+        self.sensors = BoardSensors(ranges_m=(None, None, None), wheel_ticks=0, battery_v=7.4, yaw_rate_radps=None)
+
+    @property
+    def at_pins(self) -> tuple[float, float]:
+        """The pulses (servo_us, motor_us) at the pins now."""
+        _, servo_us, motor_us = self.pulses[-1]
+        return servo_us, motor_us
+
+    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
+        """Note the pulses."""
+        self.pulses.append((t_ns, servo_us, motor_us))
+
+    def read_sensors(self, t_ns: int) -> BoardSensors:
+        """`sensors`."""
+        return self.sensors

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from automodel.runtime.clocks import VirtualClock
-from automodel.sim.lockstep import LockStepSource
-from automodel.sim.realtime import RealTimeWorld
+from automodel.sim.sources import LockStepSource, RealTimeWorld
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError
 from tests.support import spawned_worlds

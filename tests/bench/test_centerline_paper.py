@@ -32,7 +32,7 @@ from automodel.config import CarConfig, ConfigError, PipelineConfig
 from automodel.curves import line
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
-from automodel.sim.circuit_drive import CircuitDrive
+from automodel.sim.trajectory import CircuitDrive
 
 CAR = full_scale_car(PipelineConfig())
 TABLE = ["accuracy", "--table", "centerline-paper"]

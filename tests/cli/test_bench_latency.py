@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_link.emulator import avr_build
+from firmware_link.emulator import avr
 
 KEYS = ["link", "stage", "samples", "p50_ms", "p99_ms", "max_ms", "clock"]
 QUICK = ("bench", "latency", "--pipeline", "windows", "--frames", "60", "--json")
@@ -31,9 +31,9 @@ def test_the_emulated_board(cli) -> None:
 
 @pytest.mark.slow
 def test_the_firmware_on_a_simulated_chip(cli) -> None:
-    missing = avr_build.missing_tools()
+    missing = avr.missing_tools()
     if missing:
-        pytest.skip(f"{', '.join(missing)}: missing for the simulated AVR; apt-get install {avr_build.PACKAGES}")
+        pytest.skip(f"{', '.join(missing)}: missing for the simulated AVR; apt-get install {avr.PACKAGES}")
     said = cli(*QUICK, "--link", "avr", "--commands", "200")
     assert (said.code, said.err) == (0, "")
     check(said.rows, "avr", 200)

@@ -16,10 +16,9 @@ from automodel.runtime.clocks import VirtualClock
 from automodel.sim.plant import PlantConfig
 from calibration import calibration_drive, odometry_drive
 from firmware_link.arduino import ArduinoLink
-from firmware_link.board_log import LoggedTransport
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.transport import MemoryTransport
+from firmware_link.emulator.pty import BenchPeripherals
+from firmware_link.transport import LoggedTransport, MemoryTransport
 from tests.support.calibrated_cars import during, untouched
 
 

@@ -11,8 +11,8 @@ import pytest
 from automodel.config import load_car
 from automodel.runtime.clocks import VirtualClock
 from calibration import servo_dialogue as servo_terminal
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 from tests.support.calibrated_cars import untouched
 

@@ -19,13 +19,12 @@ from automodel.cli import doctor
 from automodel.doctor import board as doctor_board
 from automodel.doctor import camera as doctor_camera
 from automodel.signals import BoardSensors, Frame
-from automodel.sources import csi
+from automodel.sources import cameras as csi
 from firmware_link import arduino
 from firmware_link.emulator import logic
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from tests.support.command_line import Said
 from tests.support.fake_cars import StillCamera, road
 from tests.support.fake_cars import car_toml as written

@@ -15,8 +15,8 @@ from automodel.doctor.findings import Finding, Verdict
 from automodel.doctor.move import Consent, servo_finding
 from automodel.runtime.clocks import VirtualClock
 from firmware_link.arduino import ArduinoLink
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 
 CAR = CarConfig()

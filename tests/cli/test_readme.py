@@ -12,8 +12,8 @@ import pytest
 
 from automodel.cli.main import cli as commands
 from automodel.config import CarConfig, parse_car
-from automodel.recording.poses_csv import COLUMNS
-from automodel.sources.motion_csv import read_motion_csv
+from automodel.recording.export import COLUMNS
+from automodel.sources.files import read_motion_csv
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -13,10 +13,9 @@ from automodel.assembly import drive_real
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event
 from firmware_link import arduino
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from tests.support.fake_cars import StillCamera, car_toml, road
 
 pytestmark = pytest.mark.realtime

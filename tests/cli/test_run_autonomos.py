@@ -12,8 +12,7 @@ from automodel.recording.reader import Recording
 from automodel.signals import VehicleState
 from firmware_link import autonomos
 from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard, Pins
-from firmware_link.emulator.bench import BenchPeripherals
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from tests.support.fake_cars import StillCamera, car_toml, road
 
 RUN = ("run", "--track", "oval", "--pipeline", "windows")

@@ -8,14 +8,14 @@ import pytest
 
 from automodel.recording.reader import Recording
 from automodel.signals import VehicleState
-from firmware_link.emulator import avr_build
+from firmware_link.emulator import avr
 
 
 @pytest.fixture
 def toolchain() -> None:
-    missing = avr_build.missing_tools()
+    missing = avr.missing_tools()
     if missing:
-        pytest.skip(f"{', '.join(missing)}: missing for the simulated AVR; apt-get install {avr_build.PACKAGES}")
+        pytest.skip(f"{', '.join(missing)}: missing for the simulated AVR; apt-get install {avr.PACKAGES}")
 
 
 @pytest.mark.slow
@@ -52,8 +52,8 @@ def test_what_the_firmware_says_is_recorded(toolchain: None, cli, tmp_path: Path
 
 
 def test_a_missing_toolchain_is_one_line_that_says_what_to_install(cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(avr_build.shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
-    monkeypatch.setattr(avr_build, "_has_header", lambda compiler, name: name != "simavr/sim_avr.h")
+    monkeypatch.setattr(avr.shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
+    monkeypatch.setattr(avr, "_has_header", lambda compiler, name: name != "simavr/sim_avr.h")
     said = cli("run", "--link", "avr", "--duration", "1")
     assert said.code == 2
     assert said.line() == (
@@ -63,7 +63,7 @@ def test_a_missing_toolchain_is_one_line_that_says_what_to_install(cli, monkeypa
 
 
 def test_an_installed_package_has_no_simulator(cli, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(avr_build, "FIRMWARE", tmp_path)
+    monkeypatch.setattr(avr, "FIRMWARE", tmp_path)
     said = cli("run", "--link", "avr", "--duration", "1")
     assert said.code == 2
     assert said.line().endswith("the simulated AVR is no part of the installed package, use a checkout")
@@ -74,7 +74,7 @@ def test_a_simulator_that_does_not_compile_is_one_line(
 ) -> None:
     (tmp_path / "simavr").mkdir()
     (tmp_path / "Makefile").write_text("%:\n\t@echo 'x.cpp:1: error: no such thing' >&2; false\n")
-    monkeypatch.setattr(avr_build, "FIRMWARE", tmp_path)
+    monkeypatch.setattr(avr, "FIRMWARE", tmp_path)
     said = cli("run", "--link", "avr", "--duration", "1")
     assert said.code == 2
     assert said.line() == "automodel: firmware.elf: cannot be built: x.cpp:1: error: no such thing"

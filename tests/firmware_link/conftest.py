@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals
 from tests.support.avr_board import HeardAvr
 from tests.support.compiled_board import load
 from tests.support.firmware_build import host_library

@@ -12,7 +12,7 @@ from automodel.config import VehicleConfig
 from automodel.signals import NEUTRAL, BoardSensors
 from firmware_link import messages
 from firmware_link.arduino import LATCHED_FAULTS, ArduinoLink
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.errors import HandshakeError, PortLost
 from firmware_link.transport import MemoryTransport
 

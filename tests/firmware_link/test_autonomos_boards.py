@@ -16,7 +16,7 @@ from firmware_link.emulator.autonomos import (
     int16,
     whole,
 )
-from firmware_link.emulator.bench import BenchPeripherals
+from firmware_link.emulator.pty import BenchPeripherals
 
 MS = 1_000_000
 

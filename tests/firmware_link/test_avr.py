@@ -15,9 +15,8 @@ from automodel.config import LinkConfig, VehicleConfig
 from automodel.signals import Command as Wish
 from firmware_link import messages
 from firmware_link.arduino import ArduinoLink
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.logic import DEFAULT_LIMITS
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.messages import Arm, Command, Fault, Limits, ResetCause
 from firmware_link.transport import SerialTransport
 from tests.support.realtime_rig import PATIENCE_S, BoardClock

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import Arm, Command, Limits
 
 MS = 1_000_000

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import DEFAULT_LIMITS
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import Fault, ResetCause
 
 MS = 1_000_000

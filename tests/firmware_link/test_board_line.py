@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import Fault, ResetCause
 
 MS = 1_000_000

@@ -7,11 +7,10 @@ import pytest
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
-from firmware_link.board_log import LoggedTransport
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import Odometry, Status
-from firmware_link.transport import MemoryTransport
+from firmware_link.transport import LoggedTransport, MemoryTransport
 
 MS = 1_000_000
 

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.faulty_board import FaultyBoard
+from firmware_link.emulator.pty import BenchPeripherals
 
 MS = 1_000_000
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from firmware_link import messages, protocol_header
+from firmware_link import messages, protocol_files
 from tests.support.firmware_build import FIRMWARE, host_library, need
 
 TESTS = Path(__file__).parent
@@ -24,13 +24,13 @@ LOGIC_TESTS = (
 
 
 def test_header_is_current() -> None:
-    assert protocol_header.HEADER.read_text(encoding="utf-8") == protocol_header.protocol_header(), (
-        "make it anew: python -m firmware_link.protocol_header"
+    assert protocol_files.HEADER.read_text(encoding="utf-8") == protocol_files.protocol_header(), (
+        "make it anew: python -m firmware_link.protocol_files"
     )
 
 
 def test_header_is_that_of_the_table() -> None:
-    text = protocol_header.HEADER.read_text(encoding="utf-8")
+    text = protocol_files.HEADER.read_text(encoding="utf-8")
     assert f"kTableHash = {messages.TABLE_HASH:#06x};" in text
     assert re.search(
         r"struct Status \{\n  static constexpr uint8_t kType = 0x82;\n  static constexpr uint8_t kBytes = 14;", text

@@ -12,9 +12,9 @@ import pytest
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic, limits_fit
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import PULSE_STEP_US, Arm, Command, Limits, ResetCause
 from tests.support.compiled_board import CompiledArduino
 

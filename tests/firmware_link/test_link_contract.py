@@ -12,7 +12,7 @@ import pytest
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.errors import HandshakeError, PortLost, PortNotFound
 
 MS = 1_000_000

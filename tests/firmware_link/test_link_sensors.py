@@ -10,8 +10,8 @@ from automodel.config import LinkConfig, VehicleConfig
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import VehicleState
 from firmware_link.arduino import ArduinoLink
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 
 MS = 1_000_000

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_link import framing, messages, protocol_tables
-from firmware_link.codec import Codec, WireField, wire
+from firmware_link import framing, messages, protocol_files
+from firmware_link.messages import Codec, WireField, wire
 
 
 def _value(field: WireField) -> st.SearchStrategy[Any]:
@@ -109,23 +109,23 @@ def test_none_must_be_an_end_of_the_range() -> None:
 
 
 def test_readme_has_the_current_tables() -> None:
-    text = protocol_tables.README.read_text(encoding="utf-8")
-    assert protocol_tables.current(text) == text, "make them anew: python -m firmware_link.protocol_tables"
+    text = protocol_files.README.read_text(encoding="utf-8")
+    assert protocol_files.current(text) == text, "make them anew: python -m firmware_link.protocol_files"
     assert f"{messages.TABLE_HASH:#06x}" in text
 
 
 def test_tables_are_written_between_the_markers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{protocol_tables.BEGIN}\nold\n{protocol_tables.END}\nafter\n")
-    monkeypatch.setattr(protocol_tables, "README", readme)
-    protocol_tables.main()
+    readme.write_text(f"before\n{protocol_files.BEGIN}\nold\n{protocol_files.END}\nafter\n")
+    monkeypatch.setattr(protocol_files, "README", readme)
+    monkeypatch.setattr(protocol_files, "HEADER", tmp_path / "protocol.h")
+    protocol_files.main()
     text = readme.read_text()
     assert (
-        text
-        == f"before\n{protocol_tables.BEGIN}\n\n{protocol_tables.protocol_tables()}\n{protocol_tables.END}\nafter\n"
+        text == f"before\n{protocol_files.BEGIN}\n\n{protocol_files.protocol_tables()}\n{protocol_files.END}\nafter\n"
     )
 
 
 def test_readme_without_markers_is_refused() -> None:
     with pytest.raises(ValueError, match="markers"):
-        protocol_tables.current("nothing here")
+        protocol_files.current("nothing here")

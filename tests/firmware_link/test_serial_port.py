@@ -13,10 +13,9 @@ import pytest
 from serial.tools import list_ports
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.errors import LinkError, PortLost, PortNotFound, PortRefused
 from firmware_link.transport import SerialTransport
 

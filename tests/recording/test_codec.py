@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from automodel.config import RecordingConfig
 from automodel.curves import Curve, ReversedCurve, ThetaCurve
-from automodel.recording.codec import TOPICS, Value, decode, encode
-from automodel.recording.images import ImageCodec, decode_image
+from automodel.recording.codec import TOPICS, ImageCodec, Value, decode, decode_image, encode
 from automodel.recording.run_file import SCHEMAS
 from automodel.signals import Command, LaneEstimate, LaneStatus, Motion, MotionSource, VehicleState
 from tests.support.recorded_values import make_command, make_estimate, make_event, make_frame, make_motion, make_state

@@ -10,8 +10,7 @@ import pytest
 
 from automodel.config import ConfigError, RecordingConfig, parse_car
 from automodel.curves import line
-from automodel.recording.export import export_csv, export_video, mean_rate_hz
-from automodel.recording.poses_csv import PosesCsv
+from automodel.recording.export import PosesCsv, export_csv, export_video, mean_rate_hz
 from automodel.recording.reader import Recording
 from automodel.recording.writer import McapRecorder
 from automodel.signals import Command, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus

@@ -15,8 +15,7 @@ from automodel.sim.background import Background
 from automodel.sim.coverage import covered
 from automodel.sim.ground_light import NEUTRAL, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.ground_projection import GroundProjection
-from automodel.sim.renderer import Renderer
-from automodel.sim.sensor_effects import SensorEffects, blur_kernel, exposure
+from automodel.sim.renderer import Renderer, SensorEffects, blur_kernel, exposure
 from automodel.sim.track import load_track
 
 CAMERA = GroundCamera.from_config(CameraConfig())

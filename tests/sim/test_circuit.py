@@ -17,12 +17,12 @@ from automodel.config.toml_reader import ConfigError
 from automodel.curves import arc, line
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
-from automodel.sim.broken_lines import broken_spans
-from automodel.sim.circuit_sections import BrokenLines, LaneWidth, RoadsideSection, WidthAt
+from automodel.sim.paint import broken_spans
 from automodel.sim.racetrack import read_racetrack
 from automodel.sim.renderer import Renderer
 from automodel.sim.roadside import build_roadside
 from automodel.sim.track import Track, load_track, parse_track
+from automodel.sim.track_sections import BrokenLines, LaneWidth, RoadsideSection, WidthAt
 
 TEXT = resources.files("tracks").joinpath("circuit.toml").read_text(encoding="utf-8")
 EYE = GroundCamera.from_config(full_scale_car(PipelineConfig()).camera)

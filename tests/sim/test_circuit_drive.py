@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from automodel.signals import MotionSource
-from automodel.sim.circuit_drive import CircuitDrive, Pace, pick_stretches
 from automodel.sim.track import Lane, load_track
-from automodel.sim.trajectory import STYLES, CommandedMotion, DrivenPose
+from automodel.sim.trajectory import STYLES, CircuitDrive, CommandedMotion, DrivenPose, Pace, pick_stretches
 from automodel.sim.truth import TruthFollower
 
 CAR_WIDTH_M = 1.8

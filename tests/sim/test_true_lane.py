@@ -9,9 +9,8 @@ from automodel.geometry import SE2
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.plant import CarState
 from automodel.sim.track import load_track
-from automodel.sim.true_lane import TrueLane
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import Scene
+from automodel.sim.world import Scene, TrueLane
 
 LANE = load_track("oval").lane()
 REFERENCE_X_M = 0.13

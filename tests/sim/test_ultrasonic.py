@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from automodel.sim.plant import CarState
-from automodel.sim.ultrasonic import UltrasonicRanges, distance_in_cone
+from automodel.sim.world import UltrasonicRanges, distance_in_cone
 
 BUMPER_X_M = 0.33
 

@@ -10,11 +10,17 @@ import pytest
 
 from automodel.config import CameraConfig
 from automodel.signals import Frame
-from automodel.sources import usb as usb_module
-from automodel.sources.capture import CaptureThread
-from automodel.sources.csi import CsiSource, gst_command, jetson_elements, synthetic_elements
+from automodel.sources import cameras as usb_module
+from automodel.sources.cameras import (
+    CaptureThread,
+    CsiSource,
+    UsbSource,
+    captured_ns,
+    gst_command,
+    jetson_elements,
+    synthetic_elements,
+)
 from automodel.sources.errors import SourceError
-from automodel.sources.usb import UsbSource, captured_ns
 
 CAMERA = CameraConfig(source="csi", device=1, width_px=320, height_px=180, rate_hz=59.94)
 needs_gstreamer = pytest.mark.skipif(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from automodel.signals import Frame
-from automodel.sources.capture import CaptureThread
+from automodel.sources.cameras import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
 
 WAIT_S = 20.0  # far beyond what any step takes; nothing waits for it when all is well

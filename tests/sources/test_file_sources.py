@@ -11,10 +11,8 @@ import pytest
 from automodel.config import CameraConfig
 from automodel.signals import Frame
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import ImageSource, natural_key
-from automodel.sources.pictures import check_size, in_colour, read_picture
-from automodel.sources.tub import TubSource, is_tub
-from automodel.sources.video import VideoSource
+from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub, natural_key
+from automodel.sources.images import check_size, in_colour, read_picture
 
 
 def picture(number: int, width: int = 64, height: int = 48) -> np.ndarray:

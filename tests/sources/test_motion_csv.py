@@ -6,7 +6,7 @@ import pytest
 
 from automodel.config import ConfigError
 from automodel.signals import MotionSource
-from automodel.sources.motion_csv import read_motion_csv
+from automodel.sources.files import read_motion_csv
 
 
 def write_motion(folder: Path, text: str) -> Path:

@@ -8,10 +8,9 @@ from pathlib import Path
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.avr import AvrBoard
-from firmware_link.emulator.avr_build import AvrMissing, AvrProgram, build_avr
-from firmware_link.emulator.bench import BenchPeripherals
-from firmware_link.emulator.options import BoardCounters
+from firmware_link.emulator.avr import AvrBoard, AvrMissing, AvrProgram, build_avr
+from firmware_link.emulator.logic import BoardCounters
+from firmware_link.emulator.pty import BenchPeripherals
 
 _built: dict[str, AvrProgram] = {}  # one build serves all tests of a process
 _folder = tempfile.TemporaryDirectory(prefix="avr-")

@@ -8,7 +8,7 @@ from typing import Any
 
 from firmware_link import messages
 from firmware_link.emulator.board import SERVO_FRAME_NS, TICK_NS, EmulatedArduino, Peripherals, _State
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.messages import PULSE_STEP_US, ResetCause
 
 COMMAND_BYTES = 7

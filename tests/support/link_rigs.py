@@ -13,10 +13,9 @@ from automodel.signals import Command, VehicleState
 from firmware_link.arduino import ArduinoLink
 from firmware_link.autonomos import AutonomosLink
 from firmware_link.emulator.autonomos import EmulatedAutonomos, EmulatedMotorController, EmulatedServoBoard, Pins
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport
 from tests.support.avr_board import HeardAvr
 

@@ -23,10 +23,9 @@ from typing import Any
 import pytest
 
 from firmware_link import messages
-from firmware_link.emulator.bench import BenchPeripherals
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.options import BoardOptions
-from firmware_link.emulator.pty import PtyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.messages import Command, CommandFlag, Message
 from tests.support.avr_board import HeardAvr
 from tests.support.terminal_signals import signals_of_a_terminal

@@ -19,7 +19,7 @@ from automodel.runtime.loop import Loop
 from automodel.runtime.runner import RunConfig, Runner, RunParts
 from automodel.runtime.safety import Safety, SafetyMode
 from automodel.signals import Frame, VehicleState
-from automodel.sources.capture import CaptureThread
+from automodel.sources.cameras import CaptureThread
 from tests.support.runner_fakes import FakeController, FakeLimits, FakeMotion, FakePipeline
 
 PERIOD_S = 1.0 / 60.0

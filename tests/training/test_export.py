@@ -13,10 +13,8 @@ onnx = pytest.importorskip("onnx")
 
 from automodel.perception.markings.onnx_check import OPSET, check_onnx
 from automodel.perception.markings.unet import SIZES, open_session, run_network
-from automodel.training.card import Origin, write_card, write_figures
-from automodel.training.export import onnx_bytes, with_metadata, write_whole
-from automodel.training.metrics import Figures
-from automodel.training.unet import MarkingNet, standardised
+from automodel.training.metrics import Figures, Origin, write_card, write_figures
+from automodel.training.unet import MarkingNet, onnx_bytes, standardised, with_metadata, write_whole
 
 
 @pytest.fixture(scope="module")

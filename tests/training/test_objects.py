@@ -6,7 +6,7 @@ import pytest
 
 from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
-from automodel.training import objects, solids, vehicles
+from automodel.training import objects, solids
 from automodel.training.cameras import Kind, random_camera
 from automodel.training.objects import draw_objects
 
@@ -86,7 +86,7 @@ def test_a_part_of_a_face_lies_where_its_shares_say():
     np.testing.assert_allclose(quad[:, :2], [(1, 1), (2, 1), (2, 2), (1, 2)])
 
 
-@pytest.mark.parametrize("make", [vehicles.car, vehicles.truck, solids.carton, solids.table])
+@pytest.mark.parametrize("make", [solids.car, solids.truck, solids.carton, solids.table])
 def test_things_stand_on_the_ground_at_their_place(make):
     for seed in range(10):
         quads = make(np.random.default_rng(seed), 5.0, -1.0, 0.0).quads

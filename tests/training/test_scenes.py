@@ -10,12 +10,10 @@ from automodel.geometry import CameraModel, GroundCamera
 from automodel.training import distractors, scenes
 from automodel.training import distractors as signs
 from automodel.training.cameras import Kind, WideLens, random_camera
-from automodel.training.ground_view import GroundView, atlas
 from automodel.training.layouts import random_road
-from automodel.training.painting import Canvas, worn
 from automodel.training.roads import Road, edge_style, painted, random_ribbon
-from automodel.training.scenes import Sample, lit_ground, make_sample, photographed
-from automodel.training.shapes import UNKNOWN, Ink, Patch, Ribbon, Stripe, box
+from automodel.training.scenes import GroundView, Sample, atlas, lit_ground, make_sample, photographed
+from automodel.training.shapes import UNKNOWN, Canvas, Ink, Patch, Ribbon, Stripe, box, worn
 
 WIDTH, HEIGHT = 512, 256
 FOCAL, CX, CY, CAMERA_Z = 300.0, 255.5, 90.0, 0.5

@@ -43,19 +43,18 @@ from automodel.runtime.runner import Runner
 from automodel.runtime.safety import Safety
 from automodel.signals import Event, Frame, StereoFrame
 from automodel.sim.appearance import Appearance
-from automodel.sim.lockstep import LockStepSource
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
+from automodel.sim.sources import LockStepSource
 from automodel.sim.track import Lane, Track, load_track
-from automodel.sim.true_lane import TrueLane
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import Scene, World
+from automodel.sim.world import Scene, TrueLane, World
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.faulty_board import FaultyBoard
-from firmware_link.emulator.options import BoardOptions
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.messages import TABLE_HASH
 from firmware_link.pulses import PulseTable
 from firmware_link.transport import MemoryTransport

@@ -1,4 +1,4 @@
-// Made from the message table (firmware_link/messages.py) by `python -m firmware_link.protocol_header`.
+// Made from the message table (firmware_link/messages.py) by `python -m firmware_link.protocol_files`.
 // Do not edit: change the table, then make it anew.
 #pragma once
 

@@ -1,0 +1,267 @@
+"""A USB camera (V4L2) as a source.
+
+A CSI camera of a Jetson as a source: GStreamer in a process of its own, frames through a pipe.
+
+The pip wheels of OpenCV are built without GStreamer; `gst-launch-1.0` comes with every Jetson.
+
+A thread that always has the newest frame.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import select
+import subprocess
+import tempfile
+import threading
+import time
+
+import cv2
+import numpy as np
+
+from automodel.config import CameraConfig
+from automodel.interfaces import Source
+from automodel.signals import Frame, StereoFrame
+from automodel.sources.errors import EndOfSource, SourceError
+from automodel.sources.images import in_colour, opencv_silenced
+from automodel.types import Image
+
+_OLDEST_NS = 1_000_000_000  # a driver's time of capture older than this is on another clock
+
+
+class UsbSource:
+    """Frames of /dev/videoN as they come, stamped with the driver's time of capture, or on arrival without one.
+
+    Asks for MJPG (`fourcc` "YUYV" for cameras that have no MJPG) and one buffer only, so that no old frame waits.
+    Raises SourceError for a camera that is not there, has another size, or stops. `read` stays in the driver for up to
+    its own timeout; wrap the source in a `CaptureThread` to bound the wait.
+    """
+
+    def __init__(self, camera: CameraConfig, fourcc: str = "MJPG") -> None:
+        self.device = f"/dev/video{camera.device}"
+        self.colour = camera.colour
+        with opencv_silenced():
+            self._capture = cv2.VideoCapture(camera.device, cv2.CAP_V4L2)
+        if not self._capture.isOpened():
+            raise SourceError(f"{self.device}: cannot be opened; is the camera plugged in, and [camera] device right?")
+        self._configure(camera, fourcc)
+        self._next = 0
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next frame."""
+        there, image = False, None
+        with opencv_silenced():
+            if self._capture.grab():
+                now_ns = time.monotonic_ns()
+                t_ns = captured_ns(float(self._capture.get(cv2.CAP_PROP_POS_MSEC)), now_ns)
+                there, image = self._capture.retrieve()
+        if not there or image is None:
+            raise SourceError(f"{self.device}: no more frames; is the camera still plugged in?")
+        frame = Frame(t_ns=t_ns, index=self._next, image=in_colour(np.asarray(image, dtype=np.uint8), self.colour))
+        self._next += 1
+        return frame
+
+    def close(self) -> None:
+        """Give the camera back; may be called twice."""
+        self._capture.release()
+
+    def _configure(self, camera: CameraConfig, fourcc: str) -> None:
+        wanted = (camera.width_px, camera.height_px)
+        for key, value in (
+            (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc)),
+            (cv2.CAP_PROP_FRAME_WIDTH, wanted[0]),
+            (cv2.CAP_PROP_FRAME_HEIGHT, wanted[1]),
+            (cv2.CAP_PROP_FPS, camera.rate_hz),
+            (cv2.CAP_PROP_BUFFERSIZE, 1),
+        ):
+            self._capture.set(key, value)
+        got = tuple(int(self._capture.get(k)) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if got != wanted:
+            self.close()
+            raise SourceError(
+                f"{self.device}: gives {got[0]}x{got[1]} pixels where car.toml asks for {wanted[0]}x{wanted[1]}; "
+                f"choose a size that the camera has (v4l2-ctl --list-formats-ext) and calibrate for it"
+            )
+
+
+def captured_ns(driver_ms: float, now_ns: int) -> int:
+    """The driver's time of capture [ns] where it is on the monotonic clock, else the time of arrival."""
+    if not np.isfinite(driver_ms):
+        return now_ns
+    driver_ns = round(driver_ms * 1e6)
+    return driver_ns if 0 <= now_ns - driver_ns <= _OLDEST_NS else now_ns
+
+
+_PIPE_BYTES = 1 << 20  # a frame fits in one go; the kernel's default of 64 KiB takes a switch per piece
+_STOP_S = 2.0
+
+
+def jetson_elements(camera: CameraConfig) -> str:
+    """The head of the pipeline on a Jetson: the sensor, and its pictures out of the ISP's memory."""
+    return (
+        f"nvarguscamerasrc sensor-id={camera.device} "
+        f"! video/x-raw(memory:NVMM),width={camera.width_px},height={camera.height_px},"
+        f"framerate={_fraction(camera.rate_hz)} ! nvvidconv"
+    )
+
+
+def synthetic_elements(camera: CameraConfig) -> str:
+    """The head of the pipeline on any machine: GStreamer's test picture at the camera's rate."""
+    return f"videotestsrc is-live=true ! video/x-raw,framerate={_fraction(camera.rate_hz)} ! videoconvert"
+
+
+def gst_command(camera: CameraConfig, elements: str) -> list[str]:
+    """The whole command: `elements`, then the wanted format, the newest frame only, to stdout."""
+    pixel = "BGRx" if camera.colour else "GRAY8"
+    caps = f"video/x-raw,format={pixel},width={camera.width_px},height={camera.height_px}"
+    tail = f"! {caps} ! queue leaky=downstream max-size-buffers=1 ! fdsink sync=false"
+    return ["gst-launch-1.0", "--quiet", *elements.split(), *tail.split()]
+
+
+class CsiSource:
+    """Frames of a CSI camera as they come, stamped on arrival with the monotonic clock.
+
+    Raises SourceError where GStreamer is missing, cannot open the camera, or stops; the text has its last words.
+    """
+
+    def __init__(self, camera: CameraConfig, elements: str | None = None) -> None:
+        self.colour = camera.colour
+        self._name = f"CSI camera {camera.device}"
+        # GStreamer pads the rows of raw video to multiples of 4 bytes
+        self._row_bytes = (camera.width_px * (4 if self.colour else 1) + 3) // 4 * 4
+        self._width, self._height = camera.width_px, camera.height_px
+        self._buffer, self._filled, self._next = self._empty(), 0, 0
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process that writes to it
+        try:
+            self._process = subprocess.Popen(
+                gst_command(camera, elements or jetson_elements(camera)),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=self._log,
+                bufsize=0,
+            )
+        except FileNotFoundError:
+            self._log.close()
+            raise SourceError(
+                "gst-launch-1.0: not found; a CSI camera needs GStreamer (apt-get install gstreamer1.0-tools)"
+            ) from None
+        assert self._process.stdout is not None
+        self._pipe = self._process.stdout
+        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        os.set_blocking(self._pipe.fileno(), False)
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """The next frame, or None when it was not complete within `timeout_s`; what has come of it is kept."""
+        if self._pipe.closed:
+            raise SourceError(f"{self._name}: closed")
+        deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
+        while self._filled < len(self._buffer):
+            left_s = max(deadline_ns - time.monotonic_ns(), 0) * 1e-9
+            if not select.select([self._pipe], [], [], left_s)[0]:
+                return None
+            got = os.readv(self._pipe.fileno(), [self._buffer[self._filled :].data])
+            if got == 0:
+                raise SourceError(f"{self._name}: no more frames: {self._last_words()}")
+            self._filled += got
+        frame = Frame(t_ns=time.monotonic_ns(), index=self._next, image=self._image())
+        self._buffer, self._filled = self._empty(), 0
+        self._next += 1
+        return frame
+
+    def close(self) -> None:
+        """Stop GStreamer and give the camera back; may be called twice."""
+        self._pipe.close()
+        if self._process.poll() is None:
+            self._process.terminate()
+            try:
+                self._process.wait(_STOP_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._log.close()
+
+    def _empty(self) -> Image:
+        return np.empty(self._row_bytes * self._height, np.uint8)
+
+    def _image(self) -> Image:
+        rows = self._buffer.reshape(self._height, self._row_bytes)
+        if not self.colour:
+            return np.ascontiguousarray(rows[:, : self._width])
+        return np.ascontiguousarray(rows.reshape(self._height, self._width, 4)[:, :, :3])
+
+    def _last_words(self) -> str:
+        try:
+            self._process.wait(_STOP_S)
+        except subprocess.TimeoutExpired:
+            return "GStreamer closed the pipe"
+        self._log.seek(0)
+        lines = self._log.read().decode("utf-8", "replace").splitlines()
+        errors = [line for line in lines if "ERROR" in line or "erroneous" in line] or lines
+        return errors[0].strip() if errors else f"GStreamer ended with code {self._process.returncode}"
+
+
+def _fraction(rate_hz: float) -> str:
+    milli = round(rate_hz * 1000)
+    return f"{milli // 1000}/1" if milli % 1000 == 0 else f"{milli}/1000"
+
+
+_POLL_S = 0.1  # how long the thread stays in the wrapped source before it looks whether to stop
+_JOIN_S = 2.0
+
+
+class CaptureThread:
+    """Wraps a source: reads it in a daemon thread and hands out the newest frame only.
+
+    A frame that is replaced before it was read counts in `drops`. An error or the end of the wrapped source is passed
+    on by `read`, after the frame that came before it. The thread closes the wrapped source itself, so that a driver
+    is never closed while it is being read.
+    """
+
+    def __init__(self, source: Source) -> None:
+        self.drops = 0
+        self._source = source
+        self._changed = threading.Condition()
+        self._newest: Frame | StereoFrame | None = None
+        self._end: OSError | EndOfSource | None = None
+        self._stopping = False
+        self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
+        self._thread.start()
+
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
+        """The newest frame that was not delivered yet, or None when none came within `timeout_s`."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._end is not None, timeout_s)
+            frame, self._newest = self._newest, None
+            if frame is None and self._end is not None:
+                raise self._end
+            return frame
+
+    def close(self) -> None:
+        """Stop the thread and give the device back; may be called twice."""
+        with self._changed:
+            self._stopping = True
+        self._thread.join(_JOIN_S)
+
+    def _run(self) -> None:
+        end: OSError | EndOfSource = SourceError("the capture thread died")
+        try:
+            while not self._stopping:
+                frame = self._source.read(_POLL_S)
+                if frame is not None:
+                    self._put(frame)
+            end = EndOfSource("closed")
+        except (OSError, EndOfSource) as error:
+            end = error
+        finally:
+            with self._changed:
+                self._end = end
+                self._changed.notify_all()
+            self._source.close()
+
+    def _put(self, frame: Frame | StereoFrame) -> None:
+        with self._changed:
+            if self._newest is not None:
+                self.drops += 1
+            self._newest = frame
+            self._changed.notify_all()

@@ -1,0 +1,314 @@
+"""A video file as a source.
+
+A folder of pictures as a source.
+
+A donkeycar tub (version 2) as a source.
+
+A tub is a folder: `manifest.json` with five JSON lines (inputs, types, metadata, manifest metadata, catalogs),
+`catalog_N.catalog` with one JSON object a line, and `images/`.
+
+motion.csv: the car's motion beside a video or a folder of pictures.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from automodel.config.toml_reader import ConfigError
+from automodel.signals import Frame, Motion, MotionSource
+from automodel.sources.errors import EndOfSource, SourceError
+from automodel.sources.images import in_colour, opencv_silenced, read_picture
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once by OpenCV; the errors raised here say it instead
+
+_COUNT_TOLERANCE = 0.02  # containers give the number of frames by duration, which may be off by a few
+
+
+class VideoSource:
+    """The frames of a video file at the file's rate, or at `rate_hz` where given; the first at time 0.
+
+    Raises SourceError for a file that is not there, is no video or says no rate, and (from `read`) at the end of one
+    that is cut: when clearly fewer frames came than the file promises.
+    """
+
+    def __init__(self, path: str | Path, rate_hz: float | None = None, colour: bool = False) -> None:
+        self.path, self.colour = Path(path), colour
+        if rate_hz is not None and not rate_hz > 0:
+            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+        if not self.path.is_file():
+            raise SourceError(f"{path}: no such file")
+        with opencv_silenced():
+            self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
+        if not self._capture.isOpened():
+            raise SourceError(f"{path}: cannot be opened as a video: it is cut, damaged or something else")
+        own_hz = float(self._capture.get(cv2.CAP_PROP_FPS))
+        if rate_hz is None and not (math.isfinite(own_hz) and 0 < own_hz <= 1000):
+            self.close()
+            raise SourceError(f"{path}: the file does not say its frame rate; give it with --rate")
+        self.rate_hz = own_hz if rate_hz is None else rate_hz
+        count = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        self.frame_count = int(count) if math.isfinite(count) and 0 < count < 1e9 else None  # None: not known
+        self._next = 0
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next frame; raises EndOfSource after the last."""
+        with opencv_silenced():
+            there, image = self._capture.read()
+        if not there:
+            self._check_end()
+            raise EndOfSource
+        frame = Frame(
+            t_ns=round(self._next * 1e9 / self.rate_hz),
+            index=self._next,
+            image=in_colour(np.asarray(image, dtype=np.uint8), self.colour),
+        )
+        self._next += 1
+        return frame
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self.frame_count = None
+        self._capture.release()
+
+    def _check_end(self) -> None:
+        if self.frame_count is None:
+            return
+        missing = self.frame_count - self._next
+        if missing > max(2, _COUNT_TOLERANCE * self.frame_count):
+            raise SourceError(f"{self.path}: ends after {self._next} of {self.frame_count} frames: the file is cut")
+
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".pgm", ".ppm")
+
+
+def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
+    """Sorts `2.png` before `10.png`."""
+    parts = re.findall(r"[0-9]+|[^0-9]+", name.lower())
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+
+
+class ImageSource:
+    """The pictures of a folder in natural order at a fixed rate, the first at time 0.
+
+    Raises SourceError for a folder that is not there or holds no picture, and (from `read`) for a damaged picture or
+    one of another size than the first, by name.
+    """
+
+    def __init__(self, folder: str | Path, rate_hz: float = 20.0, colour: bool = False) -> None:
+        self.folder, self.rate_hz, self.colour = Path(folder), rate_hz, colour
+        if not rate_hz > 0:
+            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+        if not self.folder.is_dir():
+            raise SourceError(f"{folder}: no such folder")
+        found = (p for p in self.folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+        self.files = sorted(found, key=lambda p: (natural_key(p.name), p.name))
+        if not self.files:
+            raise SourceError(f"{folder}: no pictures in this folder ({', '.join(SUFFIXES)})")
+        self._next = 0
+        self._shape: tuple[int, ...] | None = None
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next picture; raises EndOfSource after the last."""
+        if self._next >= len(self.files):
+            raise EndOfSource
+        path = self.files[self._next]
+        image = read_picture(path, self.colour)
+        shape = image.shape[:2]
+        if self._shape is not None and shape != self._shape:
+            raise SourceError(
+                f"{path}: {shape[1]}x{shape[0]} pixels where the pictures before have "
+                f"{self._shape[1]}x{self._shape[0]}; keep one size a folder"
+            )
+        self._shape = shape
+        frame = Frame(t_ns=round(self._next * 1e9 / self.rate_hz), index=self._next, image=image)
+        self._next += 1
+        return frame
+
+    def close(self) -> None:
+        """No more frames."""
+        self._next = len(self.files)
+
+
+_IMAGE, _ANGLE, _THROTTLE = "cam/image_array", "user/angle", "user/throttle"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TubRecord:
+    """One line of a catalog: the picture's file and what the person did, -1 .. 1, None where not recorded.
+
+    Donkeycar's angle is positive to the *right*; it is given as recorded.
+    """
+
+    index: int
+    picture: Path
+    angle: float | None
+    throttle: float | None
+
+
+def is_tub(folder: str | Path) -> bool:
+    """Whether the folder is a tub (of version 2)."""
+    return (Path(folder) / "manifest.json").is_file()
+
+
+class TubSource:
+    """The pictures of a tub at a given rate: the timestamps in tubs are those of the file writer, not the camera's.
+
+    Records in `deleted_indexes` are left out and leave a gap in time. Raises SourceError with file and line for a
+    manifest or catalog that is missing or damaged, and (from `read`) for a damaged picture.
+    """
+
+    def __init__(self, folder: str | Path, rate_hz: float = 20.0, colour: bool = False) -> None:
+        self.folder, self.rate_hz, self.colour = Path(folder), rate_hz, colour
+        if not rate_hz > 0:
+            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+        self.records = read_tub(self.folder)
+        self._next = 0
+
+    def read(self, timeout_s: float) -> Frame:
+        """The next picture; raises EndOfSource after the last."""
+        if self._next >= len(self.records):
+            raise EndOfSource
+        record = self.records[self._next]
+        since = record.index - self.records[0].index
+        image = read_picture(record.picture, self.colour)
+        frame = Frame(t_ns=round(since * 1e9 / self.rate_hz), index=self._next, image=image)
+        self._next += 1
+        return frame
+
+    def record_of(self, frame: Frame) -> TubRecord:
+        """What the tub says beside a frame that this source delivered."""
+        return self.records[frame.index]
+
+    def close(self) -> None:
+        """No more frames."""
+        self._next = len(self.records)
+
+
+def read_tub(folder: Path) -> tuple[TubRecord, ...]:
+    """The records of a tub in order, the deleted ones left out; raises SourceError."""
+    manifest = folder / "manifest.json"
+    lines = _json_lines(manifest)
+    catalogs = lines[-1][1] if lines else None
+    if not isinstance(catalogs, dict) or not isinstance(catalogs.get("paths"), list):
+        raise SourceError(f'{manifest}: not a tub of version 2: its last line has no "paths" list')
+    deleted = catalogs.get("deleted_indexes", [])
+    if not isinstance(deleted, list):
+        raise SourceError(f"{manifest}:{lines[-1][0]}: deleted_indexes is not a list")
+    records = []
+    for name in catalogs["paths"]:
+        path = folder / str(name)
+        records += [_record(folder, path, number, entry) for number, entry in _json_lines(path)]
+    kept = tuple(r for r in records if r.index not in set(deleted))
+    if not kept:
+        raise SourceError(f"{folder}: the tub holds no records (or all of them are deleted)")
+    return kept
+
+
+def _json_lines(path: Path) -> list[tuple[int, Any]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise SourceError(f"{path}: no such file; is this a donkeycar tub of version 2?") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise SourceError(f"{path}: cannot be read: {error}") from error
+    values = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.strip():
+            continue
+        try:
+            values.append((number, json.loads(line)))
+        except json.JSONDecodeError:
+            raise SourceError(f"{path}:{number}: not JSON: the line is cut or damaged; delete it") from None
+    return values
+
+
+def _record(folder: Path, path: Path, number: int, entry: Any) -> TubRecord:
+    if not isinstance(entry, dict) or not isinstance(entry.get(_IMAGE), str):
+        raise SourceError(f"{path}:{number}: a record without {_IMAGE}")
+    index = entry.get("_index")
+    if not isinstance(index, int) or isinstance(index, bool):
+        raise SourceError(f"{path}:{number}: a record without _index")
+    return TubRecord(
+        index=index,
+        picture=folder / "images" / entry[_IMAGE],
+        angle=_number(path, number, entry, _ANGLE),
+        throttle=_number(path, number, entry, _THROTTLE),
+    )
+
+
+def _number(path: Path, number: int, entry: dict[str, Any], key: str) -> float | None:
+    value = entry.get(key)
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
+        raise SourceError(f"{path}:{number}: {key} is {value!r} where a number is wanted")
+    return float(value)
+
+
+HEADER = ("t_s", "speed_mps", "yaw_rate_radps")
+
+
+class MotionTable:
+    """Speed [m/s] and yaw rate [rad/s] over time, linear in between; outside the table nothing is known."""
+
+    def __init__(self, t_s: NDArray[np.float64], speed_mps: NDArray[np.float64], yaw_rate_radps: NDArray[np.float64]):
+        self._t_s, self._speed_mps, self._yaw_rate_radps = t_s, speed_mps, yaw_rate_radps
+
+    def at(self, t_ns: int) -> Motion:
+        """The motion at a frame's time; its source is RECORDED, or NONE before the first row and after the last."""
+        t_s = t_ns * 1e-9
+        if not self._t_s[0] - 1e-9 <= t_s <= self._t_s[-1] + 1e-9:
+            return Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+        return Motion(
+            t_ns=t_ns,
+            speed_mps=float(np.interp(t_s, self._t_s, self._speed_mps)),
+            yaw_rate_radps=float(np.interp(t_s, self._t_s, self._yaw_rate_radps)),
+            source=MotionSource.RECORDED,
+        )
+
+
+def read_motion_csv(path: str | Path) -> MotionTable:
+    """Read `t_s,speed_mps,yaw_rate_radps`; t_s counts from the first frame. Raises ConfigError with file and line."""
+    try:
+        with open(path, encoding="utf-8-sig", newline="") as file:
+            rows = list(csv.reader(file))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    if not rows or tuple(cell.strip() for cell in rows[0]) != HEADER:
+        raise ConfigError(f"{path}:1: the first line must be {','.join(HEADER)}")
+    table = [_numbers(path, line, row) for line, row in enumerate(rows[1:], 2) if row]
+    if not table:
+        raise ConfigError(f"{path}: no rows below the header")
+    values = np.array(table, dtype=np.float64)
+    backwards = np.flatnonzero(np.diff(values[:, 0]) <= 0)
+    if len(backwards):
+        raise ConfigError(f"{path}:{int(backwards[0]) + 3}: t_s must rise from row to row")
+    return MotionTable(values[:, 0], values[:, 1], values[:, 2])
+
+
+def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
+    if len(row) != len(HEADER):
+        raise ConfigError(f"{path}:{line}: {len(row)} values where {len(HEADER)} are wanted")
+    values = []
+    for name, cell in zip(HEADER, row, strict=True):
+        try:
+            value = float(cell)
+        except ValueError:
+            value = float("nan")
+        if not np.isfinite(value):
+            raise ConfigError(f"{path}:{line}: {name} is {cell.strip()!r} where a finite number is wanted")
+        values.append(value)
+    return values
