@@ -1,1 +1,1 @@
-"""The shipped tracks, one TOML each; `automodel.sim.track.load_track` reads them."""
+"""The shipped tracks, one TOML each; `automodel.sim.track_files.load_track` reads them."""

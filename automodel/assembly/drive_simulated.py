@@ -16,7 +16,7 @@ from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunParts
 from automodel.runtime.runner import Runner
 from automodel.runtime.safety import Safety
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 
 QUIET = frozenset({"arming", "driving", "end"})
 

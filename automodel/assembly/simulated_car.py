@@ -18,7 +18,8 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
 from automodel.sim.sources import LockStepSource, RealTimeWorld
-from automodel.sim.track import Lane, Track, load_track
+from automodel.sim.track import Lane, Track
+from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import Scene, UltrasonicRanges, World
 from firmware_link.arduino import ArduinoLink

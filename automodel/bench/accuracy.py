@@ -20,7 +20,7 @@ from automodel.console.progress import progress
 from automodel.console.workers import spread
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, LaneEstimate, Motion
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
 

@@ -42,8 +42,8 @@ from automodel.console.workers import spread
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.appearance import Appearance
-from automodel.sim.racetrack import read_racetrack
-from automodel.sim.track import Track, load_track
+from automodel.sim.track import Track
+from automodel.sim.track_files import load_track, read_racetrack
 from automodel.sim.track_sections import BrokenLines, RoadsideSection
 from automodel.sim.trajectory import STYLES, CircuitDrive, CommandedMotion, DrivenPose, Odometer, pick_stretches
 from automodel.sim.truth import TruthFollower

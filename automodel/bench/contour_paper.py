@@ -27,7 +27,7 @@ from automodel.console.tables import show
 from automodel.console.workers import spread
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, Odometer
 from automodel.sim.truth import TruthFollower
 

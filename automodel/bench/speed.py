@@ -12,7 +12,7 @@ from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import CarConfig
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, Odometer
 
 WARM_UP = 30  # frames that are not counted

@@ -43,7 +43,8 @@ from automodel.pipelines import make_pipeline
 from automodel.pipelines.windows import Windows
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, Motion
 from automodel.sim.paint import Paint
-from automodel.sim.track import Lane, load_track
+from automodel.sim.track import Lane
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import DrivenPose
 from automodel.types import FloatArray
 

@@ -11,9 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import sparse
-from scipy.interpolate import CubicSpline
-from scipy.sparse.linalg import splu
 
 from automodel.curves import Curve, SplineCurve
 from automodel.signals import Motion, MotionSource
@@ -248,6 +245,10 @@ def _racing(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatA
     free_i (the conditions of Kuhn and Tucker for d_i^2 <= free_i^2). The weights l are found by repeated multiplication
     with (d_i / free_i)^2.
     """
+    from scipy import sparse
+    from scipy.interpolate import CubicSpline
+    from scipy.sparse.linalg import splu
+
     lap_m = lane.centerline.length_m
     count = round(lap_m / _LINE_STEP_M)
     coarse = np.arange(count) * (lap_m / count)

@@ -24,7 +24,7 @@ from automodel.config import CarConfig
 from automodel.curves import GraphCurve, line
 from automodel.geometry import View
 from automodel.signals import Crossing, LaneEstimate, LaneLine, LaneStatus
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import DrivenPose
 
 X = np.array([0.5, 0.6, 0.7, 0.8])

@@ -14,7 +14,7 @@ from automodel.config import parse_car
 from automodel.recording.codec import encode
 from automodel.recording.reader import Recording
 from automodel.signals import Command
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 
 RUN_KEYS = [
     "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane", "stops", "latency_p50_ms", "latency_p99_ms"

@@ -9,7 +9,7 @@ import pytest
 
 from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.signals import LaneStatus
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.types import Image
 from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
 from tests.support.rendered_drives import Seen, camera, with_camera

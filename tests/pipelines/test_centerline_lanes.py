@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.signals import LaneStatus
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, line, road, scaled, swing
 from tests.support.rendered_drives import Seen, camera, with_camera
 

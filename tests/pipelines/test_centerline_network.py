@@ -19,7 +19,7 @@ from automodel.pipelines import make_pipeline
 from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneStatus, Motion
 from automodel.sim.appearance import Appearance
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from tests.support import onnx_files as files
 from tests.support.masked_drives import CAR, arc, errors, gap, line, road
 from tests.support.rendered_drives import RenderedDrive, Seen, check_sound

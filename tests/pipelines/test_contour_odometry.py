@@ -9,7 +9,7 @@ import pytest
 
 from automodel.bench.accuracy import FALSE_LANE
 from automodel.pipelines.contour import Contour
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, check_sound
 
 RIGHT = 20  # frames for which the odometer is right

@@ -13,7 +13,7 @@ import pytest
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from tests.support.masked_drives import arc, gap, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
 

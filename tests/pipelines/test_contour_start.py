@@ -14,7 +14,8 @@ from automodel.bench.accuracy import FALSE_LANE
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
-from automodel.sim.track import Track, load_track, parse_track
+from automodel.sim.track import Track
+from automodel.sim.track_files import load_track, parse_track
 from tests.support.masked_drives import arc, gap, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 

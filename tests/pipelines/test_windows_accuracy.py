@@ -11,7 +11,8 @@ import pytest
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.appearance import Appearance
-from automodel.sim.track import Track, load_track, parse_track
+from automodel.sim.track import Track
+from automodel.sim.track_files import load_track, parse_track
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 OVAL = load_track("oval")

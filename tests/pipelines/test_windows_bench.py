@@ -11,7 +11,7 @@ from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.pipelines.windows import Windows
 from automodel.signals import Frame, LaneStatus
 from automodel.sim.appearance import Appearance
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, Odometer
 from automodel.sim.truth import TruthFollower
 from tests.support.rendered_drives import CAR, check_sound, renderer

@@ -12,7 +12,7 @@ from automodel.interfaces import Pipeline
 from automodel.pipelines import make_pipeline
 from automodel.pipelines.windows import Windows
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)

@@ -16,7 +16,7 @@ from automodel.sim.coverage import covered
 from automodel.sim.ground_light import NEUTRAL, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.ground_projection import GroundProjection
 from automodel.sim.renderer import Renderer, SensorEffects, blur_kernel, exposure
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 
 CAMERA = GroundCamera.from_config(CameraConfig())
 POSE = load_track("tmr").forward.pose(2.0)

@@ -18,10 +18,10 @@ from automodel.curves import arc, line
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
 from automodel.sim.paint import broken_spans
-from automodel.sim.racetrack import read_racetrack
 from automodel.sim.renderer import Renderer
 from automodel.sim.roadside import build_roadside
-from automodel.sim.track import Track, load_track, parse_track
+from automodel.sim.track import Track
+from automodel.sim.track_files import load_track, parse_track, read_racetrack
 from automodel.sim.track_sections import BrokenLines, LaneWidth, RoadsideSection, WidthAt
 
 TEXT = resources.files("tracks").joinpath("circuit.toml").read_text(encoding="utf-8")

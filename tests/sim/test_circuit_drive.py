@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from automodel.signals import MotionSource
-from automodel.sim.track import Lane, load_track
+from automodel.sim.track import Lane
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import STYLES, CircuitDrive, CommandedMotion, DrivenPose, Pace, pick_stretches
 from automodel.sim.truth import TruthFollower
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from automodel.config.toml_reader import ConfigError
-from automodel.sim.racetrack import read_racetrack
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track, read_racetrack
 
 HEADER = "# x_m,y_m,w_tr_right_m,w_tr_left_m\n"
 

@@ -10,7 +10,7 @@ from automodel.config import CameraConfig, Extrinsics, Intrinsics
 from automodel.geometry import SE2, GroundCamera
 from automodel.sim.appearance import Appearance
 from automodel.sim.renderer import Renderer
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 
 FLOOR = (-50.0, -50.0, 50.0, 50.0)
 BARREL = (-0.28, 0.06, 0.001, -0.0015, 0.0)

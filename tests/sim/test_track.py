@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from automodel.sim.paint import Paint
-from automodel.sim.track import Track, load_track, parse_track
+from automodel.sim.track import Track
+from automodel.sim.track_files import load_track, parse_track
 
 SHIPPED = ("tmr", "oval", "chicane")
 ROAD = """

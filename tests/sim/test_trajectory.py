@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.signals import MotionSource
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
 
 OVAL = load_track("oval")

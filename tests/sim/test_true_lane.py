@@ -8,7 +8,7 @@ import pytest
 from automodel.geometry import SE2
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.plant import CarState
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import Scene, TrueLane
 

@@ -10,7 +10,8 @@ import pytest
 from automodel.config import VehicleConfig
 from automodel.curves import JoinedCurve, OffsetCurve, arc, line
 from automodel.geometry import SE2
-from automodel.sim.track import Lane, Track, constant, load_track
+from automodel.sim.track import Lane, Track, constant
+from automodel.sim.track_files import load_track
 from automodel.sim.truth import Truth, TruthFollower
 
 REFERENCE_M = 0.13

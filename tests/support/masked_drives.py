@@ -14,7 +14,8 @@ from automodel.interfaces import Pipeline
 from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.renderer import Renderer
-from automodel.sim.track import Lane, Track, parse_track
+from automodel.sim.track import Lane, Track
+from automodel.sim.track_files import parse_track
 from automodel.sim.truth import TruthFollower
 from automodel.types import Image
 from tests.support.rendered_drives import CAR, Seen, check_sound, renderer

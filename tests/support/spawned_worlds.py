@@ -8,7 +8,7 @@ import numpy as np
 
 from automodel.geometry import SE2
 from automodel.sim.plant import CarState, Plant, PlantConfig
-from automodel.sim.track import load_track
+from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import World
 

@@ -46,7 +46,8 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
 from automodel.sim.sources import LockStepSource
-from automodel.sim.track import Lane, Track, load_track
+from automodel.sim.track import Lane, Track
+from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import Scene, TrueLane, World
 from automodel.sources.errors import SourceError

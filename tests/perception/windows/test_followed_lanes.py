@@ -11,7 +11,8 @@ import pytest
 from automodel.geometry import SE2, View
 from automodel.perception.markings.feature_points import FeaturePoints
 from automodel.perception.windows.line_following import ExpectedLine, LineFollowing
-from automodel.sim.track import Lane, load_track
+from automodel.sim.track import Lane
+from automodel.sim.track_files import load_track
 from tests.support.drawn_roads import MARKING_M
 from tests.support.rendered_drives import CAR, renderer
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from automodel.config.toml_reader import ConfigError
-from automodel.sim.track import load_track, parse_track
+from automodel.sim.track_files import load_track, parse_track
 
 GOOD = resources.files("tracks").joinpath("oval.toml").read_text(encoding="utf-8")
 
