@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from automodel.runtime.clocks import VirtualClock
+from automodel.signals import Frame
 from automodel.sim.sources import LockStepSource, RealTimeWorld
 from automodel.sim.world import Scene, World
 from automodel.sources.errors import SourceError
@@ -160,7 +161,7 @@ class TestRealTime:
         world = RealTimeWorld(spawned_worlds.living, (), SHAPE, 50.0, scenes.append)
         try:
             assert world.port == "/dev/nowhere"
-            frames = []
+            frames: list[Frame] = []
             while len(frames) < 15:
                 frame = world.read(10.0)
                 assert frame is not None

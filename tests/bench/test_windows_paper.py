@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -139,7 +140,7 @@ def test_rates_and_drives_together() -> None:
     assert crossings["median_hz"] == pytest.approx(200.0)
     row = first.crossing_row()
     assert (row["seen"], row["passed"], row["false_frames"]) == (1, 2, 1)
-    assert sum(row["frames"] for row in first.line_rows() if row["mae_px"] == pytest.approx(1.0)) == 1
+    assert [row["frames"] for row in first.line_rows() if row["mae_px"] == pytest.approx(1.0)] == [1]
 
 
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
@@ -193,10 +194,11 @@ def test_what_would_choose_other_drives_is_refused(extra: tuple[str, str]) -> No
 def test_a_short_drive_fills_the_tables(capsys: pytest.CaptureFixture[str]) -> None:
     case = Case(pipeline="windows", track="tmr", style="centred", seed=0)
     told = drive(CarConfig(), case, frames=200)
-    rows = told.line_rows()
-    assert sum(row["frames"] for row in rows if row["section"] == "curve A") > 0
+    rows: list[dict[str, Any]] = told.line_rows()
+    assert any(row["frames"] for row in rows if row["section"] == "curve A")
     assert all(0.0 < row["mae_px"] <= row["rmse_px"] < 3.0 for row in rows if row["frames"])
-    assert all(row["median_hz"] > 0 for row in told.rate_rows())
+    rates: list[dict[str, Any]] = told.rate_rows()
+    assert all(row["median_hz"] > 0 for row in rates)
     show_tables(CarConfig(), [Case(pipeline="windows", track="tmr", style="centred", seed=0, speed_mps=8.0)], 1, True)
     said = capsys.readouterr()
     shown = json.loads(said.out)["rows"]

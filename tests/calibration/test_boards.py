@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -81,7 +82,8 @@ def test_no_board_is_none() -> None:
 
 @pytest.mark.parametrize("legacy", [False, True])
 def test_a_charuco_board_knows_its_corners(legacy: bool) -> None:
-    found = find_board(cv2.cvtColor(picture(charuco(9, 6, legacy=legacy)), cv2.COLOR_GRAY2BGR), CHARUCO)
+    grey = picture(charuco(9, 6, legacy=legacy))
+    found = find_board(np.stack((grey, grey, grey), axis=-1), CHARUCO)
     assert found is not None
     assert len(found.grid) > 50
     assert np.linalg.norm(found.corners_px - truth_px(found.grid), axis=1).mean() < 0.2
@@ -112,7 +114,7 @@ def test_markers_of_another_dictionary_are_named() -> None:
         ({"dictionary": "8x8_50"}, "none of 4x4_50"),
     ],
 )
-def test_impossible_boards_are_refused(wrong: dict[str, object], text: str) -> None:
+def test_impossible_boards_are_refused(wrong: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         Board(**{"columns": 9, "rows": 6, "square_m": 0.025, **wrong})
 
@@ -130,5 +132,7 @@ def test_real_boards_that_the_edge_cuts(data_root: Path, number: int, size: str)
 
 
 def test_the_drawn_boards_are_held_all_over_the_picture() -> None:
-    middles = [find_board(image, BOARD).corners_px.mean(axis=0) for image in held(9, 6, 0.025, 4)]
+    found = [find_board(image, BOARD) for image in held(9, 6, 0.025, 4)]
+    middles = [board.corners_px.mean(axis=0) for board in found if board is not None]
+    assert len(middles) == 4
     assert (np.ptp(middles, axis=0) > 80).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -128,7 +129,7 @@ def test_views_from_one_side_do_not_pass(views: list[View]) -> None:
         ({"fx_px": 3000.0, "fy_px": 3000.0}, "angle of view", "WARN"),
     ],
 )
-def test_impossible_cameras_are_told(found: CameraCalibration, lens: dict[str, object], name: str, status: str) -> None:
+def test_impossible_cameras_are_told(found: CameraCalibration, lens: dict[str, Any], name: str, status: str) -> None:
     wrong = dataclasses.replace(found, intrinsics=dataclasses.replace(LENS, **lens))
     checks = {check.name: check.status for check in check_camera(wrong)}
     assert checks[name] == status
@@ -177,12 +178,12 @@ def test_mixed_sizes_are_refused_and_a_few_left_out(pictures: list[np.ndarray]) 
     views = Views(BOARD)
     for number, image in enumerate(pictures[:5]):
         views.consider(f"a{number}", image)
-    views.consider("large", cv2.copyMakeBorder(pictures[5], 0, 1, 0, 1, cv2.BORDER_REPLICATE))
+    views.consider("large", np.pad(pictures[5], ((0, 1), (0, 1)), mode="edge"))
     kept, refused = settle(views)
     assert len(kept) == 5
     assert [(seen.name, seen.reason) for seen in refused] == [("large", "641x361 pixels where the others have 640x360")]
     for number, image in enumerate(pictures[6:8]):
-        views.consider(f"b{number}", cv2.resize(image, (960, 540)))
+        views.consider(f"b{number}", np.asarray(cv2.resize(image, (960, 540)), np.uint8))
     with pytest.raises(CalibrationError, match=r"mixed sizes \(5 of 640x360, 2 of 960x540, 1 of 641x361\)"):
         settle(views)
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from automodel.config import CalibrationRecord, ConfigError, load_car
-from calibration import car_file
 from calibration.car_file import update_car_file
 
 DAY = datetime.date(2026, 2, 3)
@@ -105,6 +104,7 @@ def test_any_way_to_write_toml(tmp_path: Path, text: str) -> None:
     after = load_car(path)
     assert after.camera.intrinsics.fx_px == 500.5
     assert after.camera.intrinsics.distortion[0] == 0.1
+    assert after.calibration.camera is not None
     assert after.calibration.camera.date == DAY
     assert (after.lane, after.link, after.camera.width_px) == (before.lane, before.link, before.camera.width_px)
     for comment in (part.split("\n")[0].strip() for part in text.split("#")[1:]):
@@ -160,7 +160,7 @@ def test_what_breaks_in_leaves_everything_as_it_was(car: Path, monkeypatch, fail
     def fail(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(car_file.os, failing, fail)
+    monkeypatch.setattr(os, failing, fail)
     with pytest.raises((KeyboardInterrupt, ConfigError)) as caught:
         update(car)
     monkeypatch.undo()
@@ -174,7 +174,7 @@ def test_an_interrupt_after_the_change_keeps_the_backup(car: Path, monkeypatch) 
         os.rename(source, target)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(car_file.os, "replace", replace_and_fail)
+    monkeypatch.setattr(os, "replace", replace_and_fail)
     with pytest.raises(KeyboardInterrupt):
         update(car)
     assert car.with_name("car.toml.bak").read_text() == TEXT

@@ -6,6 +6,7 @@ import json
 import math
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -112,7 +113,7 @@ def test_one_bend_among_straight_roads_is_left_out() -> None:
     assert result.extrinsics.pitch_rad == pytest.approx(0.1, abs=0.002)
 
 
-def refusal(pictures: list[np.ndarray], width_m: float = LANE_M, **more: int) -> str:
+def refusal(pictures: list[np.ndarray], width_m: float = LANE_M, **more: Any) -> str:
     with pytest.raises(ValueError) as caught:
         camera_from_lanes(pictures, camera_model(), width_m, **more)
     text = str(caught.value)
@@ -206,7 +207,7 @@ def test_the_highway_video_s_camera(data_root: Path) -> None:
     if not file.is_file():
         pytest.skip(f"no {file}")
     video = cv2.VideoCapture(str(file))
-    pictures = [video.read()[1] for _ in range(220)][::30]
+    pictures = [np.asarray(video.read()[1], np.uint8) for _ in range(220)][::30]
     video.release()
     model = camera_model(960, 540, 868.0)
     found = camera_from_lanes(pictures, model, 3.7)
@@ -222,7 +223,8 @@ def test_ten_highway_frames_agree_with_their_labels(data_root: Path) -> None:
     if not (root / "label_data.json").is_file():
         pytest.skip(f"no {root}/label_data.json")
     labels = [json.loads(line) for line in (root / "label_data.json").read_text().splitlines()]
-    pictures = [cv2.imread(str(root / label["raw_file"]), cv2.IMREAD_GRAYSCALE) for label in labels]
+    files = [str(root / label["raw_file"]) for label in labels]
+    pictures = [np.asarray(cv2.imread(file, cv2.IMREAD_GRAYSCALE), np.uint8) for file in files]
     found = camera_from_lanes(pictures, camera_model(f_px=443.0), 3.7)
     # by the labels alone lines meet in (257 +- 8, 96.5 +- 2), and lanes are 2.2 slopes wide: 3.7 / 2.2 m
     np.testing.assert_allclose(found.vanishing_px, (257.0, 96.5), atol=5.0)

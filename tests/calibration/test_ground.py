@@ -148,7 +148,7 @@ def test_a_wrong_point_is_named() -> None:
 
 
 BOARD = Board(columns=9, rows=6, square_m=0.03)
-SHEETS = {
+SHEETS: dict[str, tuple[Board | ArucoSheet, np.ndarray, float, float]] = {
     "chessboard": (BOARD, chessboard(9, 6), 0.03 / PAPER_PX, 0.63),
     "charuco": (dataclasses.replace(BOARD, marker_m=0.0225), charuco(9, 6), 0.03 / PAPER_PX, 0.63),
     "marker": (ArucoSheet(columns=1, rows=1, marker_m=0.2, gap_m=0.0), marker(17), 0.2 / 192, 0.63),

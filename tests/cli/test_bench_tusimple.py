@@ -107,6 +107,7 @@ def test_a_clip_is_followed_up_to_its_label(tmp_path: Path, cli) -> None:
     labels = (root / "label_data.json").read_text().splitlines()
     for name in ("0/20.png", "1/20.png"):
         picture = cv2.imread(str(root / "clips" / name))
+        assert picture is not None
         write(root, f"clips/{name}", hidden)
         for number in (18, 19):
             write(root, f"clips/{name[0]}/{number}.png", picture)

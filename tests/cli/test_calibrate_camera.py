@@ -73,7 +73,7 @@ def video(drawn: list[np.ndarray], folder: Path) -> Path:
     path = folder.parent / "board.mp4"
     with VideoWriter(path, 10.0) as writer:
         for image in (*drawn[:2], *drawn):  # the first two come twice
-            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+            writer.write(np.stack((image, image, image), axis=-1))
     return path
 
 

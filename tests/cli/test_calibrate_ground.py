@@ -75,8 +75,9 @@ def test_a_sheet_on_the_floor(sheet: str, place: Path, cli) -> None:
     assert said.code == 0, said.err
     assert said.err.splitlines()[-1].startswith("car.toml: [camera.extrinsics] written; the old file is ")
     check_car()
-    method = load_car("car.toml").calibration.ground.method
-    assert method.endswith("on the floor at (0.62, 0.02) m")
+    ground = load_car("car.toml").calibration.ground
+    assert ground is not None
+    assert ground.method.endswith("on the floor at (0.62, 0.02) m")
 
 
 def test_taped_points_from_a_file(place: Path, cli) -> None:

@@ -147,6 +147,7 @@ def test_the_servo_moves_on_consent_and_the_motor_never(
     assert (min(servo), max(servo), servo[-1]) == (1275.0, 1725.0, 1500.0)  # half of 0.45 rad each way
     assert servo.index(1275.0) < servo.index(1725.0)  # left first
     assert {pulses[2] for pulses in bench.pulses} == {1500.0}
+    assert isinstance(port.board, EmulatedArduino)
     assert not port.board.armed
 
 

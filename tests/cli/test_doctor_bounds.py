@@ -111,6 +111,7 @@ class Impatient(VirtualClock):
 
 def test_ctrl_c_while_the_servo_moves_disarms_the_board() -> None:
     bench = Bench(Impatient)
+    assert isinstance(bench.clock, Impatient)
     bench.clock.press = True
     with pytest.raises(KeyboardInterrupt):
         bench.move(Consent(given=True))

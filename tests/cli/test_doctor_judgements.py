@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
+from typing import Any
 
 import cv2
 import numpy as np
@@ -194,7 +195,7 @@ def test_calibrations() -> None:
         ({"fx_px": 500.0, "fy_px": 400.0}, WARN),
     ],
 )
-def test_lens(lens: dict[str, float], verdict: Verdict) -> None:
+def test_lens(lens: dict[str, Any], verdict: Verdict) -> None:
     car = dataclasses.replace(REAL, camera=dataclasses.replace(REAL.camera, intrinsics=Intrinsics(**lens)))
     assert judge_lens(car).verdict is verdict
     assert judge_lens(CAR).verdict is OK

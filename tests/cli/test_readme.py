@@ -36,7 +36,8 @@ def test_there_is_something_to_test() -> None:
 @pytest.mark.parametrize("line", AUTOMODEL)
 def test_every_command_and_option_exists(line: str) -> None:
     words = shlex.split(line)[1:]
-    command, context = commands, click.Context(commands, info_name="automodel")
+    command: click.Command = commands
+    context = click.Context(commands, info_name="automodel")
     while isinstance(command, click.Group):
         name, found, words = command.resolve_command(context, words)
         assert found is not None

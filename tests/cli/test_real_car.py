@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from automodel.assembly import drive_real
+from automodel.console.messages import EventTeller
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event
 from firmware_link import arduino
@@ -51,14 +52,14 @@ class Person:
 
             pressed = person.pressed
 
-        tell = drive_real.EventTeller.__call__
+        tell = EventTeller.__call__
 
-        def note(teller: drive_real.EventTeller, event: Event) -> None:
+        def note(teller: EventTeller, event: Event) -> None:
             person.events.append(event)
             tell(teller, event)
 
         monkeypatch.setattr(drive_real, "ArmKey", Key)
-        monkeypatch.setattr(drive_real.EventTeller, "__call__", note)
+        monkeypatch.setattr(EventTeller, "__call__", note)
 
     def pressed(self, *_: object) -> bool:
         self._turns += 1

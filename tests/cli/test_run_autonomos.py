@@ -51,7 +51,8 @@ class Board2015:
     """Two boards, two ports."""
 
     def __init__(self) -> None:
-        pins = Pins(BenchPeripherals())
+        self.peripherals = BenchPeripherals()
+        pins = Pins(self.peripherals)
         self.servo, self.motor = PtyBoard(EmulatedServoBoard(pins)), PtyBoard(EmulatedMotorController(pins))
         self.ports = (self.servo, self.motor)
 
@@ -60,7 +61,8 @@ class Board2017:
     """One board, one port."""
 
     def __init__(self) -> None:
-        self.servo = PtyBoard(EmulatedAutonomos(BenchPeripherals()))
+        self.peripherals = BenchPeripherals()
+        self.servo = PtyBoard(EmulatedAutonomos(self.peripherals))
         self.ports = (self.servo,)
 
 
@@ -89,7 +91,7 @@ def test_a_real_car_drives_and_is_stopped_at_the_end(
 ) -> None:
     image = road()
     monkeypatch.setattr(drive_real, "make_camera", lambda car: StillCamera(image))
-    peripherals = boards.servo.board._pins.peripherals
+    peripherals = boards.peripherals
     for _ in range(3):  # a machine that does something else for a while stops the car, rightly
         arguments = ("--pipeline", "windows", "--arm", "--duration", "5", "--record", tmp_path / "run.mcap")
         (tmp_path / "run.mcap").unlink(missing_ok=True)

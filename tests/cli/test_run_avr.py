@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -52,7 +53,7 @@ def test_what_the_firmware_says_is_recorded(toolchain: None, cli, tmp_path: Path
 
 
 def test_a_missing_toolchain_is_one_line_that_says_what_to_install(cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(avr.shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
+    monkeypatch.setattr(shutil, "which", lambda tool: None if tool == "avr-g++" else f"/usr/bin/{tool}")
     monkeypatch.setattr(avr, "_has_header", lambda compiler, name: name != "simavr/sim_avr.h")
     said = cli("run", "--link", "avr", "--duration", "1")
     assert said.code == 2

@@ -115,7 +115,7 @@ def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value
     with pytest.raises(ConfigError, match=rf"car\.toml:2: \[{'.'.join(path[:-1])}\] {path[-1]}: "):
         parse_car(f"{header}\n{path[-1]} = 1979-05-27", "car.toml")
     if value is not None:
-        written = tomlkit.item(list(value) if isinstance(value, tuple) else value).as_string()  # type: ignore[arg-type]
+        written = tomlkit.item(list(value) if isinstance(value, tuple) else value).as_string()
         assert parse_car(f"{header}\n{path[-1]} = {written}", "car.toml") == CarConfig()
 
 

@@ -83,7 +83,8 @@ def cut(rng: np.random.Generator, frames: Image) -> bytes:
     place = np.arange(length)
     ends = place < rng.integers(2, length - 1, count)[:, None]
     begins = place >= rng.integers(2, length - 1, count)[:, None]
-    kept = np.where(rng.integers(0, 2, count, dtype=bool)[:, None], ends, begins)
+    first: Any = rng.integers(0, 2, (count, 1), dtype=bool)
+    kept = np.where(first, ends, begins)
     kept[:, [0, -1]] = True
     return frames[kept].tobytes()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import pytest
 
@@ -44,7 +45,7 @@ def states(peripherals: BenchPeripherals, seconds: float, poll_ms: float, low_v:
 
 @pytest.mark.parametrize("poll_ms", [3.0, 7.0, 1000 / 60, 19.0])
 def test_a_state_never_tells_of_a_reading_that_another_has_told(poll_ms: float) -> None:
-    told = [state.ranges_m[1] for state in states(Counting(), 3.0, poll_ms) if state.ranges_m]
+    told: list[Any] = [state.ranges_m[1] for state in states(Counting(), 3.0, poll_ms) if state.ranges_m]
     assert len(told) > 100
     assert len(set(told)) == len(told)
     assert told == sorted(told)

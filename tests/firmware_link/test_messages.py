@@ -16,9 +16,10 @@ from firmware_link.messages import Codec, WireField, wire
 def _value(field: WireField) -> st.SearchStrategy[Any]:
     low, high = field.range
     whole = st.integers(low, high)
-    if field.scale is None:
+    scale = field.scale
+    if scale is None:
         return whole
-    values = whole.map(lambda raw: raw * field.scale)
+    values = whole.map(lambda raw: raw * scale)
     return values if field.none is None else st.none() | values
 
 

@@ -29,6 +29,11 @@ def pty() -> Iterator[PtyBoard]:
     pty.close()
 
 
+def emulated(pty: PtyBoard) -> EmulatedArduino:
+    assert isinstance(pty.board, EmulatedArduino)
+    return pty.board
+
+
 def stepped(pty: PtyBoard, start_ms: int, count: int, each: Callable[[], None] = lambda: None) -> int:
     for t_ms in range(start_ms, start_ms + count):
         pty.step(t_ms * MS)
@@ -106,12 +111,13 @@ def test_opening_resets_each_time_and_stepping_needs_no_thread(pty: PtyBoard) ->
     port = SerialTransport(pty.path, 115200)
     decoder = messages.decoder(on_board=False)
     t_ms = stepped(pty, 0, 50)
-    assert pty.board.counters.starts == 1  # power
+    board = emulated(pty)
+    assert board.counters.starts == 1  # power
     for opening in range(2, 5):
         port.open()
         got: list[bytes] = []
         t_ms = stepped(pty, t_ms, 30, lambda: got.append(port.read()))  # noqa: B023 - called within the turn
-        assert pty.board.counters.starts == opening
+        assert board.counters.starts == opening
         hello = messages.decode(decoder.feed(b"".join(got))[0])
         assert isinstance(hello, messages.Hello)
         assert hello.boot_id == opening
@@ -126,7 +132,8 @@ def test_a_host_hears_nothing_of_the_time_before_it_opened(pty: PtyBoard) -> Non
     port = SerialTransport(pty.path, 115200)
     port.open()
     pty.step(350 * MS)
-    decoder, heard = messages.decoder(on_board=False), []
+    decoder = messages.decoder(on_board=False)
+    heard: list[object] = []
 
     def anything() -> bool:
         heard.extend(messages.decode(frame) for frame in decoder.feed(port.read()))
@@ -145,7 +152,8 @@ def test_bytes_arrive_as_they_were_sent_without_echo(pty: PtyBoard) -> None:
     try:
         t_ms = stepped(pty, t_ms, 15)
         os.write(slave, messages.encode(messages.HelloRequest(), 0x0A))
-        decoder, kinds = messages.decoder(on_board=False), []
+        decoder = messages.decoder(on_board=False)
+        kinds: list[type] = []
 
         def two_hellos() -> bool:
             with contextlib.suppress(BlockingIOError):
@@ -154,8 +162,8 @@ def test_bytes_arrive_as_they_were_sent_without_echo(pty: PtyBoard) -> None:
 
         stepped_until(pty, t_ms, two_hellos)
         assert decoder.errors.total == 0
-        assert pty.board._decoder.errors.total == 0
-        assert pty.board.counters.rx_in_boot == 0
+        assert emulated(pty)._decoder.errors.total == 0
+        assert emulated(pty).counters.rx_in_boot == 0
     finally:
         os.close(slave)
 
@@ -210,10 +218,10 @@ def test_unplug_and_replug_keep_the_path(pty: PtyBoard) -> None:
         port.open()
     pty.replug()
     assert pty.path == path
-    starts = pty.board.counters.starts
+    starts = emulated(pty).counters.starts
     port.open()
     stepped(pty, t_ms, 10)
-    assert pty.board.counters.starts == starts + 1
+    assert emulated(pty).counters.starts == starts + 1
     port.close()
 
 

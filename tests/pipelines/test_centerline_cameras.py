@@ -9,8 +9,8 @@ import pytest
 
 from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.track_files import load_track
-from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, line, road, scaled
-from tests.support.rendered_drives import camera, with_camera
+from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled
+from tests.support.rendered_drives import CAR, camera, with_camera
 
 BEND = line(1.8) + clothoid(0.0, 1.0, 0.4) + arc(1.0, 2.0)
 CAMERAS = {

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from automodel.bench.accuracy import AccuracyMeter, TruePose
+from automodel.config import CarConfig
 from automodel.signals import LaneStatus
 from automodel.sim.track_files import load_track
 from automodel.types import Image
-from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, gap, line, road
-from tests.support.rendered_drives import Seen, camera, with_camera
+from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, gap, line, road
+from tests.support.rendered_drives import CAR, Seen, camera, with_camera
 
 WIDE = with_camera(camera(focal_px=240.0))  # sees the other line also in a bend
 STRAIGHT = line(14.0)
@@ -34,7 +35,7 @@ def meter(seen: list[Seen]) -> dict[str, float | None]:
 @pytest.mark.parametrize(
     ("ahead", "car"), [(STRAIGHT, CAR), (BENT, WIDE), (TIGHT, WIDE)], ids=["straight", "2 m", "1 m"]
 )
-def test_one_line_missing_for_three_seconds(side: str, ahead: str, car: object) -> None:
+def test_one_line_missing_for_three_seconds(side: str, ahead: str, car: CarConfig) -> None:
     """At 1 m/s; the picture ends some lanes ahead, so that more than 3 m have to be missing."""
     seen = MaskedDrive(track=road(ahead, gap(2.0, 5.8, side)), car=car).run(0.5, 6.8)
     missing = [i for i, s in enumerate(seen) if s.estimate.status is LaneStatus.ONE_LINE]
@@ -139,6 +140,7 @@ def test_a_lap_of_the_contest_floor(direction: str) -> None:
     assert row["false_lane_pct"] == 0.0
     assert row["availability_pct"] == 100.0
     for key, most in (("offset_mae_m", 0.004), ("offset_p99_m", 0.05), ("heading_mae_deg", 0.6)):
-        assert row[key] is not None
-        assert row[key] <= most
+        value = row[key]
+        assert value is not None
+        assert value <= most
     assert errors(seen, skip=10).offset_max_m < 0.1  # a crossing road is farther away

@@ -9,8 +9,8 @@ import pytest
 
 from automodel.signals import LaneStatus
 from automodel.sim.track_files import load_track
-from tests.support.masked_drives import CAR, MaskedDrive, arc, clothoid, errors, line, road, scaled, swing
-from tests.support.rendered_drives import Seen, camera, with_camera
+from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled, swing
+from tests.support.rendered_drives import CAR, Seen, camera, with_camera
 
 STRAIGHT = line(14.0)
 WIDE = with_camera(camera(focal_px=240.0))  # sees both lines also in a bend

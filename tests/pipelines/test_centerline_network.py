@@ -21,8 +21,8 @@ from automodel.signals import Frame, LaneStatus, Motion
 from automodel.sim.appearance import Appearance
 from automodel.sim.track_files import load_track
 from tests.support import onnx_files as files
-from tests.support.masked_drives import CAR, arc, errors, gap, line, road
-from tests.support.rendered_drives import RenderedDrive, Seen, check_sound
+from tests.support.masked_drives import arc, errors, gap, line, road
+from tests.support.rendered_drives import CAR, RenderedDrive, Seen, check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 PICTURES = {

@@ -14,8 +14,8 @@ from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.truth import Truth
 from automodel.types import Image
-from tests.support.masked_drives import CAR, PERIOD_NS, MaskedDrive, Told, arc, bits, gap, line, road
-from tests.support.rendered_drives import check_sound
+from tests.support.masked_drives import PERIOD_NS, MaskedDrive, Told, arc, bits, gap, line, road
+from tests.support.rendered_drives import CAR, check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLANK = np.zeros(SIZE, np.uint8)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ def test_black_white_and_plain_noise_are_no_lane() -> None:
 
 
 @pytest.mark.parametrize("options", [{"precision": "single"}, {"update": "gradient_descent"}], ids=str)
-def test_noise_in_a_drive_gives_no_nan(seen: list[Seen], options: dict[str, str]) -> None:
+def test_noise_in_a_drive_gives_no_nan(seen: list[Seen], options: dict[str, Any]) -> None:
     car = replace(CAR, pipeline=replace(CAR.pipeline, contour=ContourConfig(**options)))
     for image in noises():
         pipeline = Contour(car)

@@ -70,7 +70,7 @@ class WatchedImage:
     def ravel(self) -> WatchedImage:
         return self.reshape(-1)
 
-    def take(self, indices: Any, axis: int | None = None, out: Any = None, mode: str = "raise") -> np.ndarray:
+    def take(self, indices: Any, axis: int | None = None, out: Any = None, mode: Any = "raise") -> np.ndarray:
         self._note(self._places.take(indices, axis=axis, mode=mode))
         return self._values.take(indices, axis=axis, out=out, mode=mode)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ class Anew:
         self.started.reset()
 
 
-def expecting(car: CarConfig, factor: float, **options: float) -> CarConfig:
+def expecting(car: CarConfig, factor: float, **options: Any) -> CarConfig:
     """A car whose configured lane is `factor` times as wide as the true one."""
     contour = replace(car.pipeline.contour, **options)
     lane = replace(car.lane, width_m=factor * car.lane.width_m)

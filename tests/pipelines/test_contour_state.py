@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -225,8 +226,9 @@ def test_a_camera_that_sees_no_ground_is_refused(pitch_rad: float) -> None:
     ("name", "value"), [("colour", "infrared"), ("update", "newton"), ("precision", "half"), ("nodes", 3)]
 )
 def test_options_that_are_none_are_refused(name: str, value: object) -> None:
+    options: dict[str, Any] = {name: value}
     with pytest.raises(ValueError, match=name):
-        ContourConfig(**{name: value})
+        ContourConfig(**options)
 
 
 def test_stages_are_timed_by_the_stopwatch_alone(seen: list[Seen]) -> None:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,7 +90,7 @@ def test_an_estimate_that_is_not_finite_is_lost() -> None:
 
 
 def test_a_pipeline_that_fails_four_times_in_a_row_begins_anew() -> None:
-    failing = dict.fromkeys((0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 11), math.nan)
+    failing: dict[int, object] = dict.fromkeys((0, 1, 2, 4, 5, 6, 7, 8, 9, 10, 11), math.nan)
     loop, pipeline, *_ = make(FakePipeline(failing))
     resets = []
     for index in range(13):
@@ -106,7 +107,8 @@ def test_a_pipeline_that_fails_four_times_in_a_row_begins_anew() -> None:
 @pytest.mark.parametrize("stage", ["controller", "limits"])
 def test_a_command_that_is_not_finite_is_a_standstill(stage: str, field: str, bad: float) -> None:
     loop, _, controller, limits = make()
-    command = replace(Command(t_ns=0, steering_rad=0.1, speed_mps=0.5, valid_until_ns=50 * MS), **{field: bad})
+    values: dict[str, Any] = {"steering_rad": 0.1, "speed_mps": 0.5, field: bad}
+    command = Command(t_ns=0, valid_until_ns=50 * MS, **values)
     if stage == "controller":
         controller.override = command
     else:
@@ -119,7 +121,7 @@ def test_a_command_that_is_not_finite_is_a_standstill(stage: str, field: str, ba
 
 
 @pytest.mark.parametrize("bad", [{"speed_mps": math.nan}, {"yaw_rate_radps": math.inf}])
-def test_a_motion_that_is_not_finite_never_reaches_the_pipeline(bad: dict[str, float]) -> None:
+def test_a_motion_that_is_not_finite_never_reaches_the_pipeline(bad: dict[str, Any]) -> None:
     loop, pipeline, *_ = make()
     tick = loop.tick(frame(0.0), replace(MOTION, **bad), None, 0)
     assert pipeline.motions == [Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)]
@@ -152,7 +154,8 @@ def test_estimate_faults() -> None:
     assert len(estimate_faults(LaneEstimate(t_ns=0, status=LaneStatus.COASTING))) == 1
     assert len(estimate_faults(replace(good, centerline=None))) == 1
     for name in ("offset_m", "heading_rad", "width_m", "curvature_per_m"):
-        assert len(estimate_faults(replace(good, pose=replace(good.pose, **{name: math.nan})))) == 1
+        wrong: dict[str, Any] = {name: math.nan}
+        assert len(estimate_faults(replace(good, pose=replace(good.pose, **wrong)))) == 1
     covariance = np.eye(3)
     covariance[1, 2] = math.inf
     assert len(estimate_faults(replace(good, pose=replace(good.pose, covariance=covariance)))) == 1
@@ -167,10 +170,10 @@ def test_motion_and_state_faults() -> None:
     assert len(motion_faults(replace(MOTION, yaw_rate_radps=-math.inf))) == 1
     state = VehicleState(t_ns=0, speed_mps=1.0, ranges_m=(None, 0.4, 1.0), battery_v=7.4)
     assert state_faults(state) == ()
-    for bad in ({"speed_mps": math.nan}, {"ranges_m": (None, math.nan)}, {"battery_v": math.inf}):
-        assert len(state_faults(replace(state, **bad))) == 1  # type: ignore[arg-type]
-    for name in ("yaw_rate_radps", "steering_rad"):
-        assert len(state_faults(replace(state, **{name: math.nan}))) == 1
+    wrong: dict[str, Any] = {"speed_mps": math.nan, "ranges_m": (None, math.nan), "battery_v": math.inf}
+    wrong |= {"yaw_rate_radps": math.nan, "steering_rad": math.nan}
+    for name, value in wrong.items():
+        assert len(state_faults(replace(state, **{name: value}))) == 1
 
 
 def test_a_life_of_nothing_is_refused() -> None:

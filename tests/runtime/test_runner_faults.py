@@ -8,8 +8,19 @@ import pytest
 
 from automodel.runtime.runner import RunEnd
 from automodel.runtime.safety import Action, SafetyMode
-from automodel.signals import LaneStatus, MotionSource
-from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
+from automodel.signals import Frame, LaneStatus, MotionSource
+from tests.support.runner_car import (
+    ARMING,
+    DISARMED,
+    DRIVING,
+    HOLD,
+    STOPPED,
+    Car,
+    assert_neutral,
+    assert_parked,
+    frame_index,
+    sent,
+)
 from tests.support.runner_devices import BrokenSource, FakeRecorder, ScriptedSource
 from tests.support.runner_fakes import MS, frame, frames
 
@@ -19,10 +30,10 @@ def test_lost_for_a_moment_holds_and_drives_on_from_a_low_speed() -> None:
     result = car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, DRIVING]
     held = [r for r in car.watcher.records if r.decision.mode is HOLD and r.frame is not None]
-    assert [r.frame.index for r in held] == [60, 61, 62, 63, 64]
-    assert all((r.sent.steering_rad, r.sent.speed_mps) == (0.2, 0.0) for r in held)
+    assert [frame_index(r) for r in held] == [60, 61, 62, 63, 64]
+    assert {sent(r) for r in held} == {(0.2, 0.0)}
     assert car.limits.told[-1] == held[-1].sent  # the steering rate is counted from what the wheels really do
-    after = [r.sent.speed_mps for r in car.watcher.records if r.frame is not None and r.frame.index in (65, 66)]
+    after = [sent(r)[1] for r in car.watcher.records if frame_index(r) in (65, 66)]
     assert after == pytest.approx([0.1, 0.2])
     assert result.stops == 0
 
@@ -31,8 +42,9 @@ def test_an_exception_of_the_chain_holds_at_once_and_is_told_after() -> None:
     car = Car(at={60: RuntimeError("boom\nand more")})
     result = car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, DRIVING]
-    record = next(r for r in car.watcher.records if r.frame is not None and r.frame.index == 60)
-    assert (record.decision.action, record.sent.speed_mps) == (Action.HOLD_STEERING, 0.0)
+    record = next(r for r in car.watcher.records if frame_index(r) == 60)
+    assert (record.decision.action, sent(record)[1]) == (Action.HOLD_STEERING, 0.0)
+    assert record.tick is not None
     assert record.tick.estimate.status is LaneStatus.LOST
     fault = next(e for e in car.recorder.of("event") if e.kind == "fault")
     assert fault.text.startswith("RuntimeError: boom and more at runner_fakes.py:")
@@ -51,9 +63,9 @@ def test_a_chain_that_always_fails_stops_and_is_told_once_a_second() -> None:
     assert car.kinds().count("fault") == math.ceil(190 * 0.016)
 
 
-def test_a_motion_stage_that_fails_is_part_of_the_chain() -> None:
+def test_a_motion_stage_that_fails_is_part_of_the_chain(monkeypatch: pytest.MonkeyPatch) -> None:
     car = Car()
-    car.motion.step = lambda state, command, t_ns: 1 / 0
+    monkeypatch.setattr(car.motion, "step", lambda state, command, t_ns: 1 / 0)
     car.run()
     assert car.modes() == [DISARMED]
     assert {m.source for m in car.recorder.of("motion")} == {MotionSource.NONE}
@@ -82,7 +94,7 @@ def test_anything_not_finite_holds_at_once(where: str) -> None:
     result = car.run()
     assert car.modes()[3] is HOLD
     first = next(r for r in car.watcher.records if r.decision.mode is HOLD)
-    assert first.frame.index == (60 if where in ("estimate", "command") else 61)
+    assert frame_index(first) == (60 if where in ("estimate", "command") else 61)
     assert "fault" in [event.kind for event in result.events]
     assert all(math.isfinite(c.speed_mps) and math.isfinite(c.steering_rad) for c in car.link.commands)
     assert all(math.isfinite(m.speed_mps) for m in car.recorder.of("motion"))
@@ -113,6 +125,7 @@ def test_a_slow_first_frame_only_puts_the_arming_off() -> None:
 def test_a_frame_whose_time_is_wrong_is_not_looked_at(offset_ms: float) -> None:
     car = Car()
     t_ns, good = car.source._items[60]
+    assert isinstance(good, Frame)
     bad = frame(good.t_ns / MS + offset_ms, 60)
     car.source._items[60] = (t_ns, bad)
     car.run()
@@ -134,7 +147,7 @@ def test_a_recorder_that_is_full_does_not_stop_the_car() -> None:
 
 
 @pytest.mark.parametrize("where", ["observer", "recorder", "stop", "controls"])
-def test_an_unexpected_exception_parks_the_car_and_goes_up(where: str) -> None:
+def test_an_unexpected_exception_parks_the_car_and_goes_up(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
     car = Car()
 
     def fail(*_: object) -> None:
@@ -142,12 +155,12 @@ def test_an_unexpected_exception_parks_the_car_and_goes_up(where: str) -> None:
             raise LookupError("a bug")
 
     if where == "observer":
-        car.watcher.on_tick = fail
+        monkeypatch.setattr(car.watcher, "on_tick", fail)
     elif where == "recorder":
-        car.recorder.estimate = fail
+        monkeypatch.setattr(car.recorder, "estimate", fail)
     elif where == "controls":
         car.at[80] = LaneStatus.LOST
-        car.limits.reset = fail
+        monkeypatch.setattr(car.limits, "reset", fail)
     with pytest.raises(LookupError):
         car.run(stop=fail if where == "stop" else None)
     assert car.link.driven()
@@ -155,14 +168,14 @@ def test_an_unexpected_exception_parks_the_car_and_goes_up(where: str) -> None:
     assert car.recorder.of("event")[-1].text == "an error"
 
 
-def test_everything_is_closed_even_when_closing_fails() -> None:
+def test_everything_is_closed_even_when_closing_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     car = Car()
 
     def fail() -> None:
         car.recorder.closed += 1
         raise LookupError("a bug")
 
-    car.recorder.close = fail
+    monkeypatch.setattr(car.recorder, "close", fail)
     with pytest.raises(LookupError):
         car.run()
     assert_parked(car)

@@ -8,8 +8,18 @@ import pytest
 
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.supervised_link import SupervisedLink
-from automodel.signals import NEUTRAL, Event
-from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked
+from automodel.signals import NEUTRAL, Event, VehicleState
+from tests.support.runner_car import (
+    ARMING,
+    DISARMED,
+    DRIVING,
+    HOLD,
+    STOPPED,
+    Car,
+    assert_neutral,
+    assert_parked,
+    frame_index,
+)
 from tests.support.runner_devices import FakeLink
 from tests.support.runner_fakes import MS, frames
 
@@ -48,15 +58,15 @@ def test_a_frame_that_comes_while_the_link_is_down_sends_nothing() -> None:
 
 def test_a_send_that_fails_leaves_no_command_recorded() -> None:
     car = Car()
-    good = car.link.send
-    car.at[60] = lambda: setattr(car.link, "send", fail)
+    with pytest.MonkeyPatch.context() as patch:
 
-    def fail(command, now_ns):
-        car.link.send = good
-        raise OSError("port: gone")
+        def fail(command, now_ns):
+            patch.undo()
+            raise OSError("port: gone")
 
-    car.run()
-    record = next(r for r in car.watcher.records if r.frame is not None and r.frame.index == 60)
+        car.at[60] = lambda: patch.setattr(car.link, "send", fail)
+        car.run()
+    record = next(r for r in car.watcher.records if frame_index(r) == 60)
     assert (record.decision.mode, record.sent, record.latency_ns) == (DRIVING, None, None)
     assert car.modes() == [DISARMED, ARMING, DRIVING, STOPPED]
 
@@ -87,19 +97,22 @@ def test_a_board_that_restarts_disarms_or_falls_silent_stops_the_car(what: str, 
     assert_neutral(next(r for r in car.watcher.records if r.decision.mode is STOPPED).sent)
 
 
-def test_a_loop_that_is_held_up_does_not_take_its_own_delay_for_silence() -> None:
+def test_a_loop_that_is_held_up_does_not_take_its_own_delay_for_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     """The board's last word was a turn old when the loop fell behind: it has said more since, to be heard first."""
-    car = Car(at={60: lambda: car.clock.sleep(0.083)})
-    poll, state = car.link.poll, []
+    car = Car()
+    car.at[60] = lambda: car.clock.sleep(0.083)
+    poll = car.link.poll
+    state: list[VehicleState | None] = []
 
     def poll_less(now_ns):
         if not state or not 944 * MS <= now_ns < 1000 * MS:
             state[:] = [poll(now_ns)]
         return state[0]
 
-    car.link.poll = poll_less
+    monkeypatch.setattr(car.link, "poll", poll_less)
     car.run()
-    held = next(r for r in car.watcher.records if r.frame is not None and r.frame.index == 60)
+    held = next(r for r in car.watcher.records if frame_index(r) == 60)
+    assert held.state is not None
     assert held.t_ns - held.state.t_ns > 100 * MS
     assert car.kinds() == ["arming", "driving", "hold", "driving", "end"]  # the frame was late, and nothing else
 

@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,7 +58,7 @@ NEUTRAL_PICTURE = picture(Appearance())
     ],
     ids=lambda knobs: "-".join(knobs),
 )
-def test_every_knob_does_something_alone(knobs: dict[str, object]) -> None:
+def test_every_knob_does_something_alone(knobs: dict[str, Any]) -> None:
     changed = picture(Appearance(**knobs))
     assert np.isfinite(changed).all()
     assert np.abs(changed - NEUTRAL_PICTURE).mean() > 0.05
@@ -101,7 +102,7 @@ def test_a_range_that_changes_leaves_the_other_knobs_alone(monkeypatch: pytest.M
         ({"exposure_hold_frames": 0}, "exposure_hold_frames: 0 where 1 or more"),
     ],
 )
-def test_impossible_knobs_are_refused(knobs: dict[str, object], message: str) -> None:
+def test_impossible_knobs_are_refused(knobs: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Appearance(**knobs)
 
@@ -148,7 +149,7 @@ def test_the_background_moves_with_the_heading() -> None:
     background = Background(CAMERA, GroundProjection(CAMERA).seen, Appearance(background="hall", clutter=1.0))
     turn = math.atan2(100.0, 480.0)
     row = 40  # 139.5 px above the middle: there a turn is no pure shift, so positions are worked out
-    ahead, turned = (background.look_up(yaw, False)[row].astype(float) for yaw in (0.3, 0.3 + turn))
+    ahead, turned = (np.asarray(background.look_up(yaw, False), dtype=float)[row] for yaw in (0.3, 0.3 + turn))
     columns = np.arange(640)
     ray = np.column_stack((columns - 319.5, np.full(640, row - 179.5), np.full(640, 480.0))) @ CAMERA.cam_from_body
     azimuth = np.arctan2(ray[:, 1], ray[:, 0])

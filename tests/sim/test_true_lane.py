@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from automodel.curves.base import Curve
 from automodel.geometry import SE2
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.plant import CarState
@@ -30,15 +31,24 @@ def look(s_m: float, offset_m: float = 0.0, heading_rad: float = 0.0) -> tuple[L
     return pipeline.step(Frame(t_ns=5, index=3, image=PICTURE), MOTION), car
 
 
+def centerline(s_m: float) -> Curve:
+    """The centerline that is seen from here."""
+    curve = look(s_m)[0].centerline
+    assert curve is not None
+    return curve
+
+
 @pytest.mark.parametrize("s_m", [0.02, 1.0, 2.9, 5.0, 7.5, 11.0, LANE.centerline.length_m - 0.03])
 @pytest.mark.parametrize(("offset_m", "heading_rad"), [(0.0, 0.0), (0.1, -0.3), (-0.15, 0.4)])
 def test_it_says_where_the_car_was_put(s_m: float, offset_m: float, heading_rad: float) -> None:
     estimate, car = look(s_m, offset_m, heading_rad)
+    pose, line = estimate.pose, estimate.centerline
+    assert pose is not None
+    assert line is not None
     assert estimate.status is LaneStatus.TRACKING
-    assert estimate.pose.offset_m == pytest.approx(offset_m, abs=1e-5)
-    assert estimate.pose.heading_rad == pytest.approx(heading_rad, abs=1e-3)
-    assert estimate.pose.width_m == pytest.approx(0.4)
-    line = estimate.centerline
+    assert pose.offset_m == pytest.approx(offset_m, abs=1e-5)
+    assert pose.heading_rad == pytest.approx(heading_rad, abs=1e-3)
+    assert pose.width_m == pytest.approx(0.4)
     foot_m, aside_m = line.project((REFERENCE_X_M, 0.0))
     assert aside_m == pytest.approx(offset_m, abs=1e-4)
     assert float(line.heading(foot_m)) == pytest.approx(-heading_rad, abs=1e-3)
@@ -49,11 +59,11 @@ def test_it_says_where_the_car_was_put(s_m: float, offset_m: float, heading_rad:
 
 
 def test_bends_bend_to_their_side() -> None:
-    straight, _ = look(1.0)
-    assert np.abs(straight.centerline.curvature([0.3, 1.0])).max() < 1e-9
-    bend, _ = look(4.0)  # the outer lane's left bend, of 1.4 m
-    assert float(bend.centerline.curvature(0.5)) == pytest.approx(1 / 1.4)
-    assert float(bend.centerline.heading(1.0)) == pytest.approx(float(bend.centerline.heading(0.0)) + 1.0 / 1.4)
+    straight = centerline(1.0)
+    assert np.abs(straight.curvature([0.3, 1.0])).max() < 1e-9
+    bend = centerline(4.0)  # the outer lane's left bend, of 1.4 m
+    assert float(bend.curvature(0.5)) == pytest.approx(1 / 1.4)
+    assert float(bend.heading(1.0)) == pytest.approx(float(bend.heading(0.0)) + 1.0 / 1.4)
 
 
 def test_a_lane_that_is_far_aside_is_out_of_sight() -> None:
@@ -67,4 +77,4 @@ def test_a_frame_that_nobody_announced_shows_no_lane() -> None:
 
 def test_headings_are_near_zero_all_around_the_lane() -> None:
     for s_m in np.linspace(0.0, LANE.centerline.length_m - 0.01, 40):
-        assert abs(float(look(float(s_m))[0].centerline.heading(0.1))) < math.pi / 4
+        assert abs(float(centerline(float(s_m)).heading(0.1))) < math.pi / 4

@@ -10,7 +10,6 @@ import pytest
 
 from automodel.config import CameraConfig
 from automodel.signals import Frame
-from automodel.sources import cameras as usb_module
 from automodel.sources.cameras import (
     CaptureThread,
     CsiSource,
@@ -161,7 +160,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeCapture]:
     class Fresh(FakeCapture):
         pass
 
-    monkeypatch.setattr(usb_module.cv2, "VideoCapture", Fresh)
+    monkeypatch.setattr(cv2, "VideoCapture", Fresh)
     return Fresh
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import cv2
 import numpy as np
@@ -92,7 +93,7 @@ def turned(right_rad: float, down_rad: float, roll_rad: float = 0.0) -> np.ndarr
     return a @ b @ c
 
 
-def held(columns: int, rows: int, square_m: float, views: int, paper: np.ndarray | None = None, **more: object):
+def held(columns: int, rows: int, square_m: float, views: int, paper: np.ndarray | None = None, **more: Any):
     """Pictures of a board held before the camera: near and far, all over the picture, tilted to all sides."""
     paper = chessboard(columns, rows) if paper is None else paper
     rng = np.random.default_rng(5)

@@ -9,10 +9,12 @@ from __future__ import annotations
 import gc
 import signal
 import sys
+from unittest import mock
 
 import numpy as np
 
 from automodel.assembly import drive_real
+from automodel.assembly.parts import make_loop
 from automodel.cli import main
 from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
@@ -97,13 +99,15 @@ class DisturbedPipeline:
 
 
 def disturb(picture, clock, how):
-    make_loop = drive_real.make_loop
-    drive_real.make_camera = lambda car: StillCamera(clock, picture)
-    drive_real.MonotonicClock = lambda: clock
-    drive_real.ArmKey = Key
-    drive_real.make_loop = lambda car, **more: make_loop(
-        car, pipeline=DisturbedPipeline(make_pipeline(car.pipeline.name, car), clock, how), **more
-    )
+    mock.patch.multiple(
+        drive_real,
+        make_camera=lambda car: StillCamera(clock, picture),
+        MonotonicClock=lambda: clock,
+        ArmKey=Key,
+        make_loop=lambda car, **more: make_loop(
+            car, pipeline=DisturbedPipeline(make_pipeline(car.pipeline.name, car), clock, how), **more
+        ),
+    ).start()
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ class Rig:
         self.peripherals = BenchPeripherals()
         self.board: Any = self.make_board(options)
         self.t_ns = 1_000_000 * MS
-        self.cable = self.transport()
+        self.cable: Any = self.transport()
         self.link: Any = self.make_link()
 
     def make_link(self) -> Any:

@@ -40,7 +40,7 @@ def make_estimate(index: int) -> LaneEstimate:
     s = np.linspace(0.0, 1.2, 25)
     turn = np.linspace(0.0, 0.5, 25) * rng.normal()
     table = TabulatedCurve(s, np.stack((s + rng.normal(), rng.normal(size=25)), axis=1), turn, turn / 3.0)
-    theta = ThetaCurve(*rng.normal(size=2), rng.normal(size=4) * 0.3, 1.3)
+    theta = ThetaCurve(rng.normal(), rng.normal(), rng.normal(size=4) * 0.3, 1.3)
     joined = JoinedCurve((theta, GraphCurve(rng.normal(size=3), 0.1, 0.9)))
     return LaneEstimate(
         t_ns=1_000_000_000 + index * SYNTHETIC_NS,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from automodel.config import SafetyConfig
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.loop import Loop
+from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import RunConfig, Runner, RunParts, RunResult
 from automodel.runtime.safety import Safety, SafetyMode
 from tests.support.runner_devices import FakeLink, FakeRecorder, ScriptedSource
@@ -28,6 +29,7 @@ class Car:
     items: list = field(default_factory=lambda: frames(120))
     silent_for_ms: float = 0.0
     reopen: Callable | None = None
+    recorded: bool = True
     arm_requested: Callable[[], bool] | None = None
 
     def __post_init__(self) -> None:
@@ -46,7 +48,7 @@ class Car:
         parts = RunParts(
             source=self.source,
             link=self.link,
-            recorder=self.recorder,
+            recorder=self.recorder if self.recorded else None,
             motion=self.motion,
             loop=Loop(self.pipeline, self.controller, self.limits, validity_s=CONFIG.command_validity_s),
             safety=self.safety,
@@ -72,9 +74,20 @@ class Car:
 
 def assert_parked(car: Car) -> None:
     """The last words on the wire are neutral, disarm, close; everything is closed once."""
-    assert [sent.what for sent in car.link.log[-3:]] == ["send", "disarm", "close"]
+    assert [entry.what for entry in car.link.log[-3:]] == ["send", "disarm", "close"]
     assert_neutral(car.link.log[-3].command)
     assert (car.recorder.closed, car.source.closed) == (1, 1)
+
+
+def frame_index(record: TickRecord) -> int | None:
+    """The index of the turn's frame, None without one."""
+    return None if record.frame is None else record.frame.index
+
+
+def sent(record: TickRecord) -> tuple[float, float]:
+    """The steering [rad] and speed [m/s] that went out in this turn."""
+    assert record.sent is not None
+    return record.sent.steering_rad, record.sent.speed_mps
 
 
 def assert_neutral(command) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, VehicleState
+from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from tests.support.runner_fakes import MS
 
@@ -42,16 +43,14 @@ class ScriptedSource:
         self.closed += 1
 
 
-class BrokenSource:
+class BrokenSource(ScriptedSource):
     """A source whose device is gone."""
 
-    closed = 0
+    def __init__(self) -> None:
+        super().__init__(VirtualClock(), [])
 
     def read(self, timeout_s: float) -> Frame | None:
         raise SourceError("camera: /dev/video0 is gone; plug it in")
-
-    def close(self) -> None:
-        self.closed += 1
 
 
 @dataclass
@@ -147,7 +146,7 @@ class FakeRecorder:
             raise OSError("run.mcap: no space left on the device")
         self.entries.append((kind, value))
 
-    def frame(self, frame: Frame) -> None:
+    def frame(self, frame: Frame | StereoFrame) -> None:
         self._put("frame", frame)
 
     def motion(self, motion: Motion) -> None:
@@ -168,5 +167,5 @@ class FakeRecorder:
     def close(self) -> None:
         self.closed += 1
 
-    def of(self, kind: str) -> list[object]:
+    def of(self, kind: str) -> list[Any]:
         return [value for k, value in self.entries if k == kind]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,6 @@ def driven(config: PlantConfig, plan: DrivePlan | None = None) -> ServoLog:
     )
 
 
-def changed(log: ServoLog, **values: object) -> ServoLog:
+def changed(log: ServoLog, **values: Any) -> ServoLog:
     """The log with other columns."""
     return dataclasses.replace(log, **values)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from collections.abc import Iterator
+from typing import Any
 
 
 @contextlib.contextmanager
@@ -14,7 +15,11 @@ def signals_of_a_terminal() -> Iterator[None]:
     Not by Popen's preexec_fn, which runs Python between fork and exec: beside a thread that holds a lock just then (a
     board's, a network's), the child may never get that far, and Popen waits for it.
     """
-    wanted = {signal.SIGINT: signal.default_int_handler, signal.SIGUSR1: signal.SIG_IGN, signal.SIGUSR2: signal.SIG_IGN}
+    wanted: dict[signal.Signals, Any] = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGUSR1: signal.SIG_IGN,
+        signal.SIGUSR2: signal.SIG_IGN,
+    }
     former = {number: signal.signal(number, handler) for number, handler in wanted.items()}
     try:
         yield

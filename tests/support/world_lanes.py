@@ -26,10 +26,11 @@ class WorldLane:
         self._y = np.concatenate(([0.0], np.cumsum(np.sin(middle) * step)))
 
     def theta(self, s_m: ArrayLike) -> np.ndarray:
-        return np.interp(s_m, self._s, self._theta)
+        return np.interp(np.asarray(s_m, dtype=np.float64), self._s, self._theta)
 
     def beside(self, s_m: ArrayLike, lateral_m: float) -> np.ndarray:
         theta = self.theta(s_m)
+        s_m = np.asarray(s_m, dtype=np.float64)
         x, y = np.interp(s_m, self._s, self._x), np.interp(s_m, self._s, self._y)
         return np.stack((x - lateral_m * np.sin(theta), y + lateral_m * np.cos(theta)), axis=-1)
 

@@ -35,7 +35,7 @@ def net() -> MarkingNet:
     return net.eval()
 
 
-@pytest.fixture(scope="module", params=SIZES.values(), ids=SIZES)
+@pytest.fixture(scope="module", params=SIZES.values(), ids=list(SIZES))
 def exported(net: MarkingNet, request: pytest.FixtureRequest) -> tuple[bytes, int, int]:
     width, height = request.param
     return onnx_bytes(net, width, height, {"seed": 7}), width, height

@@ -39,7 +39,7 @@ def test_gradients_in_16_bits_are_those_in_32(dilation: int) -> None:
     x = torch.randn((4, 32, 32, 64)).to(memory_format=torch.channels_last)
     kernel = block.layers[0].weight
 
-    def gradient(sixteen: bool) -> torch.Tensor:
+    def gradient(sixteen: bool):
         block.zero_grad()
         with torch.autocast("cpu", dtype=torch.bfloat16, enabled=sixteen):
             out = block(x)

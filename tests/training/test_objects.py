@@ -111,7 +111,7 @@ def test_objects_repeat_for_one_seed():
     for seed in range(20):
         first, second = blank(), blank()
         for pair in (first, second):
-            draw_objects(*pair, camera(0.2), np.random.default_rng(seed), 8.0)
+            draw_objects(pair[0], pair[1], camera(0.2), np.random.default_rng(seed), 8.0)
         np.testing.assert_array_equal(first[0], second[0])
         np.testing.assert_array_equal(first[1], second[1])
 

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import itertools
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,7 +45,7 @@ def batches() -> Iterator[np.ndarray]:
     return (pictures(seed) for seed in itertools.count())
 
 
-def training(clock: Iterator[float] | None = None, **keys: float) -> Training:
+def training(clock: Iterator[float] | None = None, **keys: Any) -> Training:
     torch.manual_seed(1)
     config = TrainConfig(width_px=W, height_px=H, threads=1, **keys)
     return Training(config, MarkingNet(), (clock or itertools.count()).__next__)
@@ -54,7 +56,9 @@ SILENT = Watcher(progress=lambda _: None, better=lambda _: None)
 
 @pytest.fixture(scope="module")
 def trained() -> tuple[Training, train.Kept, list[train.Progress], list[train.Kept]]:
-    one, progress, better = training(steps=100), [], []
+    one = training(steps=100)
+    progress: list[train.Progress] = []
+    better: list[train.Kept] = []
     kept = one.run(batches(), pictures(10_000), Watcher(progress=progress.append, better=better.append))
     return one, kept, progress, better
 
@@ -145,7 +149,12 @@ def test_the_rate_rises_and_falls_to_nearly_nothing() -> None:
 def test_minutes_are_kept_and_the_rate_falls_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
     shares: list[float] = []
     one = training(clock=itertools.count(0.0, 3.0), minutes=2.0)  # each look at the clock takes 3 s
-    monkeypatch.setattr(one, "step", lambda _, share: shares.append(share) or 1.0)
+
+    def step(_: object, share: float) -> float:
+        shares.append(share)
+        return 1.0
+
+    monkeypatch.setattr(one, "step", step)
     monkeypatch.setattr(one, "_check", lambda *_: None)
     one.kept = object()  # type: ignore[assignment]
     one.run(batches(), [], SILENT)
@@ -185,7 +194,7 @@ def test_a_bad_batch_is_passed_over_and_many_are_an_error(monkeypatch: pytest.Mo
 
 
 @pytest.mark.parametrize("keys", [{}, {"steps": 3, "minutes": 1.0}, {"steps": 0}, {"minutes": -1.0}])
-def test_a_training_has_one_length(keys: dict[str, float]) -> None:
+def test_a_training_has_one_length(keys: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"steps|minutes"):
         TrainConfig(**keys)
 
@@ -239,7 +248,7 @@ def test_wrong_arguments_are_told_before_any_work(cli: Cli, tmp_path: Path, argu
 def test_without_torch_the_command_says_what_to_install(
     cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
     found = cli("train", "--out", tmp_path / "out")
     assert found.code == 2
     assert "training needs torch, which is not installed: pip install 'automodel[train]'" in found.line()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from automodel.bench.faults import camera, perception, sensors, wire
-from automodel.bench.faults.hooks import At, Hooks, Stall
+from automodel.bench.faults.hooks import At, CameraHook, Hooks, Stall
 from automodel.bench.faults.plan import Plan
 from automodel.bench.faults.wrappers import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.runtime.clocks import VirtualClock
@@ -53,7 +53,7 @@ class Ticking:
         pass
 
 
-def delivered(hook: camera.CameraHook, stall: Stall | None = None) -> list[tuple[int, Frame]]:
+def delivered(hook: CameraHook, stall: Stall | None = None) -> list[tuple[int, Frame]]:
     """When [ms] which frame came, from 1.9 s to 2.4 s."""
     clock = VirtualClock(1900 * MS)
     source = FaultySource(Ticking(clock), hook, PLAN, clock, Staller(stall, PLAN, clock))
@@ -117,8 +117,11 @@ def test_spoilt_pictures() -> None:
     assert black is not None
     assert (black.t_ns, black.index, black.image.shape) == (5, 3, (60, 60))
     assert 0.5 < black.image.mean() < 1.2  # half of a normal distribution of width 2
-    assert camera.shifted_in_time(-7)(frame).t_ns == -2
-    assert camera.resized(Random(0))(frame).image.shape != (60, 60)
+    early, small = camera.shifted_in_time(-7)(frame), camera.resized(Random(0))(frame)
+    assert early is not None
+    assert early.t_ns == -2
+    assert small is not None
+    assert small.image.shape != (60, 60)
 
 
 def test_a_stall_takes_its_time_once_or_again() -> None:
@@ -156,12 +159,18 @@ def test_estimates_are_spoilt_while_the_fault_lasts() -> None:
 def test_a_decoy_lies_beside_the_lane_and_a_crossing_across() -> None:
     right = estimate(0, offset_m=0.05)
     decoy = perception.decoy(0.3)(right)
+    assert decoy.pose is not None
+    assert decoy.centerline is not None
     assert decoy.pose.offset_m == pytest.approx(-0.25)
     assert decoy.centerline.position(1.0) == pytest.approx((1.0, 0.3))
     crossing = perception.crossing(1.2)(right)
+    assert crossing.pose is not None
+    assert crossing.centerline is not None
     assert crossing.pose.heading_rad == -1.2
     assert crossing.centerline.position(1.0) == pytest.approx((math.cos(1.2), math.sin(1.2)))
-    assert math.isnan(perception.with_pose(width_m=math.nan)(right).pose.width_m)
+    pose = perception.with_pose(width_m=math.nan)(right).pose
+    assert pose is not None
+    assert math.isnan(pose.width_m)
 
 
 def test_bytes_on_the_wire() -> None:
@@ -201,7 +210,7 @@ def test_sensors() -> None:
     assert sensors.battery(5.0)(good).battery_v == 5.0
     assert sensors.stuck_echo(0.1)(good).ranges_m == (0.1, 0.1, 0.1)
     spikes = sensors.spikes(Random(3), 4)
-    near = [spikes(good).ranges_m[1] < 0.31 for _ in range(12)]
+    near = [(spikes(good).ranges_m[1] or 0.0) < 0.31 for _ in range(12)]
     assert sum(near) == 3
     assert not any(near[i] and any(near[i + 1 : i + 4]) for i in range(12))
     missing = sensors.dropouts(Random(3), 0.5)

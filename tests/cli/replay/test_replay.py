@@ -12,10 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.assembly.parts import make_loop
 from automodel.cli import replay
 from automodel.recording.codec import encode
 from automodel.recording.reader import Recording
 from automodel.runtime.loop import Tick
+from automodel.signals import Frame
 
 POSES = (
     "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"
@@ -30,7 +32,6 @@ REPLAY_KEYS = [
 def ticks(monkeypatch: pytest.MonkeyPatch) -> list[Tick]:
     """What the loop of a replay gives, with every bit: a CSV has six decimals only."""
     seen: list[Tick] = []
-    make_loop = replay.make_loop
 
     def watched(car):
         loop = make_loop(car)
@@ -40,7 +41,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> list[Tick]:
             seen.append(tick(*arguments))
             return seen[-1]
 
-        loop.tick = note
+        monkeypatch.setattr(loop, "tick", note)
         return loop
 
     monkeypatch.setattr(replay, "make_loop", watched)
@@ -48,7 +49,7 @@ def ticks(monkeypatch: pytest.MonkeyPatch) -> list[Tick]:
 
 
 def recorded_estimates(path: Path) -> list[bytes]:
-    return [encode(step.estimate) for step in Recording(path).steps()]
+    return [encode(step.estimate) for step in Recording(path).steps() if step.estimate is not None]
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -144,6 +145,7 @@ def test_pictures_with_motion_replay_as_the_recording_did(driven: Path, tmp_path
     with open(tmp_path / "motion.csv", "w") as file:
         file.write("t_s,speed_mps,yaw_rate_radps\n")
         for number, step in enumerate(steps):
+            assert isinstance(step.frame, Frame)
             cv2.imwrite(str(folder / f"{number}.png"), step.frame.image)
             file.write(f"{number / 60:.9f},{step.motion.speed_mps!r},{step.motion.yaw_rate_radps!r}\n")
     poses = tmp_path / "poses.csv"

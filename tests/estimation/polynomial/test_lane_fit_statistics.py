@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -32,13 +33,17 @@ def test_a_third_of_the_points_may_lie() -> None:
         assert (~found.inliers & ~wrong).sum() <= 2, name
 
 
+def enlarged(curvature: Callable[[np.ndarray], np.ndarray], factor: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The curvature of the same road, `factor` times as long."""
+    return lambda s_m: curvature(s_m / factor) / factor
+
+
 @pytest.mark.parametrize("name", ["straight", "left", "clothoid"])
 def test_lane_widths_are_the_unit_of_length(name: str) -> None:
     results = []
     for unit in (0.4, 3.7):
         fit = LaneFit(LaneFitConfig(lane_width_m=unit, reference_x_m=0.3 * unit))
-        small = LANES[name].curvature
-        lane = WorldLane(lambda s, k=unit / WIDTH_M, f=small: f(s / k) / k, 25.0 * unit, unit)
+        lane = WorldLane(enlarged(LANES[name].curvature, unit / WIDTH_M), 25.0 * unit, unit)
         s0, s = S0 / WIDTH_M * unit, np.linspace(-1.0, 3.5, 15) * unit
         car = lane.car(s0, 0.11 * unit, -0.2, 0.3 * unit)
         points = np.concatenate([lane.seen_from(car, s0 + s, side) for side in (+1, -1)])
@@ -104,7 +109,7 @@ def test_a_bearing_is_a_measurement_of_the_direction(s_m: float) -> None:
     # what a Kalman filter makes of one scalar measurement; the direction's slope by differences
     origin = FIT.direction(np.zeros(FIT.size), s_m)
     slope = np.array([FIT.direction(e, s_m) - origin for e in np.eye(FIT.size)])
-    spread = slope @ np.linalg.solve(before.information, slope)
+    spread = float(slope @ np.linalg.solve(before.information, slope))
     expected = FIT.direction(before.parameters, s_m)
     expected += spread / (spread + 0.07**2) * (0.0 - expected)
     assert FIT.direction(after.parameters, s_m) == pytest.approx(expected, abs=1e-9)

@@ -181,7 +181,7 @@ def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
                 drive.tracker.cross(3.0 - drive.s_m, float(lane.theta(3.0)) - drive.car.yaw_rad)
             seen = ahead_of(drive.lane, drive.car, drive.s_m)
             short = [points[points[:, 0] < 0.7] for points in (seen.left_m, seen.right_m)]  # nothing of what comes
-            drive.tracker.update(observation(*short))
+            drive.tracker.update(observation(short[0], short[1]))
         parameters = drive.tracker.parameters
         assert parameters is not None
         along = 3.6 - drive.s_m
@@ -200,7 +200,7 @@ def test_points_that_make_no_lane_are_refused() -> None:
     rng = np.random.default_rng(1)
     x = np.linspace(0.4, 1.2, 12)
     mess = [np.column_stack((x, rng.uniform(-0.5, 0.5, 12))) for _ in range(2)]
-    assert tracker.fit_alone(observation(*mess), tracker.fit.start(0.0, 0.0, 0.0, 0.4)) is None
+    assert tracker.fit_alone(observation(mess[0], mess[1]), tracker.fit.start(0.0, 0.0, 0.0, 0.4)) is None
 
 
 def test_update_without_a_lane_is_a_mistake() -> None:

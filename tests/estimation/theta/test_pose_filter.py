@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -250,6 +251,6 @@ def test_unknown_motion_opens_the_filter() -> None:
 
 
 @pytest.mark.parametrize("change", [{"lane_width_m": 0.0}, {"gate": 1.0}, {"gate": 0.0}])
-def test_the_scales_are_checked(change: dict[str, float]) -> None:
+def test_the_scales_are_checked(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="PoseFilterConfig"):
         replace(FILTER, **change)

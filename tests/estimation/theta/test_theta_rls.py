@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -219,8 +220,9 @@ def test_numbers_that_are_not_finite_change_nothing(bad: float) -> None:
 
 @pytest.mark.parametrize("field", ["lane_width_m", "scale_lanes", "memory_lanes", "memory_s", "model_rad", "huber_rad"])
 def test_scales_must_be_positive(field: str) -> None:
+    wrong: dict[str, Any] = {field: 0.0}
     with pytest.raises(ValueError, match="positive"):
-        replace(RLS, **{field: 0.0})
+        replace(RLS, **wrong)
 
 
 def test_samples_need_a_line() -> None:

@@ -15,7 +15,7 @@ import onnxruntime
 import pytest
 
 from automodel.config.toml_reader import ConfigError
-from automodel.perception.markings import unet
+from automodel.perception.markings import onnx_check, unet
 from automodel.perception.markings.self_test import drawn_lines, self_test
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 from tests.support import onnx_files as files
@@ -143,7 +143,7 @@ def test_a_hostile_file_never_reaches_onnxruntime(path: Path, monkeypatch: pytes
 
 
 def test_the_bytes_that_were_checked_are_those_that_are_loaded(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    checked = unet.check_onnx
+    checked = onnx_check.check_onnx
 
     def check_and_swap(data: bytes, *size: int) -> None:
         checked(data, *size)

@@ -53,9 +53,9 @@ def test_the_best_pair_is_the_best_of_all(seed: int) -> None:
             if abs(aside[c, h] - middle) <= 0.5 * (LATERAL[left] - LATERAL[a]):
                 lost = loss[c, h] + OFF * (aside[c, h] - middle) ** 2 + width_loss[w]
                 totals[c, h, a, w] = float(lines[c, h, a] + lines[c, h, left] - lost)
-    score, *at = best_pair(lines, FEWEST, loss, aside, LATERAL, apart, width_loss, OFF)
-    assert tuple(at) == max(totals, key=totals.__getitem__)
-    assert score == pytest.approx(totals[tuple(at)])
+    score, c, h, a, w = best_pair(lines, FEWEST, loss, aside, LATERAL, apart, width_loss, OFF)
+    assert (c, h, a, w) == max(totals, key=totals.__getitem__)
+    assert score == pytest.approx(totals[c, h, a, w])
     assert best_pair(lines, 99, loss, aside, LATERAL, apart, width_loss, OFF)[0] == -np.inf
 
 
@@ -68,7 +68,7 @@ def test_the_best_single_line_is_the_best_of_all(seed: int) -> None:
         (lines >= FEWEST) & (np.abs(offset) <= 0.45 * UNIT), lines - loss[..., None] - OFF * offset**2, -np.inf
     )
     score, c, h, a, side = best_single(lines, FEWEST, loss, aside, LATERAL, 0.5 * UNIT, 0.45 * UNIT, OFF)
-    assert (c, h, a) == np.unravel_index(int(total.argmax()), total.shape)
+    assert total[c, h, a] == total.max()
     assert score == pytest.approx(float(total.max()))
     assert side == (1 if distance[c, h, a] > 0.0 else -1)
     assert best_single(lines, 99, loss, aside, LATERAL, 0.5 * UNIT, 0.45 * UNIT, OFF)[0] == -np.inf

@@ -51,7 +51,7 @@ NEXT = [Line(1.5 * LANE_M, SOLID), Line(-1.5 * LANE_M, DASHES)]
 )
 def test_dashes_and_dots_make_a_lane(patterns, offset: float, heading: float, curvature: float) -> None:
     lines = [
-        *lane(offset, *patterns, phase_m=3.1),
+        *lane(offset, patterns[0], patterns[1], phase_m=3.1),
         *[dataclasses.replace(n, offset_m=n.offset_m - offset) for n in NEXT],
     ]
     guess = start(draw(mounted(), lines, heading, curvature, seed=4))
