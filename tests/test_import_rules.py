@@ -16,6 +16,7 @@ GROUND = {
     "automodel.config",
     "automodel.curves",
     "automodel.geometry",
+    "automodel.output_files",
     "automodel.signals",
 }
 VISION = GROUND | {"automodel.interfaces", "automodel.estimation", "automodel.perception"}
@@ -40,6 +41,7 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.curves": {"automodel.types"},
     "automodel.geometry": {"automodel.types", "automodel.compiled", "automodel.config", "automodel.curves"},
     "automodel.signals": {"automodel.types", "automodel.curves"},
+    "automodel.output_files": {"automodel.config"},
     "automodel.interfaces": {"automodel.signals"},
     "automodel.estimation": GROUND,
     "automodel.perception": GROUND | {"automodel.estimation"},

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.config import CarConfig, ConfigError
+from automodel.config import CarConfig
 from automodel.console.messages import say
 from automodel.interfaces import Clock, Source, VehicleLink
+from automodel.output_files import output_text
 from automodel.runtime.run_types import RunConfig, RunEnd, RunResult, TickRecord
 from automodel.runtime.runner import Runner
 from automodel.runtime.safety import SafetyMode
@@ -109,18 +110,15 @@ class Watcher:
         }
 
     def write_truth(self, path: Path) -> None:
-        """truth.csv: where the car really was, a row a frame."""
-        try:
-            with open(path, "w", encoding="utf-8", newline="") as file:
-                table = csv.writer(file, lineterminator="\n")
-                table.writerow(TRUTH_COLUMNS)
-                for scene in self.scenes:
-                    truth, car = scene.truth, scene.car
-                    values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
-                    numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
-                    table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+        """truth.csv: where the car really was, a row a frame; raises ConfigError where it cannot be written."""
+        with output_text(path) as file:
+            table = csv.writer(file, lineterminator="\n")
+            table.writerow(TRUTH_COLUMNS)
+            for scene in self.scenes:
+                truth, car = scene.truth, scene.car
+                values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
+                numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
+                table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
 
 
 def run_config(car: CarConfig, collector_off: bool) -> RunConfig:

@@ -39,7 +39,8 @@ def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path 
         folder = path.parent
         if not folder.is_dir():
             raise ConfigError(f"{name} {path}: there is no folder {folder}")
-        if not os.access(path if path.exists() else folder, os.W_OK):
+        there, device = path.exists(), path.exists() and not path.is_file()
+        if (there and not os.access(path, os.W_OK)) or (not device and not os.access(folder, os.W_OK)):
             raise ConfigError(f"{name} {path}: cannot be written; look at the permissions")
 
 

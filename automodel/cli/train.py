@@ -20,6 +20,7 @@ from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.console.workers import spread
+from automodel.output_files import output_path
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 
 if TYPE_CHECKING:
@@ -143,17 +144,18 @@ class _Run:
 
     def _write(self, kept: Kept) -> None:
         """Put a network into the folder, with its weights, figures and card."""
-        from automodel.training import metrics as card
-        from automodel.training import train
-        from automodel.training import unet as export
+        from automodel.training.metrics import write_card, write_figures
+        from automodel.training.train import save_weights
+        from automodel.training.unet import with_metadata
 
         origin = self._origin(kept)
         name = f"marking_{self._size}"
-        onnx = export.with_metadata(kept.onnx, asdict(origin))
-        export.write_whole(self._out / f"{name}.onnx", onnx)
-        train.save_weights(self._out / f"{name}.pt", kept)
-        card.write_figures(self._out / f"{name}.json", origin, kept.figures)
-        card.write_card(self._out)
+        onnx = with_metadata(kept.onnx, asdict(origin))
+        with output_path(self._out / f"{name}.onnx") as part:
+            part.write_bytes(onnx)
+        save_weights(self._out / f"{name}.pt", kept)
+        write_figures(self._out / f"{name}.json", origin, kept.figures)
+        write_card(self._out)
         found = ", ".join(f"{key} {value:.3f}" for key, value in asdict(kept.figures).items())
         say(f"step {kept.steps}: {found}; written to {self._out / name}.onnx")
 

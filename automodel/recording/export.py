@@ -9,8 +9,9 @@ from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 
-from automodel.config import CarConfig, ConfigError
+from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
+from automodel.output_files import output_text
 from automodel.recording.reader import Recording, Step
 from automodel.signals import Command, Frame, LaneEstimate, LaneLine, StereoFrame
 from automodel.sources.images import check_size
@@ -38,23 +39,22 @@ COLUMNS = (
 class PosesCsv:
     """Writes poses.csv, a row a frame; a field that does not exist is empty, never 0.
 
-    Lengths and angles have six decimals (micrometres, microradians). Raises ConfigError where the file cannot be made.
+    Lengths and angles have six decimals (micrometres, microradians). The file is there when the `with` block has ended
+    without an error. Raises ConfigError where it cannot be written.
     """
 
     def __init__(self, path: str | Path) -> None:
-        try:
-            self._file = open(path, "w", encoding="utf-8", newline="")  # noqa: SIM115 - closed by close()
-        except OSError as error:
-            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-        self._file.write(",".join(COLUMNS) + "\n")
+        self._output = output_text(path)
 
     def __enter__(self) -> PosesCsv:
+        self._file = self._output.__enter__()
+        self._file.write(",".join(COLUMNS) + "\n")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self._output.__exit__(kind, error, trace)
 
     def row(
         self,
@@ -69,10 +69,6 @@ class PosesCsv:
         fields.append("" if command is None else _decimal(command.steering_rad))
         fields.append("" if latency_ms is None else f"{latency_ms:.3f}")
         self._file.write(",".join(fields) + "\n")
-
-    def close(self) -> None:
-        """Close the file; may be called twice."""
-        self._file.close()
 
 
 def _fields(estimate: LaneEstimate) -> list[str]:

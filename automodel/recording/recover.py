@@ -23,6 +23,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from automodel.config import ConfigError
+from automodel.output_files import output_path
 from automodel.recording.codec import CAMERA, LEFT
 from automodel.recording.run_file import CHUNK_BYTES
 from automodel.sources.errors import SourceError
@@ -121,22 +122,13 @@ def recover(path: str | Path, out: str | Path | None = None, force: bool = False
             raise ConfigError(f"{target}: is the file to recover; choose another name for the output")
         if not force:
             raise ConfigError(f"{target}: is there already; choose another name, or overwrite it with --force")
-    part = target.with_name(target.name + ".part")
-    with _open(source) as file:
-        try:
-            with open(part, "wb") as stream:
-                copy = _Copy(stream)
-                for record in salvage(file, source.stat().st_size):
-                    copy.add(record)
-                copy.finish()
-            if copy.messages:
-                os.replace(part, target)
-        except OSError as error:
-            raise ConfigError(f"{target}: cannot be written: {error.strerror}") from None
-        finally:
-            part.unlink(missing_ok=True)
-    if not copy.messages:
-        raise SourceError(f"{source}: nothing to recover: no complete message before the cut")
+    with _open(source) as file, output_path(target) as part, open(part, "wb") as stream:
+        copy = _Copy(stream)
+        for record in salvage(file, source.stat().st_size):
+            copy.add(record)
+        copy.finish()
+        if not copy.messages:
+            raise SourceError(f"{source}: nothing to recover: no complete message before the cut")
     return Recovered(path=target, messages=copy.messages, frames=copy.frames, duration_s=copy.duration_s)
 
 

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from automodel.config.toml_reader import ConfigError
+from automodel.output_files import output_path
 from automodel.training.scenes import make_sample
 from automodel.types import Image
 
@@ -80,10 +81,8 @@ def write_shard(shard: Shard, make: Maker = make_sample) -> None:
     for row, seed in zip(pictures, range(shard.first_seed, shard.first_seed + shard.count), strict=True):
         sample = make(seed)
         row[0], row[1] = sample.image, sample.mask
-    part = shard.path.with_suffix(".part")
-    with part.open("wb") as file:
-        np.save(file, pictures)
-    part.replace(shard.path)
+    with output_path(shard.path) as part:
+        np.save(part, pictures)
 
 
 def claim_folder(folder: Path, version: str) -> None:

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from automodel.config.toml_reader import ConfigError, positive
+from automodel.output_files import output_path
 from automodel.perception.markings.unet import open_session, run_network
 from automodel.training.metrics import Figures, measured
 from automodel.training.shapes import UNKNOWN
@@ -203,9 +204,8 @@ def rate_factor(share_done: float) -> float:
 
 def save_weights(path: Path, kept: Kept) -> None:
     """Write a network's weights so that `load_weights` takes them."""
-    part = path.with_name(path.name + ".part")
-    torch.save({"weights": kept.weights, "steps": kept.steps, "figures": asdict(kept.figures)}, part)
-    part.replace(path)
+    with output_path(path) as part:
+        torch.save({"weights": kept.weights, "steps": kept.steps, "figures": asdict(kept.figures)}, part)
 
 
 def load_weights(path: Path, net: MarkingNet) -> None:

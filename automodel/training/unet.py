@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import copy
 import io
-import os
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 
 import torch
 from torch import Tensor, nn
@@ -165,10 +163,3 @@ def with_metadata(data: bytes, metadata: Mapping[str, object]) -> bytes:
     model = onnx.load_from_string(data)
     onnx.helper.set_model_props(model, {key: str(value) for key, value in metadata.items()})
     return model.SerializeToString()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it is there whole or, after a crash, as it was before."""
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
-    os.replace(part, path)

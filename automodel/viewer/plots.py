@@ -1,7 +1,4 @@
-"""Figures as PNG files.
-
-Pictures side by side, with points drawn into them.
-"""
+"""PNG files: diagrams, and sheets of frames with points drawn into them."""
 
 from __future__ import annotations
 
@@ -13,6 +10,7 @@ import cv2
 import numpy as np
 
 from automodel.config import ConfigError
+from automodel.output_files import output_path
 from automodel.types import FloatArray, Image
 
 Colour = tuple[int, int, int]
@@ -42,8 +40,9 @@ def write_sheet(path: Path, pictures: Sequence[Picture]) -> None:
     sheet = np.vstack([np.hstack(cells[at : at + _COLUMNS]) for at in range(0, len(cells), _COLUMNS)])
     coded, data = cv2.imencode(".png", sheet)
     if not coded:
-        raise ConfigError(f"{path}: cannot be written as a picture")
-    path.write_bytes(data.tobytes())
+        raise ConfigError(f"{path}: cannot be written as an image")
+    with output_path(path) as part:
+        part.write_bytes(data.tobytes())
 
 
 def _drawn(picture: Picture) -> Image:
@@ -83,6 +82,7 @@ def plot_accuracy(path: Path, drives: Sequence[Drive]) -> None:
         axis.set_xlabel("time [s]")
     axes[0][0].legend(loc="upper right", fontsize=8)
     try:
-        figure.savefig(path, dpi=90)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be written as a picture: {error}") from None
+        with output_path(path) as part:
+            figure.savefig(part, dpi=90)
+    except ValueError as error:
+        raise ConfigError(f"{path}: cannot be written as an image: {error}") from None

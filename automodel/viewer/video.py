@@ -9,13 +9,15 @@ import cv2
 import numpy as np
 
 from automodel.config import ConfigError
+from automodel.output_files import output_path
 from automodel.types import Image
 
 
 class VideoWriter:
     """Writes pictures (h, w) or (h, w, 3) BGR, all of one even size, into an MP4 file.
 
-    The file is made with the first picture. Raises ConfigError where that is not possible.
+    The file is there when the `with` block has ended without an error, and only if a picture was written. Raises
+    ConfigError where it cannot be written.
     """
 
     def __init__(self, path: str | Path, rate_hz: float) -> None:
@@ -26,16 +28,20 @@ class VideoWriter:
             raise ConfigError(f"{path}: videos are written as MP4; choose a name that ends in .mp4")
         if not self.path.parent.is_dir():
             raise ConfigError(f"{path}: the folder {self.path.parent} is not there")
+        self._output = output_path(self.path)
         self._writer: cv2.VideoWriter | None = None
         self._shape: tuple[int, ...] = ()
 
     def __enter__(self) -> VideoWriter:
+        self._part = self._output.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        if self._writer is not None:
+            self._writer.release()
+        self._output.__exit__(kind, error, trace)
 
     def write(self, image: Image) -> None:
         """Add a picture; raises ValueError for one of another size than the first."""
@@ -46,16 +52,11 @@ class VideoWriter:
             raise ValueError(f"image: {shape} where the first picture was {self._shape}")
         self._writer.write(image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)))
 
-    def close(self) -> None:
-        """Finish the file; may be called twice."""
-        if self._writer is not None:
-            self._writer.release()
-
     def _open(self, width_px: int, height_px: int) -> cv2.VideoWriter:
         if width_px % 2 or height_px % 2:
             raise ValueError(f"image: {width_px}x{height_px} where even sizes are wanted")
         writer = cv2.VideoWriter(
-            str(self.path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), self._rate_hz, (width_px, height_px)
+            str(self._part), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), self._rate_hz, (width_px, height_px)
         )
         if not writer.isOpened():
             raise ConfigError(f"{self.path}: cannot be written as a video; is the folder writable, the disk full?")

@@ -183,8 +183,10 @@ def test_a_cut_video(tmp_path: Path, data_root: Path, cli) -> None:
     whole = (data_root / "udacity" / "solidWhiteRight.mp4").read_bytes()
     cut = tmp_path / "cut.mp4"
     cut.write_bytes(whole[:300_000])
-    said = cli("replay", cut, "--car", CARS / "solid_white_right.toml")
+    table = tmp_path / "poses.csv"
+    said = cli("replay", cut, "--car", CARS / "solid_white_right.toml", "--csv", table)
     assert said.code == 2
+    assert os.listdir(tmp_path) == ["cut.mp4"]
     assert said.line().startswith(f"automodel: {cut}: ends after ")
     assert said.line().endswith(" of 221 frames: the file is cut")
 

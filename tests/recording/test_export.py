@@ -68,8 +68,24 @@ def test_what_does_not_exist_is_empty_never_0(tmp_path: Path) -> None:
 
 
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be written"):
-        PosesCsv(tmp_path / "no" / "poses.csv")
+    with pytest.raises(ConfigError, match="cannot be written"), PosesCsv(tmp_path / "no" / "poses.csv"):
+        pass
+
+
+def test_a_csv_that_is_not_finished_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    for earlier in (None, "the old one\n"):
+        if earlier is not None:
+            path.write_text(earlier)
+        with pytest.raises(KeyboardInterrupt), PosesCsv(path) as table:  # noqa: PT012
+            table.row(make_frame(0), None)
+            raise KeyboardInterrupt
+        assert [file.name for file in tmp_path.iterdir()] == ([] if earlier is None else ["poses.csv"])
+    assert path.read_text() == "the old one\n"
+    with PosesCsv(path) as table:
+        table.row(make_frame(0), None)
+        assert path.read_text() == "the old one\n"
+    assert path.read_text().startswith("t_s,frame,")
 
 
 def test_a_recording_exports_to_csv(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:

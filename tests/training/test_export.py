@@ -14,7 +14,7 @@ onnx = pytest.importorskip("onnx")
 from automodel.perception.markings.onnx_check import OPSET, check_onnx
 from automodel.perception.markings.unet import SIZES, open_session, run_network
 from automodel.training.metrics import Figures, Origin, write_card, write_figures
-from automodel.training.unet import MarkingNet, onnx_bytes, standardised, with_metadata, write_whole
+from automodel.training.unet import MarkingNet, onnx_bytes, standardised, with_metadata
 
 
 @pytest.fixture(scope="module")
@@ -95,14 +95,6 @@ def test_pictures_are_brought_to_mean_0_and_deviation_1() -> None:
     assert float(found[1].abs().max()) < 1e-4
     darker = standardised((picture * 0.5).float() + 20.0)
     assert torch.allclose(found[0], darker[0], atol=0.03)
-
-
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
-    path = tmp_path / "a.onnx"
-    write_whole(path, b"one")
-    write_whole(path, b"two")
-    assert path.read_bytes() == b"two"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_the_card_tells_of_all_networks_in_a_folder(tmp_path: Path) -> None:

@@ -175,7 +175,6 @@ def test_a_video_is_written_at_its_rate(tmp_path: Path) -> None:
         for level in range(0, 200, 20):
             video.write(np.full((48, 64, 3), level, np.uint8))
         video.write(np.full((48, 64), 200, np.uint8))
-    video.close()
     capture = cv2.VideoCapture(str(path))
     assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(20.0)
     levels = []
@@ -198,6 +197,18 @@ def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     (tmp_path / "folder.mp4").mkdir()
     with VideoWriter(tmp_path / "folder.mp4", 20.0) as video, pytest.raises(ConfigError, match="cannot be written"):
         video.write(np.zeros((48, 64), np.uint8))
+
+
+def test_a_video_that_is_not_finished_leaves_the_old_one(tmp_path: Path) -> None:
+    path = tmp_path / "v.mp4"
+    path.write_bytes(b"the old one")
+    with pytest.raises(RuntimeError, match="stop"), VideoWriter(path, 20.0) as video:  # noqa: PT012
+        video.write(np.zeros((48, 64), np.uint8))
+        raise RuntimeError("stop")
+    with VideoWriter(path, 20.0):
+        pass  # nothing written
+    assert [file.name for file in tmp_path.iterdir()] == ["v.mp4"]
+    assert path.read_bytes() == b"the old one"
 
 
 def test_pictures_of_a_video_have_one_even_size(tmp_path: Path) -> None:
