@@ -12,7 +12,7 @@ from automodel.control.lateral import lateral_controller
 from automodel.control.limits import Limits
 from automodel.control.longitudinal import STATE_TIMEOUT_NS, SpeedPlanner
 from automodel.control.path import LanePath
-from automodel.control.vehicle_model import driven
+from automodel.control.vehicle_model import arc_motion
 from automodel.geometry.se2 import SE2
 from automodel.signals import Command, LaneEstimate, Motion, VehicleState
 
@@ -40,7 +40,7 @@ class SteeringInFlight:
         while len(self._commands) > 1 and self._commands[1][0] <= frame_ns - self._delay_ns:
             self._commands.popleft()
 
-    def drive(self, frame_ns: int, speed_mps: float, steering_before_rad: float) -> SE2:
+    def predict(self, frame_ns: int, speed_mps: float, steering_before_rad: float) -> SE2:
         """`frame_from_then`: where the car of the frame at `frame_ns` is when its command acts.
 
         `steering_before_rad` is taken for the time before the first command that is remembered.
@@ -49,9 +49,9 @@ class SteeringInFlight:
         steering, since = steering_before_rad, frame_ns - self._delay_ns
         for begin, value in self._commands:
             until = min(max(begin, since), frame_ns)
-            then = then @ driven(speed_mps, steering, self._wheelbase_m, (until - since) * 1e-9)
+            then = then @ arc_motion(speed_mps, steering, self._wheelbase_m, (until - since) * 1e-9)
             steering, since = value, until
-        return then @ driven(speed_mps, steering, self._wheelbase_m, (frame_ns - since) * 1e-9)
+        return then @ arc_motion(speed_mps, steering, self._wheelbase_m, (frame_ns - since) * 1e-9)
 
     def reset(self) -> None:
         """Forget every command."""
@@ -118,7 +118,7 @@ class LaneController:
     def _follow(self, lane: LanePath, estimate: LaneEstimate, motion: Motion, t_ns: int) -> tuple[float, float]:
         """Steering [rad] and speed [m/s] along a lane that is seen."""
         speed = motion.speed_mps if motion.known else (0.0 if self._last is None else self._last.speed_mps)
-        then = self._in_flight.drive(estimate.t_ns, speed, self._told_rad)
+        then = self._in_flight.predict(estimate.t_ns, speed, self._told_rad)
         steering_max = self._car.safety.steering_max_rad
         steering = self._lateral.steer(lane, then, max(speed, 0.0))
         s_m, _ = lane.foot(then.x_m, then.y_m)

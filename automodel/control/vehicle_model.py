@@ -30,7 +30,7 @@ def yaw_rate_radps(speed_mps: float, steering_rad: float, wheelbase_m: float) ->
     return speed_mps * curvature_per_m(steering_rad, wheelbase_m)
 
 
-def driven(speed_mps: float, steering_rad: float, wheelbase_m: float, duration_s: float) -> SE2:
+def arc_motion(speed_mps: float, steering_rad: float, wheelbase_m: float, duration_s: float) -> SE2:
     """`before_from_after` of a drive at constant speed and steering: an arc of length v t that turns by v t kappa."""
     way_m = speed_mps * duration_s
     return SE2.arc(way_m, way_m * curvature_per_m(steering_rad, wheelbase_m))

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.curves.base import Curve
 from automodel.types import FloatArray
+
+Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+
+_FIELDS = ("s_m", "points_m", "headings_rad", "curvatures_per_m", "length_m")
 
 
 class TabulatedCurve(Curve):
@@ -71,6 +78,23 @@ class TabulatedCurve(Curve):
         i = np.clip(np.searchsorted(self.s_m, s, side="right") - 1, 0, len(self.s_m) - 2)
         h = self.s_m[i + 1] - self.s_m[i]
         return i, (s - self.s_m[i]) / h, h
+
+
+class DeferredCurve(TabulatedCurve):
+    """The curve of the samples that `make` gives: arc lengths, points, headings, curvatures as in `TabulatedCurve`.
+
+    Most curves of a run are only handed on; a fast pipeline makes three a frame. `make` runs once, at the first use,
+    and must not depend on anything that changes until then.
+    """
+
+    def __init__(self, make: Callable[[], Table]) -> None:
+        self._make = make
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in _FIELDS:
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        super().__init__(*self._make())
+        return self.__dict__[name]
 
 
 def _arc_chord(heading: FloatArray, curvature: FloatArray, length: FloatArray) -> FloatArray:

@@ -12,13 +12,16 @@ from automodel.compiled import compiled
 from automodel.types import Floats, Ints
 
 
-class MotionTrust:
+class OdometryMonitor:
     """Trust in the motion that is told; `sigma_m` (n,): how well the place of each node is measured [m]."""
 
-    FEWEST = 3  # nodes that tell something
+    MIN_NODES = 3  # nodes that tell something
     SHARE, MOST = 0.3, 6.0  # of a frame in the mean, and what it counts at most [sigmas]
-    BROKEN = 2.5  # the mean from which on motion is not trusted
-    AGAIN_NS, CHARY = 5_000_000_000, 0.5  # after which it gets another chance, and the share of `BROKEN` it begins with
+    REJECTED = 2.5  # the mean from which on motion is not trusted
+    RETRY_NS, RETRY_SHARE = (
+        5_000_000_000,
+        0.5,
+    )  # after which it gets another chance, and the share of `REJECTED` it begins with
 
     def __init__(self, sigma_m: Floats) -> None:
         self._sigma = sigma_m
@@ -27,25 +30,25 @@ class MotionTrust:
     def reset(self) -> None:
         """Trust."""
         self._mean = 0.0
-        self._broken_ns: int | None = None
+        self._rejected_ns: int | None = None
 
-    def given(self, t_ns: int) -> bool:
+    def trusted(self, t_ns: int) -> bool:
         """Whether the motion up to `t_ns` may be used."""
-        if self._broken_ns is not None and not 0 <= t_ns - self._broken_ns < self.AGAIN_NS:
-            self._mean, self._broken_ns = self.CHARY * self.BROKEN, None
-        return self._broken_ns is None
+        if self._rejected_ns is not None and not 0 <= t_ns - self._rejected_ns < self.RETRY_NS:
+            self._mean, self._rejected_ns = self.RETRY_SHARE * self.REJECTED, None
+        return self._rejected_ns is None
 
-    def breaks(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
+    def rejects(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
         """Whether trust breaks with this frame, whose lane the motion predicted.
 
         `nodes` (k,) were looked for, and found `residual` (k or more,) [m] beside their place where `found` is above 0.
         """
         usual, count = _usual(self._sigma, nodes, residual, found)
-        if count >= self.FEWEST:
+        if count >= self.MIN_NODES:
             self._mean += self.SHARE * (min(usual, self.MOST) - self._mean)
-        if self._mean < self.BROKEN:
+        if self._mean < self.REJECTED:
             return False
-        self._broken_ns = t_ns
+        self._rejected_ns = t_ns
         return True
 
 

@@ -158,14 +158,14 @@ class Centerline:
                 if len(followed) >= (self.SINGLE_POINTS if None in starts else self.START_POINTS):
                     seen[i] = self._seen(followed)
         lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.begin(*seen) or not self._plausible(lane):
+        if not lane.start(*seen) or not self._plausible(lane):
             return None
         return lane, seen[0], seen[1]
 
     def _follow(self, features: Image, lane: TrackedLane, side: float) -> SeenLine:
         """A line's points from where it is expected; where its own model soon loses it, the centerline's may not."""
         seen = self._guided(features, lane, side, True)
-        if len(seen.points_m) < self.SHORT_POINTS and lane.stands_alone(side):
+        if len(seen.points_m) < self.SHORT_POINTS and lane.on_its_own(side):
             other = self._guided(features, lane, side, False)
             if len(other.points_m) > len(seen.points_m) + self.START_POINTS:
                 return other
@@ -262,7 +262,7 @@ class Centerline:
             return self._lost(frame)
         if self._unconfirmed:
             return self._lost(frame)
-        middle, pose = lane.middle, lane.pose
+        middle, pose = lane.centerline, lane.pose
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left) + int(right)],
@@ -284,7 +284,7 @@ class Centerline:
         if tracked.line is not None:
             curve = tracked.line.deferred(0.0, self._ahead_m)
         else:
-            curve = lane.middle.beside(side * lane.pose.width_m, 0.0, self._ahead_m)
+            curve = lane.centerline.beside(side * lane.pose.width_m, 0.0, self._ahead_m)
         return LaneLine(curve=curve, points_m=line.points_m if seen else NO_POINTS, seen=seen)
 
     def _plausible(self, lane: TrackedLane) -> bool:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from automodel.config import CarConfig
-from automodel.curves.deferred import DeferredCurve
+from automodel.curves import DeferredCurve
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
-from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, RoughLane, TrackerConfig
-from automodel.estimation.odometry_monitor import MotionTrust
+from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTracker, TrackerConfig
+from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.markings.ridge import Brightness, RowRidges
@@ -89,7 +89,7 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
-        self._trust = MotionTrust(sigma)
+        self._odometry = OdometryMonitor(sigma)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, law=options.update, radius_lanes=options.radius_lanes),
@@ -99,7 +99,7 @@ class Contour:
     def reset(self) -> None:
         """Forget the lane."""
         self._last_t_ns: int | None = None
-        self._trust.reset()
+        self._odometry.reset()
         self._led = self._misled = False  # by the motion: in this frame, up to this frame
         self._seen_t_ns = self._confirmed_ns = 0
         self._new_m = 0.0  # of way, for which the lane is new
@@ -141,8 +141,8 @@ class Contour:
         """Have everything compiled that a step calls, so that none has to wait for it."""
         nothing = np.zeros(self._size, np.uint8)
         self._start.step(nothing)
-        straight = RoughLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
-        self._tracker.begin(straight)
+        straight = ArcLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
+        self._tracker.start(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
         self._tracker.pose()
         followed = self._follow(nothing, 1, True)
@@ -163,9 +163,9 @@ class Contour:
         dt_s = dt_ns * 1e-9
         distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
         possible = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
-        self._led = led = possible and self._trust.given(t_ns)
+        self._led = led = possible and self._odometry.trusted(t_ns)
         self._tracker.move(distance if led else 0.0, turn if led else 0.0, dt_s, led)
-        self._new_m -= self._tracker.way_m
+        self._new_m -= self._tracker.advance_m
 
     def _wants_pair(self, index: int, counts: tuple[int, int]) -> bool:
         """Whether to look on whole rows too: no line is seen, or one alone ever was, and any width is possible."""
@@ -199,7 +199,7 @@ class Contour:
         return guess
 
     def _restart(self, guess: LaneGuess) -> None:
-        self._tracker.begin(guess.rough(self.FITTED))
+        self._tracker.start(guess.rough(self.FITTED))
         self._new_m = self.NEW * self._unit
         self._search.forget(guess.edge)
         self._paired = guess.pair
@@ -209,7 +209,7 @@ class Contour:
         guess = self._look_for(image)
         if guess is None or not guess.pair:
             return None
-        aside, turned = self._tracker.apart(guess.rough(self.FITTED))
+        aside, turned = self._tracker.difference(guess.rough(self.FITTED))
         if abs(aside) > self.ASIDE * self._unit or abs(turned) > self.TURNED_RAD:
             return None
         before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
@@ -228,7 +228,7 @@ class Contour:
             stages.lap("projection")
             seen = self._search.look(image, shape, tracker.width_m)
             if led and k == 0:
-                self._misled = self._trust.breaks(self._last_t_ns or 0, seen.nodes, seen.residual, seen.found)
+                self._misled = self._odometry.rejects(self._last_t_ns or 0, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
             carrying = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")

@@ -135,7 +135,7 @@ class Windows:
             self._ground.forget()
 
     def _take(self, fresh: Fresh) -> tuple[Observation, LaneSolution, Support]:
-        self._tracker.begin(fresh.seen, fresh.solution)
+        self._tracker.start(fresh.seen, fresh.solution)
         return fresh.seen, fresh.solution, fresh.support
 
     def _observe(self, lines: Image, crossed: Crossed) -> Observation:
@@ -209,7 +209,7 @@ class Windows:
         """Look for a crossing; one that is found tells the tracker the lane's direction there."""
         crossed = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
         if crossed.crossing is not None:
-            self._tracker.cross(crossed.crossing.distance_m, crossed.crossing.angle_rad - 0.5 * math.pi)
+            self._tracker.add_crossing(crossed.crossing.distance_m, crossed.crossing.angle_rad - 0.5 * math.pi)
         return crossed
 
     def _told(self, crossing: Crossing | None, parameters: FloatArray) -> Crossing | None:

@@ -8,7 +8,7 @@ import pytest
 from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.lateral import LateralController, PurePursuit, Stanley, lane_error, lateral_controller
 from automodel.control.path import LanePath
-from automodel.control.vehicle_model import driven, rear_offset_m
+from automodel.control.vehicle_model import arc_motion, rear_offset_m
 from automodel.curves import arc, line
 from automodel.geometry.se2 import SE2
 
@@ -76,7 +76,7 @@ def test_pure_pursuit_steers_the_arc_through_its_target(feed_forward: bool, y: f
     # drive that arc until the distance from the start is the lookahead: that is on the line, ahead
     kappa = math.tan(steering) / L
     way = 2.0 * math.asin(0.5 * kappa * config.lookahead_s) / kappa
-    end = SE2(0.0, y, yaw) @ driven(1.0, steering, L, way)
+    end = SE2(0.0, y, yaw) @ arc_motion(1.0, steering, L, way)
     assert end.y_m == pytest.approx(0.0, abs=1e-4)
     assert math.hypot(end.x_m, end.y_m - y) == pytest.approx(config.lookahead_s, abs=1e-9)
 
@@ -107,7 +107,7 @@ def test_an_ideal_car_converges_to_the_line(config: ControlConfig, speed: float)
     lane = LanePath(line(-1.0, 0.0, 0.0, 20.0))
     car, crossings, side = SE2(0.0, 0.1, 0.0), 0, 1.0
     for _ in range(600):
-        car = car @ driven(speed, controller.steer(lane, car, speed), L, 0.01)
+        car = car @ arc_motion(speed, controller.steer(lane, car, speed), L, 0.01)
         if car.y_m * side < -2e-3:  # on the other side by more than 2 % of the start
             crossings, side = crossings + 1, -side
     assert abs(car.y_m) < 2e-3

@@ -9,7 +9,7 @@ import pytest
 
 from automodel.control.controller import SteeringInFlight
 from automodel.control.path import LanePath
-from automodel.control.vehicle_model import curvature_per_m, driven, rear_offset_m, steering_rad, yaw_rate_radps
+from automodel.control.vehicle_model import arc_motion, curvature_per_m, rear_offset_m, steering_rad, yaw_rate_radps
 from automodel.curves import GraphCurve, JoinedCurve, arc, clothoid, line
 from automodel.geometry.se2 import SE2
 
@@ -35,7 +35,7 @@ def test_driven_against_small_steps(speed: float, delta: float) -> None:
     for _ in range(20_000):
         x, y = x + speed * math.cos(yaw) * dt, y + speed * math.sin(yaw) * dt
         yaw += speed * math.tan(delta) / L * dt
-    pose = driven(speed, delta, L, 0.2)
+    pose = arc_motion(speed, delta, L, 0.2)
     assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((x, y, yaw), abs=1e-5)
 
 
@@ -96,18 +96,18 @@ def test_prediction_is_the_drive_that_the_commands_in_flight_make() -> None:
     for t, steering in ((0, 0.1), (20, 0.2), (40, 0.3), (60, 0.4)):
         flight.add(t * MS, steering)
     # from 80 ms to 140 ms the wheels do what was commanded for 20 .. 80 ms
-    expected = driven(1.5, 0.2, L, 0.02) @ driven(1.5, 0.3, L, 0.02) @ driven(1.5, 0.4, L, 0.02)
-    got = flight.drive(80 * MS, 1.5, -9.0)
+    expected = arc_motion(1.5, 0.2, L, 0.02) @ arc_motion(1.5, 0.3, L, 0.02) @ arc_motion(1.5, 0.4, L, 0.02)
+    got = flight.predict(80 * MS, 1.5, -9.0)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
 
 
 def test_prediction_begins_with_the_steering_from_before() -> None:
     flight = SteeringInFlight(0.06, L)
-    got, expected = flight.drive(100 * MS, 1.0, 0.25), driven(1.0, 0.25, L, 0.06)
+    got, expected = flight.predict(100 * MS, 1.0, 0.25), arc_motion(1.0, 0.25, L, 0.06)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
     flight.add(100 * MS, -0.3)
-    got = flight.drive(120 * MS, 1.0, 0.25)
-    expected = driven(1.0, 0.25, L, 0.04) @ driven(1.0, -0.3, L, 0.02)
+    got = flight.predict(120 * MS, 1.0, 0.25)
+    expected = arc_motion(1.0, 0.25, L, 0.04) @ arc_motion(1.0, -0.3, L, 0.02)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
 
 
@@ -115,11 +115,11 @@ def test_prediction_forgets_over_a_gap_and_on_reset() -> None:
     flight = SteeringInFlight(0.06, L)
     flight.add(0, 0.4)
     flight.add(1000 * MS, 0.1)
-    assert flight.drive(1000 * MS, 1.0, 0.0).yaw_rad == pytest.approx(0.0)
+    assert flight.predict(1000 * MS, 1.0, 0.0).yaw_rad == pytest.approx(0.0)
     flight.add(1010 * MS, 0.1)
     flight.reset()
-    assert flight.drive(1020 * MS, 1.0, 0.0).x_m == pytest.approx(0.06)
-    assert flight.drive(1020 * MS, 1.0, 0.0).yaw_rad == 0.0
-    assert SteeringInFlight(0.0, L).drive(5, 1.0, 0.4) == SE2()
+    assert flight.predict(1020 * MS, 1.0, 0.0).x_m == pytest.approx(0.06)
+    assert flight.predict(1020 * MS, 1.0, 0.0).yaw_rad == 0.0
+    assert SteeringInFlight(0.0, L).predict(5, 1.0, 0.4) == SE2()
     with pytest.raises(ValueError, match="delay_s"):
         SteeringInFlight(-0.1, L)

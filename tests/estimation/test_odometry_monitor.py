@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.estimation.odometry_monitor import MotionTrust
+from automodel.estimation.odometry_monitor import OdometryMonitor
 
 NODES = np.arange(8)
 PERIOD_NS = 33_333_333
@@ -14,8 +14,8 @@ FOUND = np.ones(8)
 
 
 def frames_until_broken(residual: np.ndarray, found: np.ndarray = FOUND, frames: int = 60) -> int | None:
-    trust = MotionTrust(SIGMA_M)
-    return next((k for k in range(frames) if trust.breaks(k * PERIOD_NS, NODES, residual, found)), None)
+    monitor = OdometryMonitor(SIGMA_M)
+    return next((k for k in range(frames) if monitor.rejects(k * PERIOD_NS, NODES, residual, found)), None)
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 2.0])
@@ -42,20 +42,20 @@ def test_two_nodes_tell_nothing() -> None:
 
 
 def test_it_gets_another_chance_and_breaks_sooner() -> None:
-    trust, far = MotionTrust(SIGMA_M), np.full(8, 0.02)
-    first = next(k for k in range(9) if trust.breaks(k * PERIOD_NS, NODES, far, FOUND))
+    monitor, far = OdometryMonitor(SIGMA_M), np.full(8, 0.02)
+    first = next(k for k in range(9) if monitor.rejects(k * PERIOD_NS, NODES, far, FOUND))
     t_ns = first * PERIOD_NS
-    assert not trust.given(t_ns + PERIOD_NS)
-    assert not trust.given(t_ns + MotionTrust.AGAIN_NS - 1)
-    assert trust.given(t_ns + MotionTrust.AGAIN_NS)
-    again = next(k for k in range(9) if trust.breaks(10**11 + k * PERIOD_NS, NODES, far, FOUND))
+    assert not monitor.trusted(t_ns + PERIOD_NS)
+    assert not monitor.trusted(t_ns + OdometryMonitor.RETRY_NS - 1)
+    assert monitor.trusted(t_ns + OdometryMonitor.RETRY_NS)
+    again = next(k for k in range(9) if monitor.rejects(10**11 + k * PERIOD_NS, NODES, far, FOUND))
     assert again < first
 
 
 @pytest.mark.parametrize("jump_ns", [-1, -(10**12), 10**12])
 def test_time_that_jumps_gives_another_chance(jump_ns: int) -> None:
-    trust, far = MotionTrust(SIGMA_M), np.full(8, 0.02)
-    while not trust.breaks(10**13, NODES, far, FOUND):
+    monitor, far = OdometryMonitor(SIGMA_M), np.full(8, 0.02)
+    while not monitor.rejects(10**13, NODES, far, FOUND):
         pass
-    assert not trust.given(10**13)
-    assert trust.given(10**13 + jump_ns)
+    assert not monitor.trusted(10**13)
+    assert monitor.trusted(10**13 + jump_ns)

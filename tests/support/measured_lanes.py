@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from automodel.estimation.theta.line_spline import SampledLine, smooth
-from automodel.estimation.theta.pose_filter import LinePoint, PoseFilterConfig, expectation
+from automodel.estimation.theta.pose_filter import LinePoint, PoseFilterConfig, predicted_measurement
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 from tests.support.world_lanes import WorldLane
@@ -26,7 +26,7 @@ def point(
     filter_state: np.ndarray, side: int, noise: np.random.Generator | None = None, sigma: float = 0.004
 ) -> LinePoint:
     """P_L (+1) or P_R (-1) of a true state, with isotropic noise."""
-    h, _ = expectation(filter_state, REFERENCE_M)
+    h, _ = predicted_measurement(filter_state, REFERENCE_M)
     clean = h[:2] if side > 0 else h[2:4]
     drawn = clean if noise is None else clean + noise.normal(0.0, sigma, 2)
     return LinePoint(point_m=drawn, covariance_m2=np.eye(2) * sigma**2)

@@ -21,7 +21,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.arcs import arc_from, foot_on_circle
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape, Parameter
-from automodel.estimation.clothoid.solvers import LAWS, gauss_newton, gradient_descent, posterior
+from automodel.estimation.clothoid.solvers import SOLVERS, gauss_newton, gradient_descent, posterior
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -58,7 +58,7 @@ class TrackerConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RoughLane:
+class ArcLane:
     """An arc to start with: offset [m] and the lane's heading [rad] in the body frame, at the reference point.
 
     It is right some way ahead of it, at `sure_m`; `share` is what is left there of the usual sigmas of place and
@@ -218,7 +218,7 @@ def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tupl
 
 
 @compiled
-def heading_turned(p: Floats) -> FloatArray:
+def _pose_covariance(p: Floats) -> FloatArray:
     """The covariance (3, 3) of offset, -heading and width."""
     turned = np.empty((CURVATURE, CURVATURE))
     for i in range(CURVATURE):
@@ -231,14 +231,14 @@ class ClothoidTracker:
     """One lane, carried from frame to frame.
 
     `parameters` (m,) and `covariance` (m, m) are None while there is no lane; `blind_m` is the way since lines were
-    seen, `way_m` that of the last `move`, along the lane; `moved_m` is how far the last `update` carried
+    seen, `advance_m` that of the last `move`, along the lane; `moved_m` is how far the last `update` carried
     it, halfway along. `iterations` counts the update law's since `move`.
     """
 
     def __init__(self, pair: ClothoidPair, config: TrackerConfig, sigma: Floats) -> None:
         """`sigma` (3 n,): how well a node's place [m], and its heading [rad], is measured; rows as in `PairShape`."""
         self.pair, self.config = pair, config
-        self._descend = LAWS[config.law] is gradient_descent
+        self._descend = SOLVERS[config.law] is gradient_descent
         dtype, unit = pair.dtype, config.lane_width_m
         self._bend = bend = 1.0 / (config.radius_lanes * unit)
         slack = np.repeat((0.02 * unit, 0.0), (2 * pair.count, pair.count))
@@ -265,10 +265,10 @@ class ClothoidTracker:
         self.parameters: Floats | None = None
         self.covariance: Floats = self._one
         self._prior: tuple[Floats, Floats] = self._one[0], self._one
-        self.phase_m = self.blind_m = self.way_m = self.moved_m = 0.0
+        self.phase_m = self.blind_m = self.advance_m = self.moved_m = 0.0
         self.iterations = 0
 
-    def begin(self, rough: RoughLane) -> None:
+    def start(self, rough: ArcLane) -> None:
         """Start with a lane that is roughly right at `rough.sure_m`; of the way there little is known."""
         self.forget()
         config, unit, n = self.config, self.config.lane_width_m, self.pair.count
@@ -287,7 +287,7 @@ class ClothoidTracker:
         self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
         self._prior = self.parameters, self.covariance
 
-    def apart(self, rough: RoughLane) -> tuple[float, float]:
+    def difference(self, rough: ArcLane) -> tuple[float, float]:
         """How far a lane lies to the left of this one [m], and is turned to the left [rad], where it is sure."""
         shape, node, s = self.shape(), self._node(rough.sure_m), rough.sure_m
         place, along = arc_from(rough.offset_m, rough.heading_rad, rough.curvature_per_m, s)
@@ -301,13 +301,13 @@ class ClothoidTracker:
         if self.parameters is None:
             return
         x, p = self.parameters.copy(), self.covariance.copy()
-        self.way_m = 0.0
+        self.advance_m = 0.0
         if known:
             self._drive(x, p, distance_m, turn_rad)
         blind = self.blind_m > 0.0
         self.blind_m += abs(distance_m)
         unit, config = self.config.lane_width_m, self.config
-        way, offset_m, heading_rad = self.way_m / unit, config.blind_offset * unit, config.blind_heading_rad
+        way, offset_m, heading_rad = self.advance_m / unit, config.blind_offset * unit, config.blind_heading_rad
         age(
             p,
             self._walk,
@@ -331,7 +331,7 @@ class ClothoidTracker:
         dx = chord * math.cos(half) + reference * (math.cos(turn_rad) - 1.0)
         dy = chord * math.sin(half) + reference * math.sin(turn_rad)
         way = drive(x, p, dx, dy, self.phase_m, h)
-        self.way_m = abs(way)
+        self.advance_m = abs(way)
         self.phase_m += way
         while self.phase_m >= h:
             self._roll(x, p, +1)
@@ -390,12 +390,12 @@ class ClothoidTracker:
         And the covariance (3, 3) of offset, -heading and width.
         """
         offset, heading, width = self.known()[:CURVATURE].tolist()
-        return offset, heading, width, heading_turned(self.covariance)
+        return offset, heading, width, _pose_covariance(self.covariance)
 
     def known(self) -> Floats:
         """The parameters; raises ValueError while there are none."""
         if self.parameters is None:
-            raise ValueError("nothing is tracked; begin first")
+            raise ValueError("nothing is tracked; call start first")
         return self.parameters
 
     def shape(self) -> PairShape:

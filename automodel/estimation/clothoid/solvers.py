@@ -16,7 +16,7 @@ CONVERGED = 1e-5  # of a prior's sigma: steps below that are the end
 
 
 @compiled
-def solved(matrix: Floats, right: Floats) -> Floats:
+def solve(matrix: Floats, right: Floats) -> Floats:
     """X (m, k) of `matrix` (m, m) X = `right` (m, k), by elimination with row pivots; both are overwritten.
 
     A library's solver would take longer to be called than this takes for matrices of this size.
@@ -55,7 +55,7 @@ def posterior(information: Floats, covariance: Floats) -> Floats:
             matrix[i, j] = 1.0 if i == j else 0.0
             for k in range(m):
                 matrix[i, j] += covariance[i, k] * information[k, j]
-    after = solved(matrix, covariance.copy())
+    after = solve(matrix, covariance.copy())
     for i in range(m):
         for j in range(i):
             after[i, j] = after[j, i] = 0.5 * (after[i, j] + after[j, i])
@@ -84,7 +84,7 @@ def gradient_descent(
     for i in range(m):
         for j in range(m):
             prior[i, j] = covariance[i, j] / (sigma[i] * sigma[j])
-    hessian = solved(prior, hessian)
+    hessian = solve(prior, hessian)
     largest = 0.0  # no eigenvalue is larger (Gershgorin)
     for i in range(m):
         row = 0.0
@@ -114,4 +114,4 @@ def _times(matrix: Floats, values: Floats) -> Floats:
     return product
 
 
-LAWS = {"gauss_newton": gauss_newton, "gradient_descent": gradient_descent}
+SOLVERS = {"gauss_newton": gauss_newton, "gradient_descent": gradient_descent}

@@ -111,7 +111,7 @@ class LaneTracker:
             behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
             self._memory = self._memory[self._memory[:, 0] > behind]
 
-    def fit_alone(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
+    def fit_frame(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
         """A lane from one frame's points near a guess of the parameters; None where they do not make one."""
         samples = _samples(seen)
         mean = guess.copy()  # the road up to what is seen may as well be straight, and the car stand well in its lane
@@ -124,13 +124,13 @@ class LaneTracker:
             return None
         return solution
 
-    def begin(self, seen: Observation, solution: LaneSolution) -> None:
-        """Go on from a lane that `fit_alone` found."""
+    def start(self, seen: Observation, solution: LaneSolution) -> None:
+        """Go on from a lane that `fit_frame` found."""
         self.forget()
         self._take(solution.parameters)
         self._keep(_samples(seen), solution.inliers)
 
-    def cross(self, distance_m: float, theta_rad: float) -> None:
+    def add_crossing(self, distance_m: float, theta_rad: float) -> None:
         """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
         since_m = distance_m - self._crossing_s_m
         if (
@@ -155,7 +155,7 @@ class LaneTracker:
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """One frame's points into the lane; `parameters` must be there."""
         if self.parameters is None:
-            raise ValueError("update: nothing is tracked; begin first")
+            raise ValueError("update: nothing is tracked; call start first")
         fresh = _samples(seen)
         doubtful = self._doubtful(fresh)
         sigma_m = np.where(doubtful, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.estimation.theta.heading_polynomial import ThetaLine
+from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.pose_filter import LinePoint
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
@@ -34,7 +34,7 @@ _GRID = np.linspace(0.0, 1.0, SAMPLES)
 _NOTHING = np.empty(0)
 
 
-def to_centre(s_line_m: ArrayLike, theta_rad: ArrayLike, theta_foot_rad: float, distance_m: float) -> FloatArray:
+def to_centerline(s_line_m: ArrayLike, theta_rad: ArrayLike, theta_foot_rad: float, distance_m: float) -> FloatArray:
     """Arc length (n,) on the centerline of points (n,) on a line, both counted from the same perpendicular.
 
     `theta_rad` (n,) are the directions there, which stay as they are, `theta_foot_rad` that at s = 0; `distance_m` is
@@ -46,11 +46,11 @@ def to_centre(s_line_m: ArrayLike, theta_rad: ArrayLike, theta_foot_rad: float, 
 
 class _Side(NamedTuple):
     rls: ThetaRls
-    line: ThetaLine
+    line: HeadingPolynomial
     lateral: float  # [lane widths] of the line from the centerline
 
 
-class Centerline:
+class CenterlineFusion:
     """The lane's middle over time: `rls.line` is its curve, None until a line was seen.
 
     `config` is that of the lines; the centerline's memory is a quarter of theirs.
@@ -64,9 +64,9 @@ class Centerline:
         """Drop the centerline."""
         self.rls.forget()
 
-    def predict(self, after_from_before: SE2, way_m: float, dt_s: float) -> None:
+    def predict(self, after_from_before: SE2, distance_m: float, dt_s: float) -> None:
         """Carry the centerline over to the body frame after a motion."""
-        self.rls.predict(after_from_before, way_m, dt_s)
+        self.rls.predict(after_from_before, distance_m, dt_s)
 
     def update(self, left: ThetaRls | None, right: ThetaRls | None, width_m: float, width_variance_m2: float) -> None:
         """Take in this frame's lines, either of which may be missing, and the lane's width as it is known.
@@ -83,7 +83,7 @@ class Centerline:
             return
         lateral, variance = _middle(sides, width_m, width_variance_m2)
         if self.rls.line is None:
-            self.rls.begin(s, theta, weight, lateral, variance)
+            self.rls.start(s, theta, weight, lateral, variance)
         else:
             self.rls.update(s, theta, weight, lateral, variance)
 
@@ -121,7 +121,7 @@ def _collapsed(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArr
             continue
         s = low + (high - low) * _GRID
         theta, weight = rls.samples(s)
-        on_centre = to_centre(s, theta, own, d)
+        on_centre = to_centerline(s, theta, own, d)
         # eq. (16): the feet of lines that are not parallel do not lie on one perpendicular
         on_centre += line.lateral_m * math.sin(direction - own) * (1.0 + line.curvature_at(0.0) * d)
         parts.append((on_centre, theta, weight))

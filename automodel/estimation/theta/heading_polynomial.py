@@ -16,8 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves import Curve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
-from automodel.curves.deferred import DeferredCurve
+from automodel.curves import Curve, DeferredCurve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -44,7 +43,7 @@ class Foot:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ThetaLine:
+class HeadingPolynomial:
     """theta(s) = sum_k w_k (s / scale)^k, lowest power first, in the body frame.
 
     `lateral_m`: distance of the line to the left of the reference point `reference_m` (x, y), along its normal at
@@ -171,7 +170,7 @@ class ThetaLine:
             s, x, y = s + step, x + dx, y + dy
         return s, (y - self.reference_m[1]) * cos - (x - self.reference_m[0]) * sin
 
-    def moved(self, after_from_before: SE2) -> tuple[ThetaLine, float]:
+    def moved(self, after_from_before: SE2) -> tuple[HeadingPolynomial, float]:
         """The same line in the body frame after a motion, and how far [m] the origin went along it.
 
         With the origin advanced by ds and the body turned by dpsi, theta'(s) = theta(s + ds) - dpsi.
@@ -181,7 +180,7 @@ class ThetaLine:
         dx, dy = x - after_from_before.x_m, y - after_from_before.y_m
         foot = self.foot((cos * dx + sin * dy, cos * dy - sin * dx), near_s_m=0.0)
         w0, w1, w2, w3 = (shift_matrix(foot.s_m / self.scale_m) @ self.coefficients_rad).tolist()
-        line = ThetaLine(
+        line = HeadingPolynomial(
             coefficients_rad=(w0 + after_from_before.yaw_rad, w1, w2, w3),
             scale_m=self.scale_m,
             reference_m=self.reference_m,
@@ -193,7 +192,7 @@ class ThetaLine:
         )
         return line, foot.s_m
 
-    def ending(self, last_m: float, arc_ahead_m: float) -> ThetaLine:
+    def ending(self, last_m: float, arc_ahead_m: float) -> HeadingPolynomial:
         """The same line, where `arc_ahead_m` is finite an arc from `last_m` on and straight beyond that."""
         last = self.s_max_m if math.isinf(arc_ahead_m) else max(min(last_m, self.s_max_m), self.s_min_m)
         return replace(self, s_max_m=last, arc_ahead_m=arc_ahead_m)

@@ -44,7 +44,7 @@ class State(IntEnum):
     WIDTH = 2  # [m]
 
 
-def expectation(state: FloatArray, reference_x_m: float) -> tuple[FloatArray, FloatArray]:
+def predicted_measurement(state: FloatArray, reference_x_m: float) -> tuple[FloatArray, FloatArray]:
     """h (5,), eq. (25), and its Jacobian (5, 3): P_L and P_R in the body frame, and the centerline's direction."""
     theta, rho, width = (float(value) for value in state)
     cos, sin, half = math.cos(theta), math.sin(theta), 0.5 * width
@@ -63,7 +63,7 @@ def expectation(state: FloatArray, reference_x_m: float) -> tuple[FloatArray, Fl
     return h, jacobian
 
 
-def carried(
+def predicted_state(
     state: FloatArray, shift_m: tuple[float, float], turn_rad: float, kappa_per_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """State (3,) after a motion, and its Jacobian (3, 3).
@@ -189,9 +189,9 @@ class LanePoseFilter:
         self._ekf: Any = ExtendedKalmanFilter(dim_x=len(State), dim_z=4)
         self._ekf.predict_x = self._predict_x
         self._next: FloatArray = np.zeros(len(State))
-        self.begin(0.0, 0.0, config.lane_width_m)
+        self.start(0.0, 0.0, config.lane_width_m)
 
-    def begin(
+    def start(
         self,
         offset_m: float,
         heading_rad: float,
@@ -251,7 +251,7 @@ class LanePoseFilter:
         shift = (before.x_m + reference * (cos - 1.0), before.y_m + reference * sin)
         limit = self._CURVATURE_LIMIT / (0.5 * width)
         kappa = min(max(curvature_per_m, -limit), limit)
-        self._next, self._ekf.F = carried(self._ekf.x, shift, before.yaw_rad, kappa)
+        self._next, self._ekf.F = predicted_state(self._ekf.x, shift, before.yaw_rad, kappa)
         way, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
         heading, offset, breadth = (
             way * along * along + time * still * still
@@ -278,7 +278,7 @@ class LanePoseFilter:
         if max(self._refused) >= self.config.patience:
             self._ekf.P = self._ekf.P + self._spread(self._OPENED)
             self._refused = [0, 0, 0]
-        h, jacobian = expectation(self._ekf.x, self.config.reference_x_m)
+        h, jacobian = predicted_measurement(self._ekf.x, self.config.reference_x_m)
         measured = [
             (which, rows, point.point_m - h[rows], point.covariance_m2 + self._floor)
             for which, (rows, point) in enumerate(zip(_LINES, (left, right), strict=True))

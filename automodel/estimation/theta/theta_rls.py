@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from automodel.estimation.theta.heading_polynomial import ORDER, ThetaLine, shift_matrix
+from automodel.estimation.theta.heading_polynomial import ORDER, HeadingPolynomial, shift_matrix
 from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
 from automodel.types import FloatArray
@@ -30,7 +30,7 @@ NEAR_SAMPLES = 16  # of a line that does not reach the car: those next to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Place:
+class FootProjection:
     """Where samples lie: arc lengths (n,) from the reference point's foot, and the line's distance there [m].
 
     `nearest` is the sample next to the foot; `beside` tells whether the samples reach the foot.
@@ -42,7 +42,9 @@ class Place:
     beside: bool
 
 
-def locate(sampled: SampledLine, reference_m: tuple[float, float], known: ThetaLine | None) -> Place:
+def project_foot(
+    sampled: SampledLine, reference_m: tuple[float, float], known: HeadingPolynomial | None
+) -> FootProjection:
     """Place samples beside the reference point.
 
     A line that begins ahead of the foot is joined to it along the known line, or else along its own arc.
@@ -58,7 +60,7 @@ def locate(sampled: SampledLine, reference_m: tuple[float, float], known: ThetaL
     if not beside and known is not None:
         start = sampled.points_m[i].tolist()
         foot = known.foot((start[0], start[1]), near_s_m=-ahead)
-        return Place(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
+        return FootProjection(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
     reach = 1 if beside else NEAR_SAMPLES
     low, high = max(i - reach, 0), min(i + reach, last)
     kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
@@ -66,7 +68,7 @@ def locate(sampled: SampledLine, reference_m: tuple[float, float], known: ThetaL
     angle = math.atan2(v, u)
     step = angle / kappa if abs(angle) > 1e-6 else ahead / u
     lateral = -(2.0 * left - kappa * (ahead * ahead + left * left)) / (1.0 + math.hypot(u, v))
-    return Place(s_m=sampled.s_m - (s + step), lateral_m=lateral, nearest=i, beside=beside)
+    return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=lateral, nearest=i, beside=beside)
 
 
 BEARING_RAD = 0.02  # how far off the direction between the foot and a sample may be at least
@@ -125,12 +127,12 @@ class ThetaRls:
 
     def forget(self) -> None:
         """Drop the line."""
-        self.line: ThetaLine | None = None
+        self.line: HeadingPolynomial | None = None
         self.lateral_variance_m2 = math.inf
         self._learn(np.zeros((ORDER, ORDER)), np.zeros(ORDER))
         self._kept = 1.0  # of the weight that the support's range had at the last update
 
-    def begin(
+    def start(
         self, s_m: FloatArray, theta_rad: FloatArray, weight: FloatArray, lateral_m: float, lateral_variance_m2: float
     ) -> None:
         """Start from one frame's points (n,) and the line's distance, as in `update`; what was known is forgotten.
@@ -146,24 +148,24 @@ class ThetaRls:
         self._shape((theta, 0.0, 0.0, 0.0), lateral_m, float(s_m.min()), float(s_m.max()))
         self.update(s_m, theta_rad, weight)
 
-    def predict(self, after_from_before: SE2, way_m: float, dt_s: float) -> None:
-        """Carry the line over to the body frame after a motion of `way_m` in `dt_s`, and forget a little.
+    def predict(self, after_from_before: SE2, distance_m: float, dt_s: float) -> None:
+        """Carry the line over to the body frame after a motion of `distance_m` in `dt_s`, and forget a little.
 
         A motion that is not finite counts as none.
         """
-        motion = (after_from_before.x_m, after_from_before.y_m, after_from_before.yaw_rad, way_m, dt_s)
+        motion = (after_from_before.x_m, after_from_before.y_m, after_from_before.yaw_rad, distance_m, dt_s)
         if self.line is None or not all(map(math.isfinite, motion)):
             return
         config, unit = self.config, self.config.lane_width_m
         past = max(-self.line.s_max_m, 0.0) / unit
         self.line, advance = self.line.moved(after_from_before)
-        keep = math.exp(-abs(way_m) / (config.memory_lanes * unit) - max(dt_s, 0.0) / config.memory_s)
+        keep = math.exp(-abs(distance_m) / (config.memory_lanes * unit) - max(dt_s, 0.0) / config.memory_s)
         back = shift_matrix(-advance / self.scale_m)
         moved = back.T @ self.information @ back
         moved = 0.5 * (moved + moved.T)
         self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
         self._kept *= keep
-        walk = config.lateral_walk_lanes**2 * abs(way_m) / unit + config.lateral_still_lanes**2 * max(dt_s, 0.0)
+        walk = config.lateral_walk_lanes**2 * abs(distance_m) / unit + config.lateral_still_lanes**2 * max(dt_s, 0.0)
         strayed = BEND**2 * (max(-self.line.s_max_m, 0.0) ** 4 / unit**4 - past**4)
         self.lateral_variance_m2 += (walk + max(strayed, 0.0)) * unit * unit
 
@@ -208,11 +210,11 @@ class ThetaRls:
         """
         if self._kept < FORGOTTEN:
             self.forget()
-        place = locate(sampled, self._reference_m, self.line)
+        place = project_foot(sampled, self._reference_m, self.line)
         model = self._model_error(place.s_m)
         weight = sampled.independence / (sampled.theta_sigma_rad**2 + model * model)
         if self.line is None:
-            self.begin(place.s_m, sampled.theta_rad, weight, place.lateral_m, math.inf)
+            self.start(place.s_m, sampled.theta_rad, weight, place.lateral_m, math.inf)
         else:
             self.update(place.s_m, sampled.theta_rad, weight)
         if self.line is None:
@@ -237,7 +239,7 @@ class ThetaRls:
         The weights are for a fit to all of them: they share four unknowns, so together they count as four.
         """
         if self.line is None:
-            raise ValueError("samples: there is no line; begin first")
+            raise ValueError("samples: there is no line; call start first")
         phi = design(s_m / self.scale_m)
         variance = np.einsum("ij,ij->i", phi @ self._covariance(), phi) + self._model_error(s_m) ** 2
         return phi @ self.line.coefficients_rad, ORDER / len(s_m) / variance
@@ -266,7 +268,7 @@ class ThetaRls:
 
     def _shape(self, w: Sequence[float], lateral_m: float, low: float, high: float) -> None:
         arc_ahead = math.inf if self.line is None else self.line.arc_ahead_m
-        self.line = ThetaLine(
+        self.line = HeadingPolynomial(
             coefficients_rad=(w[0], w[1], w[2], w[3]),
             scale_m=self.scale_m,
             reference_m=self._reference_m,
@@ -287,7 +289,7 @@ class ThetaRls:
         lateral = line.lateral_m + gain * (lateral_m - line.lateral_m)
         self._shape(line.coefficients_rad, lateral, line.s_min_m, line.s_max_m)
 
-    def _lateral(self, line: ThetaLine, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
+    def _lateral(self, line: HeadingPolynomial, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
         """The distance of a line that does not reach the foot, and its variance.
 
         It follows from the samples next to the foot through theta(s), the less surely the farther they are.

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from automodel.estimation.theta.centerline_fusion import Centerline
-from automodel.estimation.theta.heading_polynomial import ThetaLine
+from automodel.estimation.theta.centerline_fusion import CenterlineFusion
+from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
 from automodel.estimation.theta.theta_rls import ThetaRlsConfig
-from automodel.estimation.theta.tracked_line import UNKNOWN_WAY_LANES, SeenLine, TrackedLine, carry
+from automodel.estimation.theta.tracked_line import UNKNOWN_SPEED_LANES, SeenLine, TrackedLine, carry
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -19,7 +19,7 @@ from automodel.types import FloatArray
 class TrackedLane:
     """One lane from frame to frame: `begin`, then `move` and `update` each frame.
 
-    `middle` is the centerline's curve and `pose` the filter of the car's pose in the lane, once `begin` was True.
+    `centerline` is the centerline's curve and `pose` the filter of the car's pose in the lane, once `begin` was True.
     `blind_m` is the way since a line was seen; `motion_known` tells of the last `move`.
     """
 
@@ -37,38 +37,38 @@ class TrackedLane:
             lane_width_m=lane_width_m, reference_x_m=reference_x_m, memory_lanes=0.2, sight_lanes=0.6
         )
         self.left, self.right = TrackedLine(config), TrackedLine(config)
-        self._centerline = Centerline(config)
+        self._fusion = CenterlineFusion(config)
         self.pose = LanePoseFilter(PoseFilterConfig(lane_width_m=lane_width_m, reference_x_m=reference_x_m))
         self.blind_m = 0.0
         self.motion_known = True
 
     @property
-    def middle(self) -> ThetaLine:
+    def centerline(self) -> HeadingPolynomial:
         """The centerline in the body frame; raises ValueError before `begin`."""
-        line = self._centerline.rls.line
+        line = self._fusion.rls.line
         if line is None:
-            raise ValueError("middle: no lane; begin first")
+            raise ValueError("centerline: no lane; call start first")
         return line
 
-    def begin(self, left: SeenLine | None, right: SeenLine | None) -> bool:
+    def start(self, left: SeenLine | None, right: SeenLine | None) -> bool:
         """A lane from one frame's lines, of which one may be missing; False where they make none."""
         for tracked, seen in ((self.left, left), (self.right, right)):
             if seen is not None and len(seen.points_m) >= self.FIRST_POINTS:
                 tracked.update(seen)
-        self._centerline.update(self.left.rls, self.right.rls, self.unit, (0.1 * self.unit) ** 2)
-        if self._centerline.rls.line is None:
+        self._fusion.update(self.left.rls, self.right.rls, self.unit, (0.1 * self.unit) ** 2)
+        if self._fusion.rls.line is None:
             return False
-        self.pose.begin(-self.middle.lateral_m, -self.middle.heading_at(0.0), self.unit)
+        self.pose.start(-self.centerline.lateral_m, -self.centerline.heading_at(0.0), self.unit)
         self._correct((self.left.line is not None, self.right.line is not None))
         return True
 
-    def move(self, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+    def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
         """Carry everything over to the body frame after a motion."""
-        self.pose.predict(after_from_before, self.middle.curvature_at(0.0), dt_s, known)
-        self.left.move(after_from_before, way_m, dt_s, known)
-        self.right.move(after_from_before, way_m, dt_s, known)
-        carry(self._centerline.rls, after_from_before, way_m, dt_s, known)
-        self.blind_m += abs(way_m) if known else UNKNOWN_WAY_LANES * self.unit * dt_s
+        self.pose.predict(after_from_before, self.centerline.curvature_at(0.0), dt_s, known)
+        self.left.move(after_from_before, distance_m, dt_s, known)
+        self.right.move(after_from_before, distance_m, dt_s, known)
+        carry(self._fusion.rls, after_from_before, distance_m, dt_s, known)
+        self.blind_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
         self.motion_known = known
 
     def update(self, left: SeenLine, right: SeenLine) -> tuple[bool, bool]:
@@ -79,7 +79,7 @@ class TrackedLane:
         for tracked in (self.left, self.right):
             if tracked.unseen_m > self.KEPT_LANES * self.unit:
                 tracked.forget()
-        self._centerline.update(self.left.rls, self.right.rls, self.pose.width_m, float(self.pose.covariance[2, 2]))
+        self._fusion.update(self.left.rls, self.right.rls, self.pose.width_m, float(self.pose.covariance[2, 2]))
         self._correct(seen)
         self.blind_m = 0.0
         return seen
@@ -88,7 +88,7 @@ class TrackedLane:
         """No line was seen where lines should be: the road is expected to go straight on."""
         for tracked in (self.left, self.right):
             tracked.end(True)
-        self._centerline.rls.line = replace(self.middle, arc_ahead_m=TrackedLine.ARC_LANES * self.unit)
+        self._fusion.rls.line = replace(self.centerline, arc_ahead_m=TrackedLine.ARC_LANES * self.unit)
 
     def expected(self, side: float, ahead_m: float, alone: bool = True) -> tuple[FloatArray, FloatArray, float]:
         """Where the line on `side` (+1 left, -1 right) is expected, up to arc length `ahead_m`.
@@ -98,7 +98,7 @@ class TrackedLane:
         Points (n, 2) [m], headings (n,) [rad], and the arc length from the first of them up to which it is no guess.
         """
         own = self._own(side) if alone else None
-        model = own or self.middle
+        model = own or self.centerline
         first = -0.5 * self.unit
         s = np.linspace(first, ahead_m, 30)
         theta, points = model.heading(s), model.points(s)
@@ -108,11 +108,11 @@ class TrackedLane:
             points[:, 1] += aside * np.cos(theta)
         return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
 
-    def stands_alone(self, side: float) -> bool:
+    def on_its_own(self, side: float) -> bool:
         """Whether the line on `side` is expected by its own model."""
         return self._own(side) is not None
 
-    def _own(self, side: float) -> ThetaLine | None:
+    def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
         return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
 
@@ -146,10 +146,10 @@ class TrackedLane:
         there = [tracked for tracked in lines if tracked is not None and tracked.line is not None]
         arc = max((t.line.arc_ahead_m for t in there if t.line is not None), default=math.inf)
         last = max((t.line.s_max_m for t in there if t.line is not None), default=math.inf)
-        self._centerline.rls.line = self.middle.ending(last, arc)
-        theta = self.middle.heading_at(0.0)
+        self._fusion.rls.line = self.centerline.ending(last, arc)
+        theta = self.centerline.heading_at(0.0)
         doubt = min((tracked.heading_doubt_rad for tracked in there), default=0.0)
-        variance = self._centerline.rls.heading_variance_here() + doubt * doubt
+        variance = self._fusion.rls.heading_variance_here() + doubt * doubt
         self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance))
 
     def _point(self, tracked: TrackedLine | None, theta_rad: float) -> LinePoint | None:

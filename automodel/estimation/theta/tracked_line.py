@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from automodel.estimation.theta.heading_polynomial import ThetaLine
+from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
@@ -15,7 +15,7 @@ from automodel.types import FloatArray
 
 FORGET_UNKNOWN = 8.0  # times as fast a line is forgotten while the motion is not known
 UNKNOWN_LANES = 0.5  # what its distance may change in a second then
-UNKNOWN_WAY_LANES = 3.0  # a second; what counts as driven then
+UNKNOWN_SPEED_LANES = 3.0  # a second; what counts as driven then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -30,9 +30,9 @@ class SeenLine:
     ended: bool = False
 
 
-def carry(rls: ThetaRls, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+def carry(rls: ThetaRls, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
     """Carry a line over to the body frame after a motion; one that is not known may have taken it elsewhere."""
-    rls.predict(after_from_before, way_m, dt_s if known else FORGET_UNKNOWN * dt_s)
+    rls.predict(after_from_before, distance_m, dt_s if known else FORGET_UNKNOWN * dt_s)
     if not known:
         rls.lateral_variance_m2 += UNKNOWN_LANES**2 * rls.config.lane_width_m**2 * dt_s
 
@@ -72,20 +72,20 @@ class TrackedLine:
         self.lateral_doubt_m = self.heading_doubt_rad = 0.0
 
     @property
-    def line(self) -> ThetaLine | None:
+    def line(self) -> HeadingPolynomial | None:
         """The line in the body frame."""
         return self.rls.line
 
-    def move(self, after_from_before: SE2, way_m: float, dt_s: float, known: bool) -> None:
+    def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
         """Carry line and points over to the body frame after a motion; unknown motion forgets the points."""
-        carry(self.rls, after_from_before, way_m, dt_s, known)
-        self.unseen_m += abs(way_m) if known else UNKNOWN_WAY_LANES * self.unit * dt_s
-        self._since_kept_m += abs(way_m)
+        carry(self.rls, after_from_before, distance_m, dt_s, known)
+        self.unseen_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
+        self._since_kept_m += abs(distance_m)
         if not known:
             self._memory = self._memory[:0]
         elif len(self._memory):
             self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
-            self._memory[:, 2] += self.DRIFT * abs(way_m)
+            self._memory[:, 2] += self.DRIFT * abs(distance_m)
             self._prune()
 
     def _prune(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from automodel.estimation.clothoid.clothoid_tracker import RoughLane
+from automodel.estimation.clothoid.clothoid_tracker import ArcLane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -25,9 +25,9 @@ class LaneGuess:
     edge: float
     fitted: bool = False
 
-    def rough(self, fitted_share: float) -> RoughLane:
+    def rough(self, fitted_share: float) -> ArcLane:
         """The lane for a tracker to start with; `fitted_share` is what is left of its sigmas where it was fitted."""
-        return RoughLane(
+        return ArcLane(
             offset_m=self.offset_m,
             heading_rad=self.heading_rad,
             width_m=self.width_m,

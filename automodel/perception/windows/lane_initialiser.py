@@ -64,7 +64,7 @@ class FreshLane:
                 best = seen
         if best is None:
             return None
-        solution = self._tracker.fit_alone(best, self._guess(best))
+        solution = self._tracker.fit_frame(best, self._guess(best))
         if solution is None or abs(solution.offset_m) > 0.5 * solution.width_m:
             return None
         return Fresh(seen=best, solution=solution)

@@ -10,7 +10,7 @@ import pytest
 
 from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
-from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, RoughLane, TrackerConfig
+from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTracker, TrackerConfig
 from automodel.types import FloatArray
 
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
@@ -28,8 +28,8 @@ def tracker(
     config = TrackerConfig(lane_width_m=WIDTH, law=law)
     made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
     offset, heading, curvature = lane
-    rough = RoughLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, sure_m=0.6)
-    made.begin(rough)
+    rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, sure_m=0.6)
+    made.start(rough)
     x = np.full(FIRST + made.pair.stations, curvature)
     x[:FIRST] = offset, heading, WIDTH
     made.parameters = x
@@ -90,7 +90,7 @@ def test_the_prediction_on_a_circle_is_that_of_plane_geometry(curvature: float, 
     assert x[OFFSET] == pytest.approx(1.0 / curvature - sign * abs(towards), abs=1e-9)
     assert x[HEADING] == pytest.approx(wanted_heading, abs=1e-9)
     way = (wanted_heading + turn - heading) / curvature
-    assert made.way_m == pytest.approx(abs(way), abs=1e-9)
+    assert made.advance_m == pytest.approx(abs(way), abs=1e-9)
     assert made.phase_m == pytest.approx(way % SPACING, abs=1e-9)
     rolled = math.floor(way / SPACING)
     old = x[FIRST : len(x) - max(rolled, 0)][max(-rolled, 0) :]
@@ -171,7 +171,7 @@ def test_without_odometry_the_lane_in_sight_stays_and_all_is_less_sure() -> None
     sure = made.covariance[:FIRST, :FIRST].diagonal().copy()
     made.move(0.0, 0.0, 0.02, known=False)
     after = made.shape()
-    assert made.way_m == 0.0
+    assert made.advance_m == 0.0
     assert abs(made.known()[FIRST] - x[FIRST]) > 1e-3  # below the car it is another curve
     back = along.conjugate()
     assert ((after.place[0] - place) * back).imag == pytest.approx(0.0, abs=1e-5)
@@ -311,24 +311,26 @@ def test_no_curvature_passes_that_of_the_tightest_bend() -> None:
 def test_a_lane_apart_is_measured_where_it_is_sure() -> None:
     made = tracker(lane=(0.03, -0.1, 0.6))
 
-    def rough(offset: float, heading: float) -> RoughLane:
-        return RoughLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=NODES[6])
+    def rough(offset: float, heading: float) -> ArcLane:
+        return ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=NODES[6])
 
-    assert made.apart(rough(0.03, -0.1)) == pytest.approx((0.0, 0.0), abs=2e-3)
-    left, turned = made.apart(rough(-0.02, -0.1))  # the car is further right of that lane: the lane is further left
+    assert made.difference(rough(0.03, -0.1)) == pytest.approx((0.0, 0.0), abs=2e-3)
+    left, turned = made.difference(
+        rough(-0.02, -0.1)
+    )  # the car is further right of that lane: the lane is further left
     place, along = arc_from(0.03, -0.1, 0.6, float(NODES[6]))
     other = arc_from(-0.02, -0.1, 0.6, float(NODES[6]))[0]
     assert left == pytest.approx(((other - place) * along.conjugate()).imag, abs=2e-3)
     assert left > 0.04
     assert turned == pytest.approx(0.0, abs=2e-3)
-    assert made.apart(rough(0.03, -0.05))[1] == pytest.approx(0.05, abs=2e-3)
+    assert made.difference(rough(0.03, -0.05))[1] == pytest.approx(0.05, abs=2e-3)
 
 
 def test_a_start_lies_near_the_rough_lane_and_is_sure_there() -> None:
     made = tracker()
-    rough = RoughLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, sure_m=0.6)
-    made.begin(rough)
-    away, turned = made.apart(rough)
+    rough = ArcLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, sure_m=0.6)
+    made.start(rough)
+    away, turned = made.difference(rough)
     assert abs(away) < 0.02
     assert abs(turned) < 0.05
     assert made.width_m == pytest.approx(0.46, abs=0.01)
@@ -354,5 +356,5 @@ def test_a_lane_that_was_forgotten_is_not_there() -> None:
     made.forget()
     made.move(0.3, 0.0, 0.02, known=True)
     assert (made.parameters, made.phase_m, made.blind_m, made.iterations) == (None, 0.0, 0.0, 0)
-    with pytest.raises(ValueError, match="begin first"):
+    with pytest.raises(ValueError, match="call start first"):
         made.shape()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.estimation.clothoid.solvers import LAWS, gauss_newton, gradient_descent, posterior, solved
+from automodel.estimation.clothoid.solvers import SOLVERS, gauss_newton, gradient_descent, posterior, solve
 from automodel.types import FloatArray
 
 SCALES = np.array([0.02, 0.3, 1.0, 5.0])  # sigmas of very different units
@@ -31,11 +31,11 @@ def least(information: FloatArray, pull: FloatArray, covariance: FloatArray) -> 
     return np.asarray(np.linalg.lstsq(stacked, wanted, rcond=None)[0])
 
 
-@pytest.mark.parametrize("law", sorted(LAWS))
+@pytest.mark.parametrize("law", sorted(SOLVERS))
 @pytest.mark.parametrize("seed", range(4))
 def test_each_law_reaches_the_least_cost(law: str, seed: int) -> None:
     information, pull, covariance = problem(seed)
-    found, after, count = LAWS[law](information, pull, covariance)
+    found, after, count = SOLVERS[law](information, pull, covariance)
     assert found / SCALES == pytest.approx(least(information, pull, covariance) / SCALES, abs=2e-3)
     assert after == pytest.approx(posterior(information, covariance))
     assert count >= 1
@@ -82,10 +82,10 @@ def test_what_is_known_for_sure_is_not_moved() -> None:
     assert np.abs(found[[0, 1, 3]]).min() > 0.0
 
 
-@pytest.mark.parametrize("law", sorted(LAWS))
+@pytest.mark.parametrize("law", sorted(SOLVERS))
 def test_nothing_measured_leaves_the_prior(law: str) -> None:
     covariance = problem(3)[2]
-    found, after, _ = LAWS[law](np.zeros((4, 4)), np.zeros(4), covariance)
+    found, after, _ = SOLVERS[law](np.zeros((4, 4)), np.zeros(4), covariance)
     assert not found.any()
     assert after == pytest.approx(covariance)
 
@@ -93,4 +93,4 @@ def test_nothing_measured_leaves_the_prior(law: str) -> None:
 def test_elimination_swaps_rows_where_it_must() -> None:
     matrix = np.array([[0.0, 2.0, 1.0], [1e-9, 1.0, 0.0], [3.0, 0.0, -1.0]])
     wanted = np.arange(6.0).reshape(3, 2) - 2.0
-    assert solved(matrix.copy(), matrix @ wanted) == pytest.approx(wanted)
+    assert solve(matrix.copy(), matrix @ wanted) == pytest.approx(wanted)

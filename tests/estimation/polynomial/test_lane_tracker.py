@@ -52,9 +52,9 @@ class Driven:
         seen = ahead_of(lane, self.car, s_m)
         _, offset, heading = lane.pose_of(self.car, REFERENCE_M)
         bend = float(np.mean(lane.curvature(np.linspace(s_m, s_m + 1.0, 9))))
-        solution = self.tracker.fit_alone(seen, self.tracker.fit.start(offset, -heading, bend, 0.4))
+        solution = self.tracker.fit_frame(seen, self.tracker.fit.start(offset, -heading, bend, 0.4))
         assert solution is not None
-        self.tracker.begin(seen, solution)
+        self.tracker.start(seen, solution)
 
     def _at(self, s_m: float) -> SE2:
         return self.lane.car(s_m, 0.05 * math.sin(1.7 * s_m), 0.1 * math.cos(1.7 * s_m), REFERENCE_M)
@@ -178,7 +178,7 @@ def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
         while drive.s_m < 2.3:
             drive.go()
             if crossing and drive.s_m > 2.2:
-                drive.tracker.cross(3.0 - drive.s_m, float(lane.theta(3.0)) - drive.car.yaw_rad)
+                drive.tracker.add_crossing(3.0 - drive.s_m, float(lane.theta(3.0)) - drive.car.yaw_rad)
             seen = ahead_of(drive.lane, drive.car, drive.s_m)
             short = [points[points[:, 0] < 0.7] for points in (seen.left_m, seen.right_m)]  # nothing of what comes
             drive.tracker.update(observation(short[0], short[1]))
@@ -200,13 +200,13 @@ def test_points_that_make_no_lane_are_refused() -> None:
     rng = np.random.default_rng(1)
     x = np.linspace(0.4, 1.2, 12)
     mess = [np.column_stack((x, rng.uniform(-0.5, 0.5, 12))) for _ in range(2)]
-    assert tracker.fit_alone(observation(mess[0], mess[1]), tracker.fit.start(0.0, 0.0, 0.0, 0.4)) is None
+    assert tracker.fit_frame(observation(mess[0], mess[1]), tracker.fit.start(0.0, 0.0, 0.0, 0.4)) is None
 
 
 def test_update_without_a_lane_is_a_mistake() -> None:
     tracker = LaneTracker(CONFIG, NEAR_M)
     assert tracker.parameters is None
-    with pytest.raises(ValueError, match="begin first"):
+    with pytest.raises(ValueError, match="call start first"):
         tracker.update(observation(NONE, NONE))
 
 
@@ -222,9 +222,9 @@ def test_forgotten_is_as_new() -> None:
     for tracker in (drive.tracker, LaneTracker(CONFIG, NEAR_M)):
         other = Driven(lane)
         seen = ahead_of(lane, other.car, other.s_m)
-        solution = tracker.fit_alone(seen, tracker.fit.start(0.0, 0.0, -0.4, 0.4))
+        solution = tracker.fit_frame(seen, tracker.fit.start(0.0, 0.0, -0.4, 0.4))
         assert solution is not None
-        tracker.begin(seen, solution)
+        tracker.start(seen, solution)
         tracker.move(SE2.arc(STEP_M, 0.0).inverse(), STEP_M, True)
         results.append(tracker.update(seen)[0].parameters)
     np.testing.assert_array_equal(results[0], results[1])

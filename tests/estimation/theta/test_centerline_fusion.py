@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.theta.centerline_fusion import Centerline, to_centre
+from automodel.estimation.theta.centerline_fusion import CenterlineFusion, to_centerline
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
@@ -23,7 +23,7 @@ def test_three_concentric_arcs(radius_m: float, d: float) -> None:
     """Over the same angle each arc is as long as its own radius."""
     angle = np.linspace(-0.5, 1.5, 21) * math.copysign(1.0, radius_m)
     s_line, s_centre = (radius_m - d) * angle, radius_m * angle
-    found = to_centre(s_line, 0.3 + angle, 0.3, d)
+    found = to_centerline(s_line, 0.3 + angle, 0.3, d)
     np.testing.assert_allclose(found, s_centre, atol=1e-12)
     # the paper's eq. (17) multiplies by the ratio ds_line / ds_centre, and goes the wrong way
     ratio = 1.0 - d / radius_m
@@ -33,7 +33,7 @@ def test_three_concentric_arcs(radius_m: float, d: float) -> None:
 
 def test_on_the_straight_nothing_is_stretched() -> None:
     s = np.linspace(-1.0, 3.0, 9)
-    np.testing.assert_array_equal(to_centre(s, np.full(9, 0.7), 0.7, 0.2), s)
+    np.testing.assert_array_equal(to_centerline(s, np.full(9, 0.7), 0.7, 0.2), s)
 
 
 @pytest.mark.parametrize("d", [0.2, -0.35])
@@ -44,13 +44,13 @@ def test_on_a_clothoid_it_is_the_integral_of_the_ratio(d: float) -> None:
     step = s_centre[1] - s_centre[0]
     s_line = np.concatenate(([0.0], np.cumsum(0.5 * (ratio[1:] + ratio[:-1]) * step)))
     theta = np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * step)))
-    np.testing.assert_allclose(to_centre(s_line, theta, 0.0, d), s_centre, atol=1e-9)
+    np.testing.assert_allclose(to_centerline(s_line, theta, 0.0, d), s_centre, atol=1e-9)
 
 
 def test_a_line_about_its_own_centre_of_curvature_is_no_trouble() -> None:
     for radius in (0.0, 1e-9, -0.05):  # the inner line shrinks to a point, and past it
         angle = np.linspace(0.0, 1.0, 5)
-        found = to_centre(radius * angle, angle, 0.0, 0.2)
+        found = to_centerline(radius * angle, angle, 0.0, 0.2)
         assert np.isfinite(found).all()
         np.testing.assert_allclose(found, (radius + 0.2) * angle, atol=1e-12)
 
@@ -86,7 +86,7 @@ def test_the_centerline_lies_in_the_middle(name: str, offset_m: float, heading_d
     lane, heading = LANES[name], math.radians(heading_deg)
     car = lane.car(3.0, offset_m, heading, REFERENCE_M)
     left, right = both(lane, car, 3.0)
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     lines = (None if seen == "right" else left, None if seen == "left" else right)
     for _ in range(4):
         centre.update(*lines, UNIT, KNOWN)
@@ -102,7 +102,7 @@ def test_the_centerline_lies_in_the_middle(name: str, offset_m: float, heading_d
 
 
 def test_nothing_to_see_changes_nothing() -> None:
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     centre.update(None, None, UNIT, KNOWN)
     centre.update(ThetaRls(RLS), None, UNIT, KNOWN)
     assert centre.rls.line is None
@@ -128,7 +128,7 @@ def test_it_bisects_lines_that_are_not_parallel(skew_deg: float, aside_m: float)
     for side in (1.0, -1.0):
         world = np.column_stack((x, side * (0.2 + x * math.tan(half))))
         lines.append(tracked(car.inverse().apply(world), 3))
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     for _ in range(4):
         centre.update(lines[0], lines[1], UNIT, UNKNOWN)
         centre.predict(SE2(), 0.0, 0.01)
@@ -144,9 +144,9 @@ def test_feet_of_opening_lines_lie_behind_the_perpendicular() -> None:
     """Two arcs that open by 10 deg: abreast of the car both have turned on for 0.2 sin(5 deg) since their feet."""
     half, kappa = math.radians(5.0), 0.8
     s = np.linspace(-0.4, 1.2, 40)
-    centre, lines = Centerline(RLS), (ThetaRls(RLS), ThetaRls(RLS))
+    centre, lines = CenterlineFusion(RLS), (ThetaRls(RLS), ThetaRls(RLS))
     for rls, side in zip(lines, (1.0, -1.0), strict=True):
-        rls.begin(s, side * half + kappa * s, np.full(40, 1e4), side * 0.2, 1e-6)
+        rls.start(s, side * half + kappa * s, np.full(40, 1e4), side * 0.2, 1e-6)
     centre.update(*lines, UNIT, UNKNOWN)
     assert centre.rls.line is not None
     assert centre.rls.line.lateral_m == pytest.approx(0.0, abs=1e-4)
@@ -157,7 +157,7 @@ def test_feet_of_opening_lines_lie_behind_the_perpendicular() -> None:
 def test_with_both_lines_the_width_hardly_matters(width_m: float) -> None:
     lane = arc(0.6, width_m=width_m)
     left, right = both(lane, lane.car(3.0, 0.03, 0.1, REFERENCE_M), 3.0)
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     centre.update(left, right, UNIT, UNKNOWN)
     assert centre.rls.line is not None
     assert centre.rls.line.lateral_m == pytest.approx(-0.03, abs=0.001)
@@ -173,7 +173,7 @@ def test_a_line_that_is_known_badly_counts_little() -> None:
     _, right = both(lane, wrong, 3.0)
     right.predict(SE2(), 40.0, 0.0)
     assert math.sqrt(right.lateral_variance_m2) > 0.05
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     for _ in range(4):
         centre.update(left, right, UNIT, 0.005**2)
     assert centre.rls.line is not None
@@ -190,9 +190,9 @@ def test_the_middles_variance_is_that_of_many_draws() -> None:
     drawn = []
     for _ in range(2000):
         a, b, w = rng.normal(0.0, sigmas)
-        left, right, centre = ThetaRls(RLS), ThetaRls(RLS), Centerline(RLS)
-        left.begin(s, level, weight, 0.5 * (UNIT + w) + a, sigmas[0] ** 2)
-        right.begin(s, level, weight, -0.5 * (UNIT + w) + b, sigmas[1] ** 2)
+        left, right, centre = ThetaRls(RLS), ThetaRls(RLS), CenterlineFusion(RLS)
+        left.start(s, level, weight, 0.5 * (UNIT + w) + a, sigmas[0] ** 2)
+        right.start(s, level, weight, -0.5 * (UNIT + w) + b, sigmas[1] ** 2)
         centre.update(left, right, UNIT, sigmas[2] ** 2)
         assert centre.rls.line is not None
         drawn.append(centre.rls.line.lateral_m)
@@ -210,7 +210,7 @@ def test_the_measured_points_lie_on_the_lines_and_the_perpendicular(name: str) -
     lane = LANES[name]
     car = lane.car(3.0, 0.06, -0.2, REFERENCE_M)
     left, right = both(lane, car, 3.0)
-    centre = Centerline(RLS)
+    centre = CenterlineFusion(RLS)
     for _ in range(4):
         centre.update(left, right, UNIT, KNOWN)
         centre.predict(SE2(), 0.0, 0.01)
@@ -228,7 +228,7 @@ def test_the_way_through_a_bend_with_one_line_gone() -> None:
     """Weaving from a straight into a bend and out of it; the right line is hidden for a third of the way."""
     lane = WorldLane(lambda s: 0.8 * np.clip(2.0 * (s - 2.0), 0, 1) - 1.4 * np.clip(2.0 * (s - 3.5), 0, 1), 10.0, UNIT)
     rng = np.random.default_rng(9)
-    lines, centre = (ThetaRls(RLS), ThetaRls(RLS)), Centerline(RLS)
+    lines, centre = (ThetaRls(RLS), ThetaRls(RLS)), CenterlineFusion(RLS)
     before, errors = None, []
     for i in range(120):
         s = 1.0 + 0.03 * i

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.theta.heading_polynomial import ThetaLine, shift_matrix
+from automodel.estimation.theta.heading_polynomial import HeadingPolynomial, shift_matrix
 from automodel.geometry import SE2
 
 REFERENCE = (0.13, 0.0)
@@ -20,9 +20,9 @@ def theta_line(
     s_min_m: float = -0.5,
     s_max_m: float = 1.3,
     arc_ahead_m: float = math.inf,
-) -> ThetaLine:
+) -> HeadingPolynomial:
     w = (*coefficients, 0.0, 0.0, 0.0, 0.0)[:4]
-    return ThetaLine(
+    return HeadingPolynomial(
         coefficients_rad=(w[0], w[1], w[2], w[3]),
         scale_m=0.8,
         reference_m=REFERENCE,
@@ -45,7 +45,7 @@ LINES = {
 }
 
 
-def brute(line: ThetaLine, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def brute(line: HeadingPolynomial, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """s, theta and points of the definition: the cubic within its range, arcs beyond, summed up in small steps."""
     s = np.linspace(low, high, FINE)
     u = np.clip(s, line.s_min_m, line.s_max_m) / line.scale_m

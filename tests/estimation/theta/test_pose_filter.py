@@ -20,7 +20,7 @@ from tests.support.world_lanes import WorldLane, arc
 )
 def test_both_lines_give_the_pose(offset_m: float, heading_rad: float, width_m: float) -> None:
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(offset_m + 0.02, heading_rad + 0.1, width_m - 0.02)
+    tracker.start(offset_m + 0.02, heading_rad + 0.1, width_m - 0.02)
     truth = pose_state(offset_m, heading_rad, width_m)
     for _ in range(30):
         done = tracker.update(point(truth, 1), point(truth, -1))
@@ -38,7 +38,7 @@ def test_both_lines_give_the_pose(offset_m: float, heading_rad: float, width_m: 
 def test_one_line_leaves_the_width_alone(side: int) -> None:
     """The lane is wider than the filter believes: the line's distance is right, and the width stays as it was."""
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.0, 0.1, 0.38, sigma=(0.05, 0.1, 0.045))
+    tracker.start(0.0, 0.1, 0.38, sigma=(0.05, 0.1, 0.045))
     truth = pose_state(0.03, 0.05, 0.40)
     rng = np.random.default_rng(1)
     for _ in range(30):
@@ -58,7 +58,7 @@ def test_one_line_leaves_the_width_alone(side: int) -> None:
 def test_one_line_after_the_other_teaches_a_width_that_is_hardly_known() -> None:
     """Neither says anything of it alone; a car that stands still sees first the left one and then the right one."""
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.05, 0.0, 0.40, sigma=(0.05, 0.2, 0.15))
+    tracker.start(0.05, 0.0, 0.40, sigma=(0.05, 0.2, 0.15))
     truth = pose_state(0.03, 0.0, 0.34)
     rng = np.random.default_rng(2)
     for side in (+1, -1):
@@ -100,14 +100,14 @@ def driven(
 def test_the_motion_keeps_it_from_lagging(bend: float) -> None:
     rng = np.random.default_rng(2)
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.0, 0.2, UNIT)
+    tracker.start(0.0, 0.2, UNIT)
     errors = np.array(driven(tracker, arc(bend), 150, noise=rng))[20:]
     assert np.abs(errors[:, 0]).mean() < 0.002
     assert np.abs(errors[:, 1]).mean() < 0.012
     assert np.abs(errors.mean(axis=0)).max() < 0.004
     # the paper's random walk, without the motion
     blind = LanePoseFilter(FILTER)
-    blind.begin(0.0, 0.2, UNIT)
+    blind.start(0.0, 0.2, UNIT)
     blind.predict = lambda *_: LanePoseFilter.predict(blind, SE2(), 0.0, 0.03)  # type: ignore[method-assign]
     lagging = np.array(driven(blind, arc(bend), 150, noise=np.random.default_rng(2)))[20:]
     assert np.abs(lagging[:, 1]).mean() > 3.0 * np.abs(errors[:, 1]).mean()
@@ -115,7 +115,7 @@ def test_the_motion_keeps_it_from_lagging(bend: float) -> None:
 
 def test_without_lines_it_coasts_on_the_motion() -> None:
     tracker, lane = LanePoseFilter(FILTER), arc(0.8)
-    tracker.begin(0.0, 0.2, UNIT, sigma=(0.01, 0.01, 0.01))
+    tracker.start(0.0, 0.2, UNIT, sigma=(0.01, 0.01, 0.01))
     driven(tracker, lane, 20, noise=np.random.default_rng(3))
     spread = np.sqrt(np.diag(tracker.covariance))
     s, offset, heading = 1.0 + 0.03 * 19, 0.06 * math.sin(1.9), 0.2 * math.cos(1.9)
@@ -153,7 +153,7 @@ def test_it_follows_a_lane_that_changes_its_width(ratio: float) -> None:
 def test_what_fails_the_gate_changes_nothing() -> None:
     tracker = LanePoseFilter(FILTER)
     truth = pose_state(0.02, 0.1)
-    tracker.begin(0.02, 0.1, UNIT, sigma=(0.02, 0.01, 0.01))
+    tracker.start(0.02, 0.1, UNIT, sigma=(0.02, 0.01, 0.01))
     for _ in range(5):
         tracker.update(point(truth, 1), point(truth, -1))
     before = tracker.state
@@ -164,14 +164,14 @@ def test_what_fails_the_gate_changes_nothing() -> None:
     done = tracker.update(far, point(truth, -1), (2.0, 0.01**2))
     assert (done.left, done.right, done.heading, tracker.rejected) == (False, True, False, 3)
     assert tracker.offset_m == pytest.approx(0.02, abs=1e-3)
-    tracker.begin(0.0, 0.0, UNIT)
+    tracker.start(0.0, 0.0, UNIT)
     assert tracker.rejected == 0
 
 
 def test_lines_that_insist_are_believed_in_the_end() -> None:
     """The filter sits on a wrong pose with too much confidence: after `patience` refusals it opens up."""
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.15, 0.0, 0.3, sigma=(0.002, 0.002, 0.002))
+    tracker.start(0.15, 0.0, 0.3, sigma=(0.002, 0.002, 0.002))
     truth = pose_state(-0.03, 0.05)
     for i in range(FILTER.patience):
         done = tracker.update(point(truth, 1), point(truth, -1))
@@ -190,7 +190,7 @@ def test_a_direction_helps_where_the_points_say_little() -> None:
     spread = []
     for theta in (None, (truth[0], 0.01**2)):
         tracker = LanePoseFilter(FILTER)
-        tracker.begin(0.19, 0.2, UNIT)
+        tracker.start(0.19, 0.2, UNIT)
         for _ in range(5):
             done = tracker.update(point(truth, 1), None, theta)
             assert done.heading == (theta is not None)
@@ -202,7 +202,7 @@ def test_a_direction_helps_where_the_points_say_little() -> None:
 
 def test_directions_wrap() -> None:
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.0, 3.1, UNIT)
+    tracker.start(0.0, 3.1, UNIT)
     for _ in range(20):
         tracker.update(None, None, (3.15, 0.05**2))  # a car that faces the wrong way
     assert math.remainder(tracker.heading_rad + 3.15, math.tau) == pytest.approx(0.0, abs=0.01)
@@ -240,7 +240,7 @@ def test_impossible_covariances_are_left_out(covariance: np.ndarray) -> None:
 
 def test_unknown_motion_opens_the_filter() -> None:
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.0, 0.0, UNIT, sigma=(0.01, 0.01, 0.01))
+    tracker.start(0.0, 0.0, UNIT, sigma=(0.01, 0.01, 0.01))
     before = tracker.state
     tracker.predict(SE2.arc(0.3, 0.4).inverse(), 0.0, 0.1, motion_known=False)
     np.testing.assert_allclose(tracker.state, before)

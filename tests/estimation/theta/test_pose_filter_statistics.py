@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from automodel.estimation.theta.pose_filter import LanePoseFilter, carried
+from automodel.estimation.theta.pose_filter import LanePoseFilter, predicted_state
 from automodel.geometry import SE2
 from tests.support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
 
@@ -23,14 +23,14 @@ def test_the_innovations_are_as_large_as_the_filter_says(lines: str, dimensions:
     for _ in range(runs):
         tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
         start = (0.03, 0.05, 0.02)
-        tracker.begin(0.02, 0.1, UNIT, sigma=start)
+        tracker.start(0.02, 0.1, UNIT, sigma=start)
         truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
         for _ in range(steps):
             motion, kappa = SE2.arc(0.04, rng.normal(0.0, 0.03)), 0.7
             tracker.predict(motion.inverse(), kappa, 0.03)
             reference = np.array((REFERENCE_M, 0.0))
             shift = motion.apply(reference) - reference
-            truth, _ = carried(truth, (shift[0], shift[1]), motion.yaw_rad, kappa)
+            truth, _ = predicted_state(truth, (shift[0], shift[1]), motion.yaw_rad, kappa)
             truth = rng.multivariate_normal(truth, tracker._ekf.Q)
             left = point(truth, 1, rng) if "L" in lines else None
             right = point(truth, -1, rng) if "R" in lines else None
@@ -49,12 +49,12 @@ def test_the_errors_are_as_large_as_the_filter_says() -> None:
     total, count = 0.0, 0
     for _ in range(150):
         tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
-        tracker.begin(0.0, 0.0, UNIT, sigma=(0.05, 0.05, 0.03))
+        tracker.start(0.0, 0.0, UNIT, sigma=(0.05, 0.05, 0.03))
         truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
         for step in range(12):
             tracker.predict(SE2.arc(0.04, 0.02).inverse(), 0.5, 0.03)
             shift = SE2.arc(0.04, 0.02).apply((REFERENCE_M, 0.0)) - np.array((REFERENCE_M, 0.0))
-            truth = rng.multivariate_normal(carried(truth, (shift[0], shift[1]), 0.02, 0.5)[0], tracker._ekf.Q)
+            truth = rng.multivariate_normal(predicted_state(truth, (shift[0], shift[1]), 0.02, 0.5)[0], tracker._ekf.Q)
             seen = "LR" if step < 4 else "L"
             tracker.update(point(truth, 1, rng), point(truth, -1, rng) if seen == "LR" else None)
         pose = np.array((0.5 * truth[1] * truth[2], -truth[0], truth[2]))
@@ -69,7 +69,7 @@ def test_the_gate_passes_the_share_that_it_is_set_to() -> None:
     rng, tracker = np.random.default_rng(12), LanePoseFilter(replace(FILTER, gate=0.9))
     passed, tries = {0: 0, 1: 0}, 3000
     for _ in range(tries):
-        tracker.begin(0.0, 0.0, UNIT, sigma=(0.02, 0.02, 0.01))
+        tracker.start(0.0, 0.0, UNIT, sigma=(0.02, 0.02, 0.01))
         truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
         done = tracker.update(point(truth, 1, rng), None, (truth[0] + rng.normal(0.0, 0.02), 0.02**2))
         passed[0] += done.left
@@ -81,7 +81,7 @@ def test_the_gate_passes_the_share_that_it_is_set_to() -> None:
 def test_the_published_covariance_is_that_of_draws() -> None:
     rng = np.random.default_rng(13)
     tracker = LanePoseFilter(FILTER)
-    tracker.begin(0.08, -0.3, 0.42, sigma=(0.02, 0.02, 0.02))
+    tracker.start(0.08, -0.3, 0.42, sigma=(0.02, 0.02, 0.02))
     tracker.update(point(tracker.state, 1), None)
     tracker.predict(SE2.arc(0.3, 0.2).inverse(), 0.5, 0.1)  # so that offset and heading err together
     drawn = rng.multivariate_normal(tracker.state, tracker.state_covariance, 40_000)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.theta.pose_filter import LinePoint, carried, expectation
+from automodel.estimation.theta.pose_filter import LinePoint, predicted_measurement, predicted_state
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, UNIT, pose_state
 from tests.support.world_lanes import arc
@@ -24,7 +24,7 @@ def test_the_motion_on_an_arc_is_exact(bend: float, speed: float, yaw_rate: floa
     motion = SE2.arc(speed * dt, yaw_rate * dt)
     reference = np.array((REFERENCE_M, 0.0))
     shift = motion.apply(reference) - reference
-    after, _ = carried(pose_state(0.07, -0.3), (shift[0], shift[1]), motion.yaw_rad, bend)
+    after, _ = predicted_state(pose_state(0.07, -0.3), (shift[0], shift[1]), motion.yaw_rad, bend)
     _, offset, heading = lane.pose_of(car @ motion, REFERENCE_M)
     assert 0.5 * after[1] * after[2] == pytest.approx(offset, abs=1e-6)
     # the search is on a grid of half a millimetre
@@ -44,7 +44,7 @@ def test_the_motion_agrees_with_the_lanes_kinematics() -> None:
     motion = SE2.arc(0.3 * speed, 0.3 * yaw_rate)
     reference = np.array((REFERENCE_M, 0.0))
     shift = motion.apply(reference) - reference
-    after, _ = carried(state, (shift[0], shift[1]), motion.yaw_rad, kappa)
+    after, _ = predicted_state(state, (shift[0], shift[1]), motion.yaw_rad, kappa)
     assert 0.5 * after[1] * after[2] == pytest.approx(d, abs=2e-5)
     assert -after[0] == pytest.approx(psi, abs=5e-5)
 
@@ -53,11 +53,11 @@ def test_the_motion_agrees_with_the_lanes_kinematics() -> None:
 @pytest.mark.parametrize("kappa", [0.0, 1e-9, 0.8, -1.5])
 def test_the_motions_jacobian(state: tuple[float, ...], kappa: float) -> None:
     x = np.array(state)
-    _, jacobian = carried(x, (0.12, 0.03), 0.15, kappa)
+    _, jacobian = predicted_state(x, (0.12, 0.03), 0.15, kappa)
     for i in range(3):
         step = np.zeros(3)
         step[i] = 1e-6
-        ahead, behind = (carried(x + sign * step, (0.12, 0.03), 0.15, kappa)[0] for sign in (1, -1))
+        ahead, behind = (predicted_state(x + sign * step, (0.12, 0.03), 0.15, kappa)[0] for sign in (1, -1))
         np.testing.assert_allclose(jacobian[:, i], (ahead - behind) / 2e-6, atol=1e-7)
 
 
@@ -65,7 +65,7 @@ def test_the_motions_jacobian(state: tuple[float, ...], kappa: float) -> None:
 def test_the_measurement_and_its_jacobian(state: tuple[float, ...]) -> None:
     x = np.array(state)
     theta, rho, width = state
-    h, jacobian = expectation(x, REFERENCE_M)
+    h, jacobian = predicted_measurement(x, REFERENCE_M)
     # eq. (25) as printed, x_CM = reference, y_CM = 0
     printed = (
         REFERENCE_M - 0.5 * width * (1 - rho) * math.sin(theta),
@@ -83,7 +83,7 @@ def test_the_measurement_and_its_jacobian(state: tuple[float, ...]) -> None:
     for i in range(3):
         step = np.zeros(3)
         step[i] = 1e-6
-        ahead, behind = (expectation(x + sign * step, REFERENCE_M)[0] for sign in (1, -1))
+        ahead, behind = (predicted_measurement(x + sign * step, REFERENCE_M)[0] for sign in (1, -1))
         np.testing.assert_allclose(jacobian[:, i], (ahead - behind) / 2e-6, atol=1e-9)
 
 

@@ -34,7 +34,7 @@ def test_the_batch_is_the_papers_recursion() -> None:
     rls = ThetaRls(replace(FREE, memory_lanes=1e9, memory_s=0.5))
     scale = rls.scale_m ** np.arange(4)
     s = rng.uniform(-0.5, 1.5, 12)
-    rls.begin(s, rng.normal(0.0, 0.3, 12), np.ones(12), 0.2, 1e-4)
+    rls.start(s, rng.normal(0.0, 0.3, 12), np.ones(12), 0.2, 1e-4)
     assert rls.line is not None
     w = (np.array(rls.line.coefficients_rad) / scale)[::-1]
     r = np.linalg.pinv((rls.information / np.outer(1.0 / scale, 1.0 / scale))[::-1, ::-1])
@@ -55,8 +55,8 @@ def test_weights_count_as_repeated_points() -> None:
     rng = np.random.default_rng(1)
     s, theta, times = rng.uniform(-0.5, 1.0, 15), rng.normal(0.0, 0.2, 15), rng.integers(1, 5, 15)
     weighted, repeated = ThetaRls(RLS), ThetaRls(RLS)
-    weighted.begin(s, theta, times.astype(float), 0.2, 1e-4)
-    repeated.begin(np.repeat(s, times), np.repeat(theta, times), np.ones(times.sum()), 0.2, 1e-4)
+    weighted.start(s, theta, times.astype(float), 0.2, 1e-4)
+    repeated.start(np.repeat(s, times), np.repeat(theta, times), np.ones(times.sum()), 0.2, 1e-4)
     assert weighted.line is not None
     assert repeated.line is not None
     np.testing.assert_allclose(weighted.line.coefficients_rad, repeated.line.coefficients_rad, atol=1e-10)
@@ -69,7 +69,7 @@ def test_the_moved_model_is_that_of_moved_points(motion: SE2) -> None:
     s = np.linspace(-0.6, 1.6, 40)
     theta, weight = 0.1 + 0.6 * s - 0.2 * s**2 + 0.05 * s**3, rng.uniform(1.0, 5.0, 40)
     moved = ThetaRls(replace(FREE, memory_lanes=1e9, memory_s=1e9))
-    moved.begin(s, theta, weight, 0.2, 1e-4)
+    moved.start(s, theta, weight, 0.2, 1e-4)
     assert moved.line is not None
     before = moved.line
     moved.predict(motion.inverse(), math.hypot(motion.x_m, motion.y_m), 0.0)
@@ -77,7 +77,7 @@ def test_the_moved_model_is_that_of_moved_points(motion: SE2) -> None:
     # how far the origin went: the old line's foot of the new reference point
     advance = before.foot(tuple(motion.apply((REFERENCE_M, 0.0)).tolist())).s_m
     again = ThetaRls(FREE)
-    again.begin(s - advance, theta - motion.yaw_rad, weight, 0.2, 1e-4)
+    again.start(s - advance, theta - motion.yaw_rad, weight, 0.2, 1e-4)
     assert again.line is not None
     np.testing.assert_allclose(after.coefficients_rad, again.line.coefficients_rad, atol=1e-6)
     np.testing.assert_allclose(moved.information, again.information, rtol=1e-6, atol=1e-4)
@@ -90,7 +90,7 @@ def test_a_far_sight_is_no_trouble() -> None:
     s = np.linspace(-2.0, 14.0, 120) * UNIT
     theta = 0.1 + 0.05 * s + 0.01 * s**2 - 0.0008 * s**3
     rls = ThetaRls(FREE)
-    rls.begin(s, theta, 1.0 / (1.0 + s**2), 0.2, 1e-4)
+    rls.start(s, theta, 1.0 / (1.0 + s**2), 0.2, 1e-4)
     for _ in range(200):
         rls.predict(STILL, 0.0, 0.02)
         rls.update(s, theta, 1.0 / (1.0 + s**2))
@@ -105,7 +105,7 @@ def test_directions_may_be_off_by_whole_turns() -> None:
     for rls, turns in ((plain, (0, 0, 0)), (turned, (0, 1, -2))):
         for k in turns:
             if rls.line is None:
-                rls.begin(s, theta, np.ones(30), 0.2, 1e-4)
+                rls.start(s, theta, np.ones(30), 0.2, 1e-4)
             rls.update(s, theta + k * math.tau, np.ones(30))
     assert plain.line is not None
     assert turned.line is not None
@@ -121,7 +121,7 @@ def test_huber_holds_outliers_off() -> None:
     errors = []
     for huber in (None, 0.05):
         rls = ThetaRls(replace(RLS, huber_rad=huber))
-        rls.begin(s, clean, np.full(40, 100.0), 0.2, 1e-4)
+        rls.start(s, clean, np.full(40, 100.0), 0.2, 1e-4)
         for _ in range(10):
             rls.predict(STILL, 0.0, 0.1)
             rls.update(s, theta, np.full(40, 100.0))
@@ -137,7 +137,7 @@ def test_few_points_bend_nothing() -> None:
     held, free = ThetaRls(RLS), ThetaRls(FREE)
     theta = 0.1 + rng.normal(0.0, 0.02, 6)
     for rls in (held, free):
-        rls.begin(s, theta, np.full(6, 2500.0), 0.2, 1e-4)
+        rls.start(s, theta, np.full(6, 2500.0), 0.2, 1e-4)
     assert held.line is not None
     assert free.line is not None
     assert max(abs(w) for w in held.line.coefficients_rad[1:]) < 0.5
@@ -153,7 +153,7 @@ def test_with_the_prior_it_is_ridge_regression_on_all_points() -> None:
         s = rng.uniform(0.0, 0.5, 8)
         theta = 0.2 + 0.9 * s + rng.normal(0.0, 0.05, 8)
         if frame == 0:
-            rls.begin(s, theta, np.full(8, 4.0), 0.2, 1e-4)
+            rls.start(s, theta, np.full(8, 4.0), 0.2, 1e-4)
         else:
             rls.update(s, theta, np.full(8, 4.0))
         every_phi.append(np.vander(s / rls.scale_m, 4, increasing=True))
@@ -184,9 +184,9 @@ def test_one_point_is_enough_and_none_is_no_trouble() -> None:
     rls.update(none, none, none, 0.2, 1e-4)
     rls.predict(STILL, 0.1, 0.1)
     assert rls.line is None
-    rls.begin(none, none, none, 0.2, 1e-4)
+    rls.start(none, none, none, 0.2, 1e-4)
     assert rls.line is None
-    rls.begin(np.array((0.3,)), np.array((0.2,)), np.ones(1), 0.2, 1e-4)
+    rls.start(np.array((0.3,)), np.array((0.2,)), np.ones(1), 0.2, 1e-4)
     assert rls.line is not None
     assert rls.line.heading_at(0.0) == pytest.approx(0.2, abs=0.05)
     assert np.isfinite(numbers(rls)).all()
@@ -202,7 +202,7 @@ def test_one_point_is_enough_and_none_is_no_trouble() -> None:
 def test_numbers_that_are_not_finite_change_nothing(bad: float) -> None:
     rls = ThetaRls(RLS)
     s = np.linspace(-0.4, 1.2, 20)
-    rls.begin(s, 0.4 * s, np.ones(20), 0.2, 1e-4)
+    rls.start(s, 0.4 * s, np.ones(20), 0.2, 1e-4)
     before = numbers(rls)
     spoilt = s.copy()
     spoilt[7] = bad
@@ -214,7 +214,7 @@ def test_numbers_that_are_not_finite_change_nothing(bad: float) -> None:
     rls.predict(SE2(bad, 0.0, 0.0), 0.1, 0.1)
     rls.predict(SE2(), bad, 0.1)
     np.testing.assert_array_equal(numbers(rls), before)
-    rls.begin(spoilt, s, np.ones(20), 0.2, 1e-4)
+    rls.start(spoilt, s, np.ones(20), 0.2, 1e-4)
     assert rls.line is None
 
 
@@ -226,5 +226,5 @@ def test_scales_must_be_positive(field: str) -> None:
 
 
 def test_samples_need_a_line() -> None:
-    with pytest.raises(ValueError, match="begin"):
+    with pytest.raises(ValueError, match="start"):
         ThetaRls(RLS).samples(np.zeros(3))

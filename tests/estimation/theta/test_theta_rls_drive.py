@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from automodel.estimation.theta.line_spline import smooth
-from automodel.estimation.theta.theta_rls import ThetaRls, locate
+from automodel.estimation.theta.theta_rls import ThetaRls, project_foot
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT, drive, see
 from tests.support.world_lanes import WorldLane, arc
@@ -161,7 +161,7 @@ def test_a_line_that_begins_ahead_is_placed_through_its_shape(bend: float) -> No
 def test_samples_are_counted_from_the_foot(bend: float, from_m: float) -> None:
     lane = arc(bend)
     car = lane.car(2.0, -0.05, 0.2, REFERENCE_M)
-    place = locate(see(lane, car, 2.0, 1, from_m=from_m), (REFERENCE_M, 0.0), None)
+    place = project_foot(see(lane, car, 2.0, 1, from_m=from_m), (REFERENCE_M, 0.0), None)
     ratio = 1.0 - 0.2 * bend  # of arc lengths, line to centre
     assert place.s_m[0] == pytest.approx(from_m * ratio, abs=0.006)
     assert place.s_m[-1] == pytest.approx(1.2 * ratio, abs=0.006)
@@ -172,7 +172,7 @@ def test_samples_are_counted_from_the_foot(bend: float, from_m: float) -> None:
 def test_a_line_behind_the_car_is_placed_too() -> None:
     lane = arc(0.6)
     sampled = see(lane, lane.car(2.0, 0.0, 0.0, REFERENCE_M), 2.0, 1)
-    place = locate(sampled, (2.5, 0.9), None)
+    place = project_foot(sampled, (2.5, 0.9), None)
     assert not place.beside
     assert place.s_m[-1] < 0.0
     rls = ThetaRls(RLS)

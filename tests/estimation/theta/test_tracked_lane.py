@@ -25,7 +25,7 @@ class Drive:
         self.lane, self.offset_m, self.s_m = lane, offset_m, s_m
         self.tracked = TrackedLane(UNIT, REFERENCE_M)
         self.car = lane.car(s_m, offset_m, 0.0, REFERENCE_M)
-        assert self.tracked.begin(*self.seen(sees))
+        assert self.tracked.start(*self.seen(sees))
 
     def seen(self, sees: str, least_m: float = 0.35) -> tuple[SeenLine, SeenLine]:
         """Both lines, from `least_m` to 1.5 m ahead of the reference point."""
@@ -58,14 +58,14 @@ class Drive:
         assert pose.heading_rad == pytest.approx(0.0, abs=math.radians(heading_deg))
 
 
-def test_there_is_no_middle_before_begin() -> None:
+def test_there_is_no_centerline_before_start() -> None:
     tracked = TrackedLane(UNIT, REFERENCE_M)
-    with pytest.raises(ValueError, match="no lane; begin first"):
-        _ = tracked.middle
-    assert not tracked.begin(NOTHING, NOTHING)
-    assert not tracked.begin(None, None)
+    with pytest.raises(ValueError, match="no lane; call start first"):
+        _ = tracked.centerline
+    assert not tracked.start(NOTHING, NOTHING)
+    assert not tracked.start(None, None)
     few = SeenLine(points_m=np.array([(0.5, 0.2), (0.6, 0.2), (0.7, 0.2)]), sigma_m=np.full(3, 0.004))
-    assert not tracked.begin(few, few)
+    assert not tracked.start(few, few)
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.8, -1.0])
@@ -77,7 +77,7 @@ def test_begin_with_both_lines(bend: float) -> None:
     drive.go(60)
     drive.check()
     assert drive.tracked.pose.width_m == pytest.approx(UNIT, abs=0.002)
-    assert drive.tracked.middle.curvature_at(0.0) == pytest.approx(bend, abs=0.08)
+    assert drive.tracked.centerline.curvature_at(0.0) == pytest.approx(bend, abs=0.08)
     assert drive.tracked.blind_m == 0.0
 
 
@@ -172,10 +172,10 @@ def test_blind_way_grows_with_time_where_the_motion_is_not_known() -> None:
 def test_end_is_straight_on() -> None:
     drive = Drive(arc(1.0))
     drive.go(60)
-    middle = drive.tracked.middle
+    middle = drive.tracked.centerline
     on = middle.heading_at(middle.s_max_m + 0.8)
     drive.tracked.end()
-    ended = drive.tracked.middle
+    ended = drive.tracked.centerline
     limit = TrackedLine.ARC_LANES * UNIT
     assert ended.arc_ahead_m == pytest.approx(limit)
     straight = ended.heading_at(ended.s_max_m + limit)
@@ -186,7 +186,7 @@ def test_end_is_straight_on() -> None:
         assert tracked.line.arc_ahead_m == pytest.approx(limit)
     drive.check()
     drive.go(1)  # seen again, and not to end
-    assert drive.tracked.middle.arc_ahead_m == math.inf
+    assert drive.tracked.centerline.arc_ahead_m == math.inf
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.6])

@@ -31,13 +31,13 @@ class Way:
         self.tracked = TrackedLine(RLS)
         self.car = lane.car(s_m, 0.0, 0.0, REFERENCE_M)
 
-    def go(self, known: bool = True, way_m: float = STEP_M) -> None:
+    def go(self, known: bool = True, distance_m: float = STEP_M) -> None:
         """On along the lane, and the line with it."""
-        self.s_m += way_m
+        self.s_m += distance_m
         before, self.car = self.car, self.lane.car(self.s_m, 0.0, 0.0, REFERENCE_M)
         motion = self.car.inverse() @ before
         if known:
-            self.tracked.move(motion, way_m, DT_S, True)
+            self.tracked.move(motion, distance_m, DT_S, True)
         else:
             self.tracked.move(SE2(), 0.0, DT_S, False)
 
@@ -116,7 +116,7 @@ def test_a_car_that_stands_remembers_no_more() -> None:
     way.drive(20)
     before = len(remembered(way.tracked))
     for _ in range(50):
-        way.go(way_m=0.0)
+        way.go(distance_m=0.0)
         way.tracked.update(seen(way.lane, way.car, way.s_m))
     assert len(remembered(way.tracked)) <= before + TrackedLine.KEEP_POINTS
     assert abs(way.errors[0]) < 0.002
