@@ -50,4 +50,4 @@ def test_a_right_speed_is_never_dropped(place: tuple[str, str, float, float]) ->
     pipeline = Contour(CAR)
     for one in drive(*place):
         pipeline.step(one.frame, one.motion)
-        assert pipeline._trust.given(one.frame.t_ns)
+        assert pipeline._odometry.trusted(one.frame.t_ns)
