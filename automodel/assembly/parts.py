@@ -68,9 +68,9 @@ def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Check
     """
     cv2.setNumThreads(1)
     pipeline = make_pipeline(car.pipeline.name, car) if pipeline is None else pipeline
-    told = getattr(pipeline, "told", "")
-    if told:  # of a network that runs on something else than expected
-        say(told)
+    notice = getattr(pipeline, "notice", "")
+    if notice:  # of a network that runs on something else than expected
+        say(notice)
     return Loop(
         pipeline,
         LaneController(car),

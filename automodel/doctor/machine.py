@@ -26,8 +26,7 @@ import automodel
 from automodel.config import CameraConfig, CarConfig, RecordingConfig
 from automodel.doctor.bounds import bounded
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
-from automodel.perception.markings.self_test import drawn_lines
-from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig
+from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig, drawn_lines
 from automodel.recording.codec import ImageCodec
 from automodel.types import Image
 
@@ -260,7 +259,7 @@ def _try_network(config: UnetConfig) -> _Tried:
     return _Tried(
         offered=tuple(name for name, provider in PROVIDERS.items() if provider in there),
         provider=network.provider,
-        told=network.told,
+        told=network.notice,
         started_s=ready - start,
         picture_s=statistics.median(times),
     )

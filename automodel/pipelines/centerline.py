@@ -17,11 +17,12 @@ from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2, GroundCamera, View
-from automodel.perception.markings.adaptive_threshold import standing_out
-from automodel.perception.markings.feature_points import FeaturePoints
-from automodel.perception.markings.ridge import RidgeMarkings
+from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold
+from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
-from automodel.perception.windows.line_following import ExpectedLine, FollowedLine, LineFollowing
+from automodel.perception.windows.line_following import FollowedLine, LineFollowing
+from automodel.perception.windows.line_initialisation import LineInitialisation
+from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import FloatArray, Image
@@ -41,7 +42,7 @@ def make_markings(car: CarConfig) -> Markings:
     options = car.pipeline.centerline
     if options.markings == "ridge":
         camera = GroundCamera.from_config(car.camera)
-        return RidgeMarkings.of_camera(camera, car.lane.marking_width_m, dark=car.lane.dark_markings)
+        return RidgeFilter.of_camera(camera, car.lane.marking_width_m, dark=car.lane.dark_markings)
     return MarkingNetwork(
         UnetConfig(model=options.model, size=options.network, providers=options.providers, threads=options.threads)
     )
@@ -85,8 +86,9 @@ class Centerline:
         self._ahead_m = self.view.x_far_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
         self._features = FeaturePoints(car.camera, self.view, lane.marking_width_m, options.threshold)
-        self._following = LineFollowing(self.view, lane.width_m, marking, self._features.visible, self._reference_x_m)
-        self.told = _worth_telling(self._markings, options)
+        self._initialisation = LineInitialisation(self.view, lane.width_m, marking, self._reference_x_m)
+        self._following = LineFollowing(self.view, lane.width_m, marking, self._features.visible)
+        self.notice = _worth_telling(self._markings, options)
         self.stages = StageClock()
         self.reset()
 
@@ -108,7 +110,7 @@ class Centerline:
         mask = self._markings.step(np.asarray(grey, dtype=np.uint8))
         self.stages.lap("markings")
         if isinstance(self._markings, MarkingNetwork):
-            mask = standing_out(mask)
+            mask = adaptive_threshold(mask)
         features = self._features.step(mask)
         self.stages.lap("birdseye")
         if self._lane is None:
@@ -150,7 +152,7 @@ class Centerline:
 
     def _find(self, features: Image) -> tuple[TrackedLane, SeenLine, SeenLine] | None:
         """A lane from this frame alone: a pair of lines, or one."""
-        starts = self._following.start(features)
+        starts = self._initialisation.step(features)
         seen = [SeenLine(points_m=NO_POINTS, sigma_m=np.empty(0)) for _ in starts]
         for i, start in enumerate(starts):
             if start is not None:
@@ -176,7 +178,7 @@ class Centerline:
         breadth = self.BREADTH_LANES if lane.motion_known else self.UNKNOWN_LANES
         breadth = breadth * self._unit + self.BLIND_LANES * min(lane.blind_m, 2.0 * self._unit)
         expected = ExpectedLine(points_m=points, heading_rad=heading, known_m=known_m)
-        return self._seen(self._following.follow(features, expected=expected, breadth_m=breadth))
+        return self._seen(self._following.follow(features, expected=expected, reach_m=breadth))
 
     def _parted(self, left: SeenLine, right: SeenLine) -> tuple[SeenLine, SeenLine]:
         """Both lines; where they come so near to each other that they must be one, the longer keeps it."""
@@ -305,7 +307,7 @@ def _worth_telling(markings: Markings, options: CenterlineConfig) -> str:
     chosen = options.providers != CenterlineConfig().providers
     if not isinstance(markings, MarkingNetwork) or (markings.provider == "cpu" and not chosen):
         return ""
-    return markings.told
+    return markings.notice
 
 
 def _cut(line: SeenLine, count: int) -> SeenLine:

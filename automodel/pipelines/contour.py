@@ -21,14 +21,14 @@ from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTrac
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.markings.ridge import Brightness, RowRidges
-from automodel.perception.rows.row_hough import LaneGuess, RowStart, StartConfig
-from automodel.perception.rows.row_search import RowSearch, Sighting
+from automodel.perception.rows.row_hough import InitialLane, LaneSearchConfig, RowHough
+from automodel.perception.rows.row_ridges import Brightness, RunRidges
+from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import Bools, FloatArray, Floats, Image
 
-Followed = tuple[PairShape, Sighting, Bools]
+Followed = tuple[PairShape, NodeMeasurements, Bools]
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 
 
@@ -69,9 +69,9 @@ class Contour:
         nodes = self._nodes(camera, car)
         self._tracker = self._make_tracker(nodes, car, dtype)
         self._pair = self._tracker.pair
-        ridges = RowRidges(brightness, options.contrast)
+        ridges = RunRidges(brightness, options.contrast)
         self._search = RowSearch(LineProjection(camera, dtype), ridges, nodes, marking, self._size)
-        tried = StartConfig(
+        tried = LaneSearchConfig(
             lane_width_m=unit,
             marking_m=marking,
             reference_x_m=car.vehicle.reference_x_m,
@@ -79,7 +79,7 @@ class Contour:
             radius_lanes=options.radius_lanes,
             ahead=min(options.look_ahead_lanes, 2.0),
         )
-        self._start = RowStart(camera, tried, brightness)
+        self._start = RowHough(camera, tried, brightness)
         self.stages = StageClock()
         self.reset()
         self._warm_up()
@@ -192,13 +192,13 @@ class Contour:
         offset, heading, width, _ = self._tracker.pose()
         return math.hypot(offset / (self.START_OFFSET * width), heading / self.START_HEADING_RAD) < 1.0
 
-    def _look_for(self, image: Image) -> LaneGuess | None:
+    def _look_for(self, image: Image) -> InitialLane | None:
         """A lane on whole rows, from nothing."""
         guess = self._start.step(image)
         self.stages.lap("start")
         return guess
 
-    def _restart(self, guess: LaneGuess) -> None:
+    def _restart(self, guess: InitialLane) -> None:
         self._tracker.start(guess.rough(self.FITTED))
         self._new_m = self.NEW * self._unit
         self._search.forget(guess.edge)

@@ -19,11 +19,10 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.polynomial.regression import fit_polynomial
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.markings.crossings import Crossed, CrossingSearch
-from automodel.perception.markings.temporal_paint_check import GroundCheck
-from automodel.perception.markings.white_areas import WhiteAreas
-from automodel.perception.windows.lane_initialiser import Fresh, FreshLane
-from automodel.perception.windows.sliding_windows import LaneLines
+from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas
+from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
+from automodel.perception.windows.lane_initialiser import LaneCandidate, LaneInitialiser
+from automodel.perception.windows.sliding_windows import LaneWindows
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import FloatArray, Image
@@ -57,9 +56,9 @@ class Windows:
         self._size = (car.camera.height_px, car.camera.width_px)
         self._birdseye = BirdsEye(camera, self.view)
         self._white = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
-        self._lines = LaneLines(self.view, lane.marking_width_m)
+        self._lines = LaneWindows(self.view, lane.marking_width_m)
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
-        self._ground = GroundCheck(self.view, self._white.mask, lane.width_m, lane.marking_width_m)
+        self._ground = TemporalPaintCheck(self.view, self._white.mask, lane.width_m, lane.marking_width_m)
         self._tracker = LaneTracker(
             LaneFitConfig(
                 lane_width_m=lane.width_m,
@@ -68,7 +67,7 @@ class Windows:
             ),
             near,
         )
-        self._fresh = FreshLane(self._lines, self._tracker)
+        self._fresh = LaneInitialiser(self._lines, self._tracker)
         self.stages = StageClock()
         self.reset()
 
@@ -108,7 +107,7 @@ class Windows:
             self.stages.lap("windows")
             solution, support = self._tracker.update(seen)
             self.stages.lap("lane_fit")
-            rival = self._fresh.rival(painted, crossed, support)
+            rival = self._fresh.replacement(painted, crossed, support)
             if rival is not None and self._plausible(rival.solution):
                 seen, solution, support = self._take(rival)
         estimate = self._estimate(frame, crossing, seen, solution, support)
@@ -134,11 +133,11 @@ class Windows:
         else:
             self._ground.forget()
 
-    def _take(self, fresh: Fresh) -> tuple[Observation, LaneSolution, Support]:
+    def _take(self, fresh: LaneCandidate) -> tuple[Observation, LaneSolution, Support]:
         self._tracker.start(fresh.seen, fresh.solution)
         return fresh.seen, fresh.solution, fresh.support
 
-    def _observe(self, lines: Image, crossed: Crossed) -> Observation:
+    def _observe(self, lines: Image, crossed: CrossingScan) -> Observation:
         """Both lines' points from where the lane is predicted, without those where paint covers the lane."""
         lane = self._tracker.shape
         breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
@@ -158,7 +157,10 @@ class Windows:
     def _estimate(
         self, frame: Frame, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> LaneEstimate:
-        left_seen, right_seen = support.left >= FreshLane.LINE_WINDOWS, support.right >= FreshLane.LINE_WINDOWS
+        left_seen, right_seen = (
+            support.left >= self._fresh.LINE_WINDOWS,
+            support.right >= self._fresh.LINE_WINDOWS,
+        )
         if left_seen or right_seen:
             self._seen_t_ns = frame.t_ns
         blind_ns = frame.t_ns - self._seen_t_ns
@@ -205,7 +207,7 @@ class Windows:
             curve = shape.curve(side * 0.5 * shape.width_m)
         return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
 
-    def _cross(self, bright: Image) -> Crossed:
+    def _cross(self, bright: Image) -> CrossingScan:
         """Look for a crossing; one that is found tells the tracker the lane's direction there."""
         crossed = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
         if crossed.crossing is not None:

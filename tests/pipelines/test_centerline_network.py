@@ -13,7 +13,7 @@ import onnxruntime
 import pytest
 
 from automodel.config import CarConfig, CenterlineConfig, ConfigError, parse_car
-from automodel.perception.markings.ridge import RidgeMarkings
+from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.pipelines import make_pipeline
 from automodel.pipelines.centerline import Centerline
@@ -166,7 +166,7 @@ def shipped() -> Centerline:
 @pytest.fixture(scope="module")
 def by_ridge() -> Centerline:
     pipeline = Centerline(car_with(markings="ridge"))
-    assert isinstance(pipeline._markings, RidgeMarkings)
+    assert isinstance(pipeline._markings, RidgeFilter)
     return pipeline
 
 

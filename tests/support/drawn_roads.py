@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from automodel.perception.windows.line_following import ExpectedLine
+from automodel.perception.windows.window_tracker import ExpectedLine
 from tests.support.drawn_views import Shape
 
 LANE_M, MARKING_M = 0.4, 0.03

@@ -1,4 +1,4 @@
-"""Lines across the lane: the search of seed 003 (section IV-G) on the view turned by 90 degrees."""
+"""Lines across the lane: the crossing search of the AutoModelCar paper, section IV-G."""
 
 from __future__ import annotations
 
@@ -7,62 +7,61 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.polynomial.lane_fit import LaneShape
 from automodel.estimation.polynomial.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
-from automodel.types import FloatArray, Image
+from automodel.types import Bools, FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Crossed:
-    """The first crossing, if any, and where along the lane (arc lengths `s_m`) the corridor is `covered` with paint.
+class CrossingScan:
+    """The first crossing, if any, and at which arc lengths `s_m` (n,) [m] paint covers the lane: `covered` (n,).
 
-    There, what looks like a line along the lane may be a zebra's bar.
+    A line along the lane there may be a zebra's bar.
     """
 
     crossing: Crossing | None
     s_m: FloatArray
-    covered: NDArray[np.bool_]
+    covered: Bools
 
-    def free(self, s_m: FloatArray) -> NDArray[np.bool_]:
-        """Which arc lengths lie where the corridor is not covered."""
+    def free(self, s_m: FloatArray) -> Bools:
+        """Which arc lengths (k,) [m] lie where the lane is not covered."""
         step = self.s_m[1] - self.s_m[0]
         index = np.clip(np.rint((s_m - self.s_m[0]) / step), 0, len(self.s_m) - 1).astype(np.intp)
         return np.asarray(~self.covered[index])
 
 
 class CrossingSearch:
-    """Finds the first stop line or zebra across the lane's corridor.
+    """Finds the first stop line or zebra across the lane.
 
-    The bright view is sampled on a grid along and across the predicted lane (the paper turns the picture by 90 degrees;
-    following the lane keeps it right in bends). The histogram along the lane gives the candidate, one window per
-    column the near edge, a straight fit of degree 1 the angle (eq. (7)-(9)). The paper accepts 90 +- 15 degrees; here
-    the predicted lane may still be wrong by more before a bend's end is seen, so `MAX_SKEW_RAD` is wider, and what is
-    told to the outside is for the pipeline to decide.
+    The bright view is sampled on a grid along and across the predicted lane (the paper turns the image by 90 degrees;
+    following the lane also holds in bends). The histogram along the lane gives the candidate, one window per column
+    its near edge, and a fit of degree 1 the angle (eq. (7)-(9)). The paper accepts 90 +- 15 degrees. Here the
+    predicted lane may be wrong by more before a bend's end is visible, so `MAX_SKEW_RAD` is larger; the pipeline
+    decides which crossings are reported.
     """
 
     COLUMNS = 20
     STEP_MARKINGS = 1.0 / 2.5
-    COVER = 0.42  # share of the corridor that is bright: a stop line 1, a zebra 1/2
-    BUSY = 0.2  # share from which lines there are not trusted
-    SEEN = 0.6  # share of the corridor that must be in view for a crossing
-    AGREE = 0.6  # share of the columns whose near edge lies on one line
+    COVER = 0.42  # minimum bright share of the lane's width: a stop line has 1, a zebra 1/2
+    BUSY = 0.2  # share from which on lines along the lane are not used
+    SEEN = 0.6  # minimum share of the lane's width in view
+    AGREE = 0.6  # minimum share of the columns whose near edge lies on one line
     MAX_SKEW_RAD = math.radians(40.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
         self.view, self.lane_m, self.marking_m = view, lane_width_m, marking_width_m
         self._step = marking_width_m * self.STEP_MARKINGS
-        self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # grid rows in a row that are covered
+        self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # consecutive grid rows that are covered
 
-    def step(self, bright: Image, lane: LaneShape, far_m: float) -> Crossed:
-        """What lies across the lane up to `far_m` ahead, in the binary view `bright` (h, w)."""
+    def step(self, bright: Image, lane: LaneShape, far_m: float) -> CrossingScan:
+        """Scan the lane up to arc length `far_m` in the binary view `bright` (h, w)."""
         s = np.arange(0.0, far_m, self._step)
         inner = 0.5 * lane.width_m - 1.5 * self.marking_m
         if inner <= 2 * self.marking_m:
-            return Crossed(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
+            return CrossingScan(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
         d = np.linspace(-inner, inner, self.COLUMNS)
         theta = np.interp(s, lane.s_m, lane.theta_rad)
         x = np.interp(s, lane.s_m, lane.points_m[:, 0])[:, None] - np.sin(theta)[:, None] * d
@@ -80,19 +79,18 @@ class CrossingSearch:
         if first is not None:
             ground = np.stack((x, y), axis=-1)
             crossing = self._edge(white, ground, first, s, float(theta[first]))
-        return Crossed(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
+        return CrossingScan(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
 
-    def _edge(
-        self, white: NDArray[np.bool_], ground: FloatArray, first: int, s: FloatArray, lane_rad: float
-    ) -> Crossing | None:
+    def _edge(self, white: Bools, ground: FloatArray, first: int, s: FloatArray, lane_rad: float) -> Crossing | None:
+        """The crossing whose near edge lies about grid row `first`; None where its edge is no straight line."""
         reach = int(math.tan(self.MAX_SKEW_RAD) * self.lane_m / self._step) + 2 * self._need
         low = max(first - reach, 0)
         band = white[low : first + reach + 1]
         hit = band.any(axis=0)
         if hit.sum() < self.COLUMNS // 3:
             return None
-        begins = low + band.argmax(axis=0)[hit]
-        points = ground[begins, np.flatnonzero(hit)]
+        edge = low + band.argmax(axis=0)[hit]
+        points = ground[edge, np.flatnonzero(hit)]
         slope = _median_slope(points[:, 1], points[:, 0])
         off = points[:, 0] - slope * points[:, 1]
         keep = np.abs(off - np.median(off)) <= 0.75 * self.marking_m
@@ -103,24 +101,24 @@ class CrossingSearch:
         if abs(angle - lane_rad - 0.5 * math.pi) > self.MAX_SKEW_RAD:
             return None
         # the edge lies between the first white place of a column and the one before it
-        distance_m = float(np.median(s[begins][keep])) - 0.5 * self._step
+        distance_m = float(np.median(s[edge][keep])) - 0.5 * self._step
         return Crossing(distance_m=distance_m, angle_rad=angle)
 
 
 def _median_slope(x: FloatArray, y: FloatArray) -> float:
-    """The median of the slopes between all pairs of points (Theil 1950, Sen 1968): a third may be wrong."""
+    """The median slope between all pairs of points (Theil 1950, Sen 1968), robust to 29 % outliers."""
     i, j = np.triu_indices(len(x), 1)
     apart = np.abs(x[i] - x[j]) > 1e-9
     return float(np.median((y[i] - y[j])[apart] / (x[i] - x[j])[apart])) if apart.any() else 0.0
 
 
-def _widened(flags: NDArray[np.bool_], by: int) -> NDArray[np.bool_]:
-    """True also up to `by` places before and after each True."""
+def _widened(flags: Bools, by: int) -> Bools:
+    """The flags, True also up to `by` places before and after each True."""
     return np.convolve(flags, np.ones(2 * by + 1), mode="same") > 0
 
 
-def _first_run(covered: NDArray[np.bool_], need: int) -> int | None:
-    """Index of the first of `need` True values in a row."""
+def _first_run(covered: Bools, need: int) -> int | None:
+    """Index of the first run of `need` True values."""
     run = np.convolve(covered.astype(np.intp), np.ones(need, dtype=np.intp), mode="valid")
     starts = np.flatnonzero(run == need)
     return int(starts[0]) if len(starts) else None

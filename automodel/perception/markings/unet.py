@@ -1,7 +1,7 @@
-"""The marking network as it runs in the car: a grey picture in, the probability of "lane marking" of each pixel out.
+"""The marking network in the car: a grey image in, each pixel's probability of being a lane marking out.
 
-A network is a file, and a file may be anybody's: it is read once, checked (`onnx_check`), and only the checked bytes
-go to onnxruntime. Then it must find two lines in a drawn picture before it may see a road.
+A U-Net, as in Cudrano et al. 2020, section IV. The network's file is not trusted: it is read once and checked
+(`onnx_check`), and only the checked bytes go to onnxruntime. Then it must find two lines in a drawn image.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import importlib.resources
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,21 +19,24 @@ import numpy as np
 
 from automodel.config.toml_reader import ConfigError, not_negative
 from automodel.perception.markings.onnx_check import INPUT, OUTPUT, check_onnx
-from automodel.perception.markings.self_test import self_test
 from automodel.types import Image
 
 SIZES = {"512x256": (512, 256), "256x128": (256, 128)}  # width, height [px]
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
 MAX_BYTES = 8_000_000
-_ERRORS = 3  # onnxruntime's log level: a provider that is missing is told in our own words
+_ERRORS = 3  # onnxruntime's log level; a missing provider is reported by `MarkingNetwork.notice`
+
+SELF_TEST_FOUND = 0.6  # minimum share of the drawn lines' pixels that the self-test requires
+SELF_TEST_ELSEWHERE = 0.03  # maximum share of all other pixels
+_MARKING = 128  # of 255: a pixel is a marking
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnetConfig:
-    """Which network, and where it runs."""
+    """Which network runs, and where."""
 
     model: str = ""  # an ONNX file; empty: the one that ships for this size
-    size: str = "512x256"  # the network's picture; "256x128" is for small boards
+    size: str = "512x256"  # the network's input; "256x128" is for small boards
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order tensorrt, cuda, cpu
     threads: int = 0  # on the CPU; 0: half of the cores
     engine_cache: str = ""  # folder for TensorRT's compiled engines; empty: compiled at each start, which takes minutes
@@ -42,15 +46,15 @@ class UnetConfig:
         if self.size not in SIZES:
             raise ValueError(f"size: {self.size!r} is none of {', '.join(SIZES)}")
         if not self.providers or not set(self.providers) <= set(PROVIDERS):
-            raise ValueError(f"providers: {list(self.providers)} where some of {', '.join(PROVIDERS)} are wanted")
+            raise ValueError(f"providers: expected some of {', '.join(PROVIDERS)}, got {list(self.providers)}")
 
 
 class MarkingNetwork:
-    """`step` gives the mask of a picture of any size; the network is loaded and tested when the object is made.
+    """A network, loaded and tested at construction; `step` computes the mask of an image of any size.
 
-    Raises ConfigError when the file is not a network that may be loaded, or fails the test on all of the providers.
-    `provider` is the one that runs it, `told` says in one line which and why; `faults` counts outputs that could not
-    be used, for each of which `step` gave an empty mask.
+    `provider` runs the network, `notice` says in one line which one and why; `faults` counts unusable outputs, for each
+    of which `step` returned an empty mask. Raises ConfigError when the file is not a network that may be loaded, or
+    fails the test on all providers.
     """
 
     def __init__(self, config: UnetConfig | None = None) -> None:
@@ -62,53 +66,35 @@ class MarkingNetwork:
             check_onnx(data, self.width_px, self.height_px)
         except ValueError as error:
             raise ConfigError(f"{name}: {error}") from None
-        self.provider, self._session, self.told = self._started(config, name, data)
+        self.provider, self._session, self.notice = _first_session(config, name, data)
 
     def step(self, grey: Image) -> Image:
-        """Probability of marking times 255, uint8 (height_px, width_px), of a grey picture (h, w) of any size.
+        """The probability of a marking times 255, uint8 (height_px, width_px), of a grey image (h, w) of any size.
 
-        The picture is stretched to the network's size: pixel u of w lies at (u + 0.5) width_px / w - 0.5 of the mask.
+        The image is stretched to the network's size: pixel u of w lies at (u + 0.5) width_px / w - 0.5 of the mask.
         """
         if grey.dtype != np.uint8 or grey.ndim != 2 or not grey.size:
             return self._no_mask()
         try:
-            return run_network(self._session, self._fitted(grey))
+            return run_network(self._session, self._resized(grey))
         except session_errors():
             return self._no_mask()
 
-    def _fitted(self, grey: Image) -> Image:
-        """The picture at the network's size."""
+    def _resized(self, grey: Image) -> Image:
+        """The image at the network's size."""
         h, w = grey.shape
         if (w, h) == (self.width_px, self.height_px):
             return grey
-        smaller = w >= self.width_px and h >= self.height_px
-        way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-        return np.asarray(cv2.resize(grey, (self.width_px, self.height_px), interpolation=way), dtype=np.uint8)
+        method = cv2.INTER_AREA if w >= self.width_px and h >= self.height_px else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(grey, (self.width_px, self.height_px), interpolation=method), dtype=np.uint8)
 
     def _no_mask(self) -> Image:
         self.faults += 1
         return np.zeros((self.height_px, self.width_px), np.uint8)
 
-    def _started(self, config: UnetConfig, name: str, data: bytes) -> tuple[str, Any, str]:
-        """(provider, session, what to tell) of the first provider on which the network passes its test."""
-        there, passed_over = _runtime().get_available_providers(), []
-        for provider in (p for p in PROVIDERS if p in config.providers):
-            if PROVIDERS[provider] not in there:
-                passed_over.append(f"{provider}: not in this onnxruntime")
-                continue
-            try:
-                session = open_session(data, provider, config.threads, config.engine_cache)
-                self_test(functools.partial(run_network, session), self.width_px, self.height_px)
-            except session_errors() as error:
-                passed_over.append(f"{provider}: {' '.join(str(error).split())[:300]}")
-                continue
-            why = f" ({'; '.join(passed_over)})" if passed_over else ""
-            return provider, session, f"{name} runs on {provider}{why}"
-        raise ConfigError(f"{name}: runs on none of the providers asked for: {'; '.join(passed_over)}")
-
 
 def read_network(config: UnetConfig) -> tuple[str, bytes]:
-    """(name, bytes) of the network's file; raises ConfigError when it cannot be read or is too large."""
+    """The name and the bytes of the network's file; raises ConfigError when it cannot be read or is too large."""
     if config.model:
         name, file = config.model, Path(config.model)
     else:
@@ -122,15 +108,33 @@ def read_network(config: UnetConfig) -> tuple[str, bytes]:
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from None
     if len(data) > MAX_BYTES:
-        raise ConfigError(f"{name}: more than {MAX_BYTES // 1_000_000} MB; no mask network is as large")
+        raise ConfigError(f"{name}: larger than {MAX_BYTES // 1_000_000} MB, which no mask network is")
     return name, data
+
+
+def _first_session(config: UnetConfig, name: str, data: bytes) -> tuple[str, Any, str]:
+    """The first provider on which the network passes its test, its session, and a notice of one line."""
+    available, failed = _runtime().get_available_providers(), []
+    for provider in (p for p in PROVIDERS if p in config.providers):
+        if PROVIDERS[provider] not in available:
+            failed.append(f"{provider}: not in this onnxruntime")
+            continue
+        try:
+            session = open_session(data, provider, config.threads, config.engine_cache)
+            self_test(functools.partial(run_network, session), *SIZES[config.size])
+        except session_errors() as error:
+            failed.append(f"{provider}: {' '.join(str(error).split())[:300]}")
+            continue
+        why = f" ({'; '.join(failed)})" if failed else ""
+        return provider, session, f"{name} runs on {provider}{why}"
+    raise ConfigError(f"{name}: runs on none of the configured providers: {'; '.join(failed)}")
 
 
 def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "") -> Any:
     """An onnxruntime session of checked bytes on one of PROVIDERS; raises one of `session_errors()`.
 
-    `threads` 0 is half of the cores: camera, recorder and link need the others, and a thread that must wait for a core
-    holds all of them up.
+    `threads` 0 is half of the cores: camera, recorder and link need the others, and a thread that waits for a core
+    delays all threads.
     """
     onnxruntime = _runtime()
     onnxruntime.set_default_logger_severity(_ERRORS)
@@ -138,9 +142,11 @@ def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "
     options.intra_op_num_threads, options.inter_op_num_threads = threads or max(1, _cores() // 2), 1
     options.log_severity_level = _ERRORS
     options.add_session_config_entry("session.load_model_format", "ONNX")
-    options.add_session_config_entry("session.force_spinning_stop", "1")  # between pictures its cores are others'
+    options.add_session_config_entry("session.force_spinning_stop", "1")  # frees its cores between images
     cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": engine_cache} if engine_cache else {}
-    order: list[Any] = list(PROVIDERS.values())[list(PROVIDERS).index(provider) :]  # the rest takes what it cannot
+    order: list[Any] = list(PROVIDERS.values())[
+        list(PROVIDERS).index(provider) :
+    ]  # the rest runs the operators it cannot
     if provider == "tensorrt":
         order[0] = (order[0], cache)
     session = onnxruntime.InferenceSession(data, options, order, enable_fallback=0, read_config_from_model=0)
@@ -150,23 +156,23 @@ def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "
 
 
 def run_network(session: Any, grey: Image) -> Image:
-    """The mask (h, w) of one grey picture of the network's size; raises one of `session_errors()`."""
+    """The mask (h, w) of one grey image of the network's size; raises one of `session_errors()`."""
     mask = session.run([OUTPUT], {INPUT: grey[None, None]})[0]
     if not isinstance(mask, np.ndarray) or mask.dtype != np.uint8 or mask.shape != (1, 1, *grey.shape):
-        raise ValueError("it gives no mask of the picture's size")
+        raise ValueError("its output is no mask of the image's size")
     return mask[0, 0]
 
 
 def session_errors() -> tuple[type[Exception], ...]:
-    """What onnxruntime raises on a network that it cannot run; its own errors have no common base."""
+    """The errors of a network that onnxruntime cannot run; its own have no common base class."""
     state = _runtime().capi.onnxruntime_pybind11_state
     own = [error for error in vars(state).values() if isinstance(error, type) and issubclass(error, Exception)]
     return (RuntimeError, ValueError, TypeError, MemoryError, *own)
 
 
 def _runtime() -> Any:
-    """onnxruntime, which takes its time to import, and without its reports to its makers."""
-    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # counts only before the first import
+    """onnxruntime, imported when first needed (it is slow to import), with its telemetry off."""
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # effective before the first import only
     import onnxruntime
 
     onnxruntime.disable_telemetry_events()
@@ -174,5 +180,44 @@ def _runtime() -> Any:
 
 
 def _cores() -> int:
-    """Those that this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def self_test(network: Callable[[Image], Image], width_px: int, height_px: int) -> None:
+    """Raise ValueError unless `network` marks the lines of `drawn_lines` and little else, and nothing in black."""
+    image, lines = drawn_lines(width_px, height_px)
+    mask = network(image)
+    around = cv2.dilate(lines, np.ones((9, 9), np.uint8))
+    found = float((mask[lines > 0] >= _MARKING).mean())
+    elsewhere = float((mask[around == 0] >= _MARKING).mean())
+    if found < SELF_TEST_FOUND or elsewhere > SELF_TEST_ELSEWHERE:
+        raise ValueError(
+            f"it fails the self-test: marks {found:.0%} of two drawn lines ({SELF_TEST_FOUND:.0%} required)"
+            f" and {elsewhere:.0%} of all other pixels ({SELF_TEST_ELSEWHERE:.0%} allowed)"
+        )
+    black = network(np.zeros_like(image))
+    if float((black >= _MARKING).mean()) > SELF_TEST_ELSEWHERE:
+        raise ValueError("it fails the self-test: marks a black image")
+
+
+def drawn_lines(width_px: int, height_px: int) -> tuple[Image, Image]:
+    """An image (h, w) of a grey floor below a brighter wall with two bright converging lines, and the lines alone."""
+    rng = np.random.default_rng(1)
+    horizon = 0.3 * height_px
+    rows = np.arange(height_px)[:, None] + np.zeros((1, width_px))
+    grey = np.where(rows < horizon, 135.0, 70.0 + 25.0 * rows / height_px)
+    lines: Image = np.zeros((height_px, width_px), np.uint8)
+    top = horizon + 0.12 * height_px
+    for bottom_u, top_u in ((0.18, 0.42), (0.80, 0.56)):
+        half_bottom, half_top = 0.018, 0.004  # of the width
+        corners = [
+            ((bottom_u - half_bottom) * width_px, height_px),
+            ((bottom_u + half_bottom) * width_px, height_px),
+            ((top_u + half_top) * width_px, top),
+            ((top_u - half_top) * width_px, top),
+        ]
+        cv2.fillConvexPoly(lines, np.round(corners).astype(np.int32), 255)
+    grey = np.where(lines > 0, 205.0, grey)
+    grey = cv2.GaussianBlur(grey, (3, 3), 0.0) + rng.normal(0.0, 3.0, grey.shape)
+    return np.clip(grey, 0, 255).astype(np.uint8), lines

@@ -16,11 +16,108 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from automodel.estimation.clothoid.clothoid_tracker import ArcLane
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.ridge import MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
-from automodel.perception.rows.initial_lane import LaneGuess, StartConfig
-from automodel.perception.rows.row_ground_lookup import LaidOutRows
-from automodel.types import Float32Array, Floats, Image, Ints
+from automodel.perception.rows.row_ridges import MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
+from automodel.types import Bools, Float32Array, Floats, Image, Ints
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitialLane:
+    """An arc of a lane at the reference point: offset [m] and the lane's heading [rad] in the body frame.
+
+    It fits best `sure_m` of way ahead of the reference point, where it was seen. `pair` tells whether both lines spoke
+    for it; `edge` is how sharp markings are in the picture, as `Ridges` has it. `fitted`: it was fitted to many
+    rows' ridges on both lines, and is right to some hundredths of a lane's width.
+    """
+
+    offset_m: float
+    heading_rad: float
+    width_m: float
+    curvature_per_m: float
+    sure_m: float
+    pair: bool
+    edge: float
+    fitted: bool = False
+
+    def rough(self, fitted_share: float) -> ArcLane:
+        """The lane for a tracker to start with; `fitted_share` is what is left of its sigmas where it was fitted."""
+        return ArcLane(
+            offset_m=self.offset_m,
+            heading_rad=self.heading_rad,
+            width_m=self.width_m,
+            curvature_per_m=self.curvature_per_m,
+            sure_m=self.sure_m,
+            share=fitted_share if self.fitted else 1.0,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaneSearchConfig:
+    """What lanes are tried; lengths in lane widths; (largest, how many)."""
+
+    lane_width_m: float
+    marking_m: float
+    reference_x_m: float
+    contrast: float = 12.0
+    rows: int = 16
+    ahead: float = 2.0  # how far ahead of the nearest ground in sight the rows reach
+    headings_rad: tuple[float, int] = (0.7, 19)
+    curvatures: tuple[float, int] = (0.73, 13)  # shares of the tightest bend's
+    radius_lanes: float = 1.1  # of that bend
+    lateral: tuple[float, int] = (1.4, 57)
+    widths: tuple[float, float] = (0.7, 1.43)  # the narrowest and the widest: 0.7 and 1 / 0.7
+    pair_rows: int = 3  # rows that show each line of a pair, at least
+    single_rows: int = 6  # and a single line
+
+
+class RowGroundLookup:
+    """Rows evenly spaced in the picture between two distances ahead, `between_m` in body x.
+
+    `rows` (r,) are their numbers, `ahead_m` (r,) body x of the ground on each, straight in front of the car.
+    """
+
+    _PLACES = 65
+
+    def __init__(self, camera: GroundCamera, between_m: tuple[float, float], count: int) -> None:
+        self._width = camera.camera.width_px
+        x = np.linspace(*between_m, 2000)
+        v = camera.ground_to_px(np.column_stack((x, np.zeros_like(x))))[:, 1]
+        v = v[np.isfinite(v) & (v >= 0.0) & (v <= camera.camera.height_px - 1.0)]
+        if len(v) < 2:
+            raise ValueError("pitch_rad: the picture shows no ground where the lane's lines begin")
+        rows = np.unique(np.rint(np.linspace(v.max(), v.min(), count)).astype(np.intp))
+        u = np.linspace(0.0, self._width - 1.0, self._PLACES)
+        self._ground: list[tuple[Floats, Floats, Floats]] = []  # y rising, and x and u there
+        shown = []
+        for row in rows:
+            ground = camera.px_to_ground(np.column_stack((u, np.full_like(u, row))))
+            known = np.isfinite(ground[:, 0])
+            if known.any():  # else rounded to a row above the horizon, in a picture of a few rows
+                self._ground.append((ground[known, 1][::-1], ground[known, 0][::-1], u[known][::-1]))
+                shown.append(row)
+        if not shown:
+            raise ValueError("height_px: the picture has no row that shows where the lane's lines begin")
+        self.rows: Ints = np.array(shown, np.intp)
+        self.ahead_m: Floats = np.array([np.interp(0.0, y, x) for y, x, _ in self._ground])
+
+    def columns(self, y_m: Floats) -> Floats:
+        """Columns (r, n) [px] of distances to the left (r, n) on each row, NaN outside the picture."""
+        parts = [
+            np.interp(at, y, u, left=np.nan, right=np.nan) for at, (y, _, u) in zip(y_m, self._ground, strict=True)
+        ]
+        return np.array(parts)
+
+    def pixels(self, y_m: Floats) -> tuple[Ints, Bools]:
+        """Pixels (r, n), counted row by row, of distances to the left (r, n), and which of them lie in the picture."""
+        columns = self.columns(y_m)
+        inside = ~np.isnan(columns)
+        column = np.rint(np.where(inside, columns, 0.0)).astype(np.intp)
+        return self.rows[:, None] * self._width + column, inside
+
+    def x_m(self, y_m: Floats) -> Floats:
+        """Body x (r, n) [m] of the ground at distances to the left (r, n) on each row."""
+        return np.array([np.interp(at, y, x) for at, (y, x, _) in zip(y_m, self._ground, strict=True)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +159,7 @@ class FittedPair:
         return self.middle[2]
 
 
-class PairFit:
+class LanePairFit:
     """Fits pairs in pictures of one camera."""
 
     REACH = 9  # samples to each side of a line in which its ridge is looked for
@@ -76,17 +173,17 @@ class PairFit:
     def __init__(
         self,
         camera: GroundCamera,
-        config: StartConfig,
+        config: LaneSearchConfig,
         brightness: Brightness,
         between_m: tuple[float, float],
         rows: int,
     ) -> None:
         self._near, self._unit, self._marking = between_m[0], config.lane_width_m, config.marking_m
         self._brightness, self._step = brightness, config.marking_m / PER_MARKING
-        self._laid = LaidOutRows(camera, between_m, rows)
+        self._laid = RowGroundLookup(camera, between_m, rows)
         self.rows = self._laid.rows
         count = 2 * len(self._laid.rows)
-        self._judge = RidgeJudge(count, self._SAMPLES, config.contrast)
+        self._judge = RowRidgeFilter(count, self._SAMPLES, config.contrast)
         dx = np.tile(self._laid.ahead_m - self._near, 2)
         self._side = np.repeat((0.5, -0.5), len(self._laid.rows))
         self._design = np.column_stack((np.ones_like(dx), dx, 0.5 * dx * dx, self._side, self._side * dx))
@@ -136,7 +233,7 @@ class PairFit:
         return best - self.REACH + judged.place, judged.edge.astype(np.float64), strength
 
 
-class RowSums:
+class LineIntegralSearch:
     """Looks for a lane on some rows of single pictures of one camera, on roads of `radius_lanes` and more."""
 
     ROWS = 40  # that are read, across `ASIDE` lane widths to each side
@@ -156,20 +253,20 @@ class RowSums:
     FOUND = 3.5  # that a pair must reach
     LEAST_SPREAD = 0.4  # of sums over a road without anything on it
 
-    def __init__(self, camera: GroundCamera, config: StartConfig, brightness: Brightness) -> None:
+    def __init__(self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness) -> None:
         unit = config.lane_width_m
         self._unit, self._brightness = unit, brightness
         self._near = max(camera.first_visible_x_m(), config.reference_x_m)
         self._reference_x_m = config.reference_x_m
         far = self._near + self.AHEAD * unit
         self._step = config.marking_m / PER_MARKING
-        self._laid = LaidOutRows(camera, (self._near, far), self.ROWS)
+        self._laid = RowGroundLookup(camera, (self._near, far), self.ROWS)
         half = math.ceil(self.ASIDE * unit / self._step)
         self._y = np.arange(-half, half) * self._step
         self._pixels, self._inside = self._laid.pixels(np.broadcast_to(self._y, (len(self._laid.rows), len(self._y))))
-        self._judge = RidgeJudge(len(self._pixels), len(self._y), config.contrast)
+        self._judge = RowRidgeFilter(len(self._pixels), len(self._y), config.contrast)
         self._least_noise = 0.06 * config.contrast * WINDOW
-        self._fit = PairFit(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
+        self._fit = LanePairFit(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
         bend = 1.0 / (config.radius_lanes * unit)
         kappa, theta = np.meshgrid(self.CURVATURES * bend, self.HEADINGS_RAD, indexing="ij")
         self._kappa, self._theta = kappa.ravel(), theta.ravel()
@@ -182,7 +279,7 @@ class RowSums:
         usual = (self._theta / self.HEADING_RAD) ** 2 + (self._kappa / bend / self.CURVATURE) ** 2
         self._unusual: Float32Array = (0.5 * usual).astype(np.float32)[:, None]
 
-    def step(self, image: Image) -> LaneGuess | None:
+    def step(self, image: Image) -> InitialLane | None:
         """The lane whose lines stand out most; None where none does."""
         evidence, noise = self._evidence(image)
         rough = self._pair(self._sums(evidence) * self._weight)
@@ -193,7 +290,7 @@ class RowSums:
         if fitted is None:
             return None
         x = self._reference_x_m
-        return LaneGuess(
+        return InitialLane(
             offset_m=-fitted.middle_m(x),
             heading_rad=fitted.heading_rad(x),
             width_m=fitted.width_m,

@@ -4,7 +4,7 @@ Ridges of a marking's width are looked for along whole rows, in steps of a sixth
 table is tried: the places where its lines cross the rows were computed beforehand, and ridges that lie there speak for
 it. So no ridge is ever carried back to the ground.
 
-On roads that hardly bend `RowSums` looks first: there lines are often rows of dots, and further ahead.
+On roads that hardly bend `LineIntegralSearch` looks first: there lines are often rows of dots, and further ahead.
 
 The loops of a start from nothing: peaks of rows, what they say for lines of a table, and the best lane of them.
 
@@ -23,9 +23,8 @@ from automodel.compiled import compiled
 from automodel.curves.arcs import foot_on_circle
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.markings.ridge import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RidgeJudge
-from automodel.perception.rows.initial_lane import LaneGuess, StartConfig
-from automodel.perception.rows.lane_pair_search import RowSums
+from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
+from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
 from automodel.types import Bools, Floats, Image, Ints
 
 Votes = NDArray[np.int32]
@@ -131,10 +130,10 @@ def best_single(
     return best, at_c, at_h, at_a, side
 
 
-__all__ = ["LaneGuess", "RowStart", "StartConfig"]
+__all__ = ["InitialLane", "LaneSearchConfig", "RowHough"]
 
 
-class RowStart:
+class RowHough:
     """Looks for a lane on some rows of single pictures of one camera."""
 
     TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: how far a ridge may lie from a lane's line, near and per way ahead
@@ -149,16 +148,16 @@ class RowStart:
     SHARP, BLURRED = 0.75, 0.5  # the quantile of edges that stands for paint, and the share of it that is none
     DULL, FINE_PX = 0.42, 2.0  # of its height: a reflection's edge; tells where a sample has so many pixels
 
-    def __init__(self, camera: GroundCamera, config: StartConfig, brightness: Brightness) -> None:
+    def __init__(self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness) -> None:
         self.config, self._brightness = config, brightness
         gentle = config.radius_lanes >= self.GENTLE_LANES
-        self._sums = RowSums(camera, config, brightness) if gentle else None
+        self._sums = LineIntegralSearch(camera, config, brightness) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
         x, self._rows, self._steps = self._choose_rows(camera, near, self.GENTLE_ROWS if gentle else config.rows)
         width = camera.camera.width_px
         samples = max(math.ceil(width / self._steps.min()), 2 * MARGIN + 1)
-        self._judge = RidgeJudge(len(x), samples, config.contrast)
+        self._judge = RowRidgeFilter(len(x), samples, config.contrast)
         columns = np.minimum(np.rint(np.arange(samples) * self._steps[:, None]), width - 1.0)
         self._pixels: Ints = (self._rows[:, None] * width + columns).astype(np.intp)
         self._within = np.arange(samples) <= ((width - 1.0) / self._steps)[:, None] - MARGIN
@@ -184,7 +183,7 @@ class RowStart:
         self._apart: Ints = np.arange(narrow, wide + 1)
         self._width_loss = self.LOSS * (np.log(self._apart * step / unit) / self.WIDTH) ** 2
 
-    def step(self, image: Image) -> LaneGuess | None:
+    def step(self, image: Image) -> InitialLane | None:
         """The lane that most rows speak for; None where they speak for none."""
         fitted = self._sums.step(image) if self._sums is not None else None
         if fitted is not None:
@@ -222,7 +221,7 @@ class RowStart:
         line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint, and blurred
         return votes(row[line], (at + judged.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
 
-    def _pair(self, lines: Votes) -> tuple[float, LaneGuess | None]:
+    def _pair(self, lines: Votes) -> tuple[float, InitialLane | None]:
         """The best lane whose two lines are seen on rows enough, and its score."""
         fewest = self.config.pair_rows * self.HIT
         grid = self._loss, self._aside, self._lateral
@@ -243,7 +242,7 @@ class RowStart:
         beside = min(int(lines[place]) for place in (right, left) if 0 <= place < len(lines))
         return amid >= max(self.THIRD * beside, self.config.pair_rows * self.HIT)
 
-    def _single(self, lines: Votes) -> tuple[float, LaneGuess | None]:
+    def _single(self, lines: Votes) -> tuple[float, InitialLane | None]:
         """The best single line with the car within a lane's width of it, and its score."""
         unit, fewest = self.config.lane_width_m, self.config.single_rows * self.HIT
         grid = self._loss, self._aside, self._lateral
@@ -257,10 +256,10 @@ class RowStart:
         offset = float(self._aside[c, h] - self._lateral[a]) + 0.5 * side * unit
         return score - self.ALONE, self._guess(c, h, offset, unit, False)
 
-    def _guess(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> LaneGuess:
+    def _guess(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> InitialLane:
         """The lane of a curvature and a heading in the table, at the reference point's foot."""
         kappa, way = float(self._kappa[c]), float(self._way[c, h])
-        return LaneGuess(
+        return InitialLane(
             offset_m=offset_m,
             heading_rad=float(self._theta[h]) + kappa * way,
             width_m=width_m,

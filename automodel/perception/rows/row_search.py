@@ -14,7 +14,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.estimation.clothoid.clothoid_pair import PairShape
 from automodel.geometry.line_projection import LineProjection, View, project_lines
-from automodel.perception.markings.ridge import BAR, LINE, MARGIN, PER_MARKING, REACH, RowRidges, best_ridges, lay_run
+from automodel.perception.rows.row_ridges import BAR, LINE, MARGIN, PER_MARKING, REACH, RunRidges, best_ridges, lay_run
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
 
 FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
@@ -24,12 +24,12 @@ BESIDE = 0.1  # of the picture's width: how far outside it a node may lie and st
 
 
 @dataclass(slots=True, eq=False)
-class Sighting:
+class NodeMeasurements:
     """What one frame shows around a pair of n nodes a line.
 
     `nodes` (k,) are those that were looked for, of 2 n, the left line's first. `residual` (2 k,): how far to the left
     of them the line was found [m], and how far it is turned to the left of them [rad], where `found` (2 k,) is 1.
-    `edge` (k,): how sharp their ridges are, as `Judged` has it, the less sharp one.
+    `edge` (k,): how sharp their ridges are, as `Ridges` has it, the less sharp one.
     """
 
     nodes: Ints
@@ -59,7 +59,7 @@ class RowSearch:
     FEWEST = 3  # nodes from which the usual edge is learnt
 
     def __init__(
-        self, projection: LineProjection, ridges: RowRidges, nodes_m: Floats, marking_m: float, size: tuple[int, int]
+        self, projection: LineProjection, ridges: RunRidges, nodes_m: Floats, marking_m: float, size: tuple[int, int]
     ) -> None:
         self._projection, self._ridges = projection, ridges
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
@@ -70,10 +70,10 @@ class RowSearch:
         self.forget()
 
     def forget(self, edge: float = 0.0) -> None:
-        """Forget how sharp markings are, or start anew with an `edge` as `Judged` has it."""
+        """Forget how sharp markings are, or start anew with an `edge` as `Ridges` has it."""
         self._usual = edge
 
-    def look(self, image: Image, shape: PairShape, width_m: float) -> Sighting:
+    def look(self, image: Image, shape: PairShape, width_m: float) -> NodeMeasurements:
         """The pair `shape` with lines `width_m` apart."""
         nodes, pixels, column, step, half_m = _lay(
             self._projection.view, shape.place, shape.along, 0.5 * width_m, self._half_m, self._sample_m, self._size
@@ -83,9 +83,9 @@ class RowSearch:
         found, residual, edge = _agree(
             values, self._ridges.contrast, nodes, column, step, half_m, tear, self._sample_m, least, width
         )
-        return Sighting(nodes=nodes, residual=residual, found=found, edge=edge)
+        return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
 
-    def learn(self, sighting: Sighting, carrying: Bools) -> None:
+    def learn(self, sighting: NodeMeasurements, carrying: Bools) -> None:
         """Remember how sharp the ridges are of the nodes (k,) that carry the lane."""
         edge, count = _mean(sighting.edge, carrying)
         if count >= self.FEWEST:
@@ -151,7 +151,7 @@ def _agree(
 ) -> tuple[Floats, Floats, Floats]:
     """What is a line's: nodes (k,) in the picture whose two ridges agree, next to another such node.
 
-    `values` (2 k, s) are those of the runs of `_lay`. `found`, `residual` and `edge` as `Sighting` has them.
+    `values` (2 k, s) are those of the runs of `_lay`. `found`, `residual` and `edge` as `NodeMeasurements` has them.
     """
     place, _, edge, flags = best_ridges(values, contrast)
     k = len(nodes)
@@ -178,7 +178,7 @@ def _agree(
 def _points(
     place: Complexes, along: Complexes, nodes: Ints, residual: Floats, carrying: Bools, half_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """As `Sighting.points`."""
+    """As `NodeMeasurements.points`."""
     n, lefts = len(place), 0
     points, count = np.empty((len(nodes), 2)), 0
     for i in range(len(nodes)):

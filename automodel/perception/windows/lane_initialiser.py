@@ -1,4 +1,4 @@
-"""A lane found in one frame alone: at the start, and beside a lane that nothing supports any more."""
+"""A lane from a single frame: at the start, and as a candidate beside a tracked lane without support."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ import numpy as np
 from automodel.estimation.polynomial.lane_fit import LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.polynomial.regression import fit_polynomial
-from automodel.perception.markings.crossings import Crossed
-from automodel.perception.windows.sliding_windows import HistogramStart, LaneLines
+from automodel.perception.markings.crossings import CrossingScan
+from automodel.perception.windows.sliding_windows import HistogramStart, LaneWindows
 from automodel.types import FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Fresh:
-    """A lane, and the points that show it."""
+class LaneCandidate:
+    """A lane, and the points that support it."""
 
     seen: Observation
     solution: LaneSolution
 
     @property
     def support(self) -> Support:
-        """How many points there are of each line."""
+        """The number of points on each line."""
         return Support(left=len(self.seen.left_m), right=len(self.seen.right_m))
 
     @property
@@ -33,24 +33,24 @@ class Fresh:
         return self.support.left > 0 and self.support.right > 0
 
 
-class FreshLane:
-    """Histogram, windows, regression and fit of single frames; looks at the tracker, changes nothing in it."""
+class LaneInitialiser:
+    """Histogram, windows, regression and fit of single frames; reads the tracker and does not change it."""
 
-    START_WINDOWS = 3  # windows a line that start a lane of a pair
-    SINGLE_WINDOWS = 4  # and of one line
-    RIVAL_WINDOWS = 4  # and those of a pair that takes over
-    RIVAL_FRAMES = 3  # in so many frames in a row
+    START_WINDOWS = 3  # windows on each line of a pair that starts a lane
+    SINGLE_WINDOWS = 4  # windows on a single line that starts a lane
+    CANDIDATE_WINDOWS = 4  # windows on each line of a pair that replaces the lane
+    CANDIDATE_FRAMES = 3  # consecutive frames in which it must be seen
     LINE_WINDOWS = 2  # windows that make a line seen
 
-    def __init__(self, lines: LaneLines, tracker: LaneTracker) -> None:
+    def __init__(self, lines: LaneWindows, tracker: LaneTracker) -> None:
         self._lines, self._tracker, self.view = lines, tracker, lines.view
         config = tracker.fit.config
         self._lane_m, self._reference_x_m = config.lane_width_m, config.reference_x_m
         self._start = HistogramStart(self.view, self._lane_m, lines.marking_m, self._reference_x_m)
-        self._rivals = 0
+        self._frames = 0  # consecutive, with a candidate
 
-    def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> Fresh | None:
-        """A lane from a filtered view alone: a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
+    def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> LaneCandidate | None:
+        """A lane from a filtered view (h, w): a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
         best: Observation | None = None
         for start in self._start.step(lines, everywhere):
             along = start.slope * (self._lines.windows.centre_x_m - self._reference_x_m)
@@ -64,41 +64,41 @@ class FreshLane:
                 best = seen
         if best is None:
             return None
-        solution = self._tracker.fit_frame(best, self._guess(best))
+        solution = self._tracker.fit_frame(best, self._initial_parameters(best))
         if solution is None or abs(solution.offset_m) > 0.5 * solution.width_m:
             return None
-        return Fresh(seen=best, solution=solution)
+        return LaneCandidate(seen=best, solution=solution)
 
-    def rival(self, lines: Image, crossed: Crossed, support: Support) -> Fresh | None:
-        """A pair of lines that was seen several frames running beside a lane that little supports.
+    def replacement(self, lines: Image, crossing: CrossingScan, support: Support) -> LaneCandidate | None:
+        """A pair of lines seen in several consecutive frames beside a tracked lane with little support.
 
-        Little is: nothing for a while, or one line at a crossing, where it may be another road's or the next lane's.
+        Little support: no line for a while, or one line at a crossing, which may belong to another road or lane.
         """
         one = min(support.left, support.right) < self.LINE_WINDOWS
         blind = self._tracker.blind_m / self._lane_m
         far = self._tracker.near_crossing  # the road goes straight on there, and its near part is bare
-        fresh = None
+        candidate = None
         if one and (blind > 0.5 or far):
-            fresh = self.find(self._uncovered(lines, crossed), self.RIVAL_WINDOWS, far)
-        if fresh is None or not fresh.pair or not self._rivals_with(fresh.solution, blind):
-            self._rivals = 0
+            candidate = self.find(self._uncovered(lines, crossing), self.CANDIDATE_WINDOWS, far)
+        if candidate is None or not candidate.pair or not self._is_credible(candidate.solution, blind):
+            self._frames = 0
             return None
-        self._rivals += 1
-        return fresh if self._rivals >= self.RIVAL_FRAMES else None
+        self._frames += 1
+        return candidate if self._frames >= self.CANDIDATE_FRAMES else None
 
-    def _rivals_with(self, solution: LaneSolution, blind: float) -> bool:
-        """Whether it is the same lane elsewhere; what dead reckoning cannot have got so wrong is another lane."""
+    def _is_credible(self, solution: LaneSolution, blind: float) -> bool:
+        """Whether it is the same lane elsewhere: an error larger than that of dead reckoning is another lane."""
         p = self._tracker.parameters
         if p is None:
             return False
-        aside = abs(float(solution.parameters[0] - p[0])) / self._lane_m
+        lateral = abs(float(solution.parameters[0] - p[0])) / self._lane_m
         turned = abs(float(solution.parameters[1] - p[1]))
-        credible = aside < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
-        return credible and (aside > 0.08 or turned > 0.08)
+        possible = lateral < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
+        return possible and (lateral > 0.08 or turned > 0.08)
 
-    def _uncovered(self, lines: Image, crossed: Crossed) -> Image:
+    def _uncovered(self, lines: Image, crossing: CrossingScan) -> Image:
         """The view without the rows where paint covers the lane: a zebra's bars look like pairs of lines."""
-        if not crossed.covered.any():
+        if not crossing.covered.any():
             return lines
         lane = self._tracker.shape
         ahead = slice(int(np.argmin(np.abs(lane.s_m))), None)
@@ -106,11 +106,11 @@ class FreshLane:
         x = self.view.to_body(np.stack((rows, rows), axis=-1))[:, 0]
         s = np.interp(x, np.maximum.accumulate(lane.points_m[ahead, 0]), lane.s_m[ahead])
         clean = lines.copy()
-        clean[~crossed.free(s)] = 0
+        clean[~crossing.free(s)] = 0
         return clean
 
-    def _guess(self, seen: Observation) -> FloatArray:
-        """Parameters of the arc that the lines' regressions (degree 2) give, on the mean, at the reference point."""
+    def _initial_parameters(self, seen: Observation) -> FloatArray:
+        """Lane parameters at the reference point from the mean arc of the lines' regressions (degree 2)."""
         width, x = self._lane_m, self._reference_x_m
         arcs = []
         for side, points in ((+1, seen.left_m), (-1, seen.right_m)):
@@ -120,8 +120,8 @@ class FreshLane:
             fitted = fit_polynomial(points[:, 0], points[:, 1], 2)
             c[: len(fitted)] = fitted
             theta = math.atan(c[1] + 2.0 * c[2] * x)
-            bend = 2.0 * c[2] * math.cos(theta) ** 3
+            kappa = 2.0 * c[2] * math.cos(theta) ** 3
             offset = side * 0.5 * width - (c[0] + c[1] * x + c[2] * x * x) * math.cos(theta)
-            arcs.append((offset, theta, bend / max(1.0 + side * 0.5 * width * bend, 0.3)))
-        offset, theta, bend = np.mean(arcs, axis=0)
-        return self._tracker.fit.start(offset, theta, bend, width)
+            arcs.append((offset, theta, kappa / max(1.0 + side * 0.5 * width * kappa, 0.3)))
+        offset, theta, kappa = np.mean(arcs, axis=0)
+        return self._tracker.fit.start(offset, theta, kappa, width)

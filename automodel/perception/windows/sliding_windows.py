@@ -1,6 +1,6 @@
-"""The histogram start and the sliding windows of seed 003 (sections IV-C, IV-D), in metres of the bird's-eye view.
+"""The histogram start and the sliding windows of the AutoModelCar paper (sections IV-C, IV-D), in metres.
 
-Both lines of a lane, followed by sliding windows from where they are expected.
+`HistogramStart` finds where the lines begin, `SlidingWindows` follows one line through the view, `LaneWindows` both.
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.estimation.polynomial.lane_fit import LaneShape
 from automodel.estimation.polynomial.lane_tracker import Observation
 from automodel.geometry import View
-from automodel.types import FloatArray, Image
+from automodel.types import FloatArray, Image, Ints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Start:
-    """Where the lines begin: lateral places [m] at the reference point, None for one not found; slope dy/dx."""
+class StartCandidate:
+    """Lateral places [m] of the lines at the reference point, None for a line not found, and their slope dy/dx."""
 
     left_m: float | None
     right_m: float | None
@@ -31,18 +30,18 @@ class Start:
 class HistogramStart:
     """Peaks of the column histogram over the near part, left and right of the car.
 
-    The paper takes columns straight up the picture, which smears when the car stands askew; here the columns are
-    sheared by a few headings and the one with the sharpest peaks counts. A pair must stand about a lane's width apart
-    and have the car between its lines. Without a pair a single line will do that lies within a lane's width: in a
-    tight bend the inner line is out of the picture.
+    The paper takes columns straight up the image, which smears when the car is not aligned with the lane; here the
+    columns are sheared by a few headings, and the one with the sharpest peaks counts. A pair must be about a lane width
+    apart with the car between its lines. Without a pair, a single line within a lane width is taken: in a tight bend
+    the inner line is out of view.
     """
 
     SLOPES = tuple(np.tan(np.radians((0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0, -40.0, 40.0))))
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
     SINGLES = 4
-    FILL = 0.2  # share of the near part's rows that a peak's line fills, at least
-    SINGLE_FILL = 0.15  # and a single line's: it may be dashed and bent
+    FILL = 0.2  # minimum share of the near part's rows that a peak's line fills
+    SINGLE_FILL = 0.15  # and of a single line's: it may be dashed and bent
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
         self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
@@ -53,10 +52,10 @@ class HistogramStart:
         self._places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
         self._full = (view.height_px - self._first_row) * marking_width_m / view.m_per_px  # pixels of a whole line
 
-    def step(self, lines: Image, everywhere: bool = False) -> list[Start]:
-        """Starts in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines.
+    def step(self, lines: Image, everywhere: bool = False) -> list[StartCandidate]:
+        """Candidates in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines.
 
-        `everywhere`: look at the whole view, not only its near part.
+        `everywhere`: search the whole view, not only its near part.
         """
         first_row = 0 if everywhere else self._first_row
         found = cv2.findNonZero(lines[first_row:])
@@ -65,8 +64,8 @@ class HistogramStart:
         px = found.reshape(-1, 2).astype(np.float64)  # OpenCV 4 gives (n, 1, 2), OpenCV 5 (n, 2)
         px[:, 1] += first_row
         points = self.view.to_body(px)
-        pairs: list[tuple[float, Start]] = []
-        singles: list[tuple[float, Start]] = []
+        pairs: list[tuple[float, StartCandidate]] = []
+        singles: list[tuple[float, StartCandidate]] = []
         for slope in self.SLOPES:
             lateral = points[:, 1] - (points[:, 0] - self.reference_x_m) * slope
             counts = np.histogram(lateral, self._bins, (-self._half, self._half))[0].astype(np.float64)
@@ -76,7 +75,7 @@ class HistogramStart:
         ranked = [start for _, start in sorted(pairs or singles, key=lambda scored: -scored[0])]
         return ranked[: 1 if pairs else self.SINGLES]
 
-    def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, Start]]:
+    def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
         top = self._tops(peaks, self.FILL)
         left = top[self._places[top] > 0.02 * self.lane_m]
         right = top[self._places[top] < -0.02 * self.lane_m]
@@ -86,36 +85,47 @@ class HistogramStart:
         score = (np.minimum(near, 2 * far) + np.minimum(far, 2 * near)) * (1.0 - error)
         return [
             (
-                float(score[i, j]) - 0.02 * abs(slope),  # of equals the straightest
-                Start(left_m=float(self._places[left[i]]), right_m=float(self._places[right[j]]), slope=slope),
+                float(score[i, j]) - 0.02 * abs(slope),  # among equals the straightest wins
+                StartCandidate(left_m=float(self._places[left[i]]), right_m=float(self._places[right[j]]), slope=slope),
             )
             for i, j in np.argwhere(error <= self.WIDTH_TOLERANCE)
         ]
 
-    def _singles(self, peaks: FloatArray, slope: float) -> list[tuple[float, Start]]:
+    def _singles(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
         out = []
         for place, peak in ((float(self._places[i]), float(peaks[i])) for i in self._tops(peaks, self.SINGLE_FILL)):
             if 0.1 * self.lane_m < abs(place) < 0.9 * self.lane_m:
                 left, right = (place, None) if place > 0 else (None, place)
-                out.append((peak - 0.02 * abs(slope), Start(left_m=left, right_m=right, slope=slope)))
+                out.append((peak - 0.02 * abs(slope), StartCandidate(left_m=left, right_m=right, slope=slope)))
         return out
 
-    def _tops(self, peaks: FloatArray, fill: float) -> NDArray[np.intp]:
+    def _tops(self, peaks: FloatArray, fill: float) -> Ints:
         return np.flatnonzero((peaks >= fill) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
 
 
-class SlidingWindows:
-    """Follows one line from the near rows to the far ones by a stack of windows.
+@dataclass(frozen=True, slots=True)
+class _Piece:
+    """The piece of the line in a window: its centroid [px], its slope, and its offset from the expected line [px]."""
 
-    The paper: 12 windows of 52x24 px, re-centred only if more than 14 px carry the line. Here a window is `BREADTH`
-    markings broad and a twelfth of the view high; it goes on along the direction of what the window before it found,
-    or to where the line is expected.
+    column: float
+    row: float
+    slope: float | None  # columns a row; None for a piece too short to have one
+    offset: float
+    reach: float  # rows for which the slope holds
+
+
+class SlidingWindows:
+    """Follows one line from the near rows to the far ones with a stack of windows.
+
+    The paper: 12 windows of 52x24 px, re-centred only if more than 14 px belong to the line. Here a window is `WIDTH`
+    markings wide and a twelfth of the view high; its place extrapolates the piece in the window before it, or is where
+    the line is expected.
     """
 
     COUNT = 12
-    BREADTH = 4.8
+    WIDTH = 4.8
     FILL = 0.4  # share of a full line's pixels that a window needs
-    LONG = 0.3  # variance of the pixels along the rows, in that of a line that fills the window, to tell its lean
+    LONG = 0.3  # minimum variance of the pixels along the rows, relative to a line that fills the window, for a slope
     SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:
@@ -125,22 +135,21 @@ class SlidingWindows:
         self.centre_rows: FloatArray = np.array([0.5 * (far + near - 1) for far, near in self._rows])
         self.centre_x_m: FloatArray = view.to_body(np.column_stack((np.zeros(self.COUNT), self.centre_rows)))[:, 0]
         self._marking_px = marking_width_m / view.m_per_px
-        self._half = int(0.5 * self.BREADTH * self._marking_px)
+        self._half = int(0.5 * self.WIDTH * self._marking_px)
 
     def follow(
-        self, lines: Image, expected_y_m: FloatArray, breadth: float = 1.0, turn: float = math.inf
+        self, lines: Image, expected_y_m: FloatArray, widening: float = 1.0, max_turn: float = math.inf
     ) -> FloatArray:
-        """Line points (n, 2) [m] in a filtered binary view, near to far.
-
-        `breadth` widens the windows, for a line whose place is not well known; `turn` is how much the line's slope
-        dy/dx may differ from the expected one and still be followed.
+        """Line points (n, 2) [m] in a filtered binary view (h, w), near to far.
 
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
+        `widening` multiplies the windows' width, for a line whose place is uncertain. A line whose slope dy/dx differs
+        from the expected one by more than `max_turn` is not extrapolated.
         """
         expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
-        half = round(self._half * breadth)
-        slope = _slopes(expected, self.centre_rows)
-        turn_px = turn * self.view.m_per_row / self.view.m_per_px
+        half = round(self._half * widening)
+        expected_slope = _slopes(expected, self.centre_rows)
+        max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
         points: list[tuple[float, float]] = []
         last: _Piece | None = None
         for k, (far, near) in enumerate(self._rows):
@@ -153,47 +162,36 @@ class SlidingWindows:
             m = cv2.moments(lines[far:near, low:high], True)
             if m["m00"] < self.FILL * self._marking_px * (near - far):
                 continue
-            lean = m["mu11"] / m["mu02"] if m["mu02"] > 0 else 0.0
-            if (m["mu20"] - lean * m["mu11"]) / m["m00"] > self.SPREAD * self._marking_px**2:
-                continue  # two things in one window
+            slope = m["mu11"] / m["mu02"] if m["mu02"] > 0 else 0.0
+            if (m["mu20"] - slope * m["mu11"]) / m["m00"] > self.SPREAD * self._marking_px**2:
+                continue  # more than one line
             column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
             long = m["mu02"] / m["m00"] > self.LONG * (near - far) ** 2 / 12.0
             points.append((column, row))
-            beside = column - float(expected[k]) if np.isfinite(expected[k]) else 0.0
-            trusted = long and not abs(lean - slope[k]) > turn_px  # NaN: nothing is expected there
-            last = _Piece(column, row, lean if trusted else None, beside, 2.5 * (near - far))
+            offset = column - float(expected[k]) if np.isfinite(expected[k]) else 0.0
+            usable = long and not abs(slope - expected_slope[k]) > max_turn_px  # NaN: nothing is expected there
+            last = _Piece(column, row, slope if usable else None, offset, 2.5 * (near - far))
         return self.view.to_body(np.array(points).reshape(-1, 2))
 
     def _place(self, expected: float, row: float, last: _Piece | None) -> int | None:
-        """The next window's middle column: along the line's own direction where one was just seen, else as expected."""
-        if last is not None and last.lean is not None and abs(row - last.row) <= last.reach:
-            return round(last.column + last.lean * (row - last.row))
+        """The next window's middle column: extrapolated from the last piece where it has a slope, else as expected."""
+        if last is not None and last.slope is not None and abs(row - last.row) <= last.reach:
+            return round(last.column + last.slope * (row - last.row))
         if not np.isfinite(expected):
             return None
-        return round(expected + (last.beside if last is not None else 0.0))
+        return round(expected + (last.offset if last is not None else 0.0))
 
 
 def _slopes(expected: FloatArray, rows: FloatArray) -> FloatArray:
-    """Columns a row of the expected line at each window, NaN where it is not known."""
+    """The expected line's slope at each window [columns a row], NaN where it is not known."""
     slope = np.empty(len(rows))
     slope[1:-1] = (expected[2:] - expected[:-2]) / (rows[2:] - rows[:-2])
     slope[0], slope[-1] = slope[1], slope[-2]
     return slope
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """A piece of the line in a window: where, its lean (columns a row), how far beside the expectation."""
-
-    column: float
-    row: float
-    lean: float | None  # None for one too short to tell
-    beside: float
-    reach: float  # rows for which the lean holds
-
-
-class LaneLines:
-    """The windows of the left and the right line of one view."""
+class LaneWindows:
+    """The sliding windows of a lane's left and right line."""
 
     def __init__(self, view: View, marking_width_m: float) -> None:
         self.view, self.marking_m = view, marking_width_m
@@ -204,27 +202,27 @@ class LaneLines:
         lines: Image,
         left_y_m: FloatArray,
         right_y_m: FloatArray,
-        breadth: float = 1.0,
-        turn: float = math.inf,
+        widening: float = 1.0,
+        max_turn: float = math.inf,
     ) -> Observation:
-        """The points of both lines; the expected places, `breadth` and `turn` as in `SlidingWindows.follow`."""
-        left, right = (self.windows.follow(lines, y_m, breadth, turn) for y_m in (left_y_m, right_y_m))
+        """The points of both lines; all arguments as in `SlidingWindows.follow`."""
+        left, right = (self.windows.follow(lines, y_m, widening, max_turn) for y_m in (left_y_m, right_y_m))
         return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:
-        """y [m] of the line on `side` (+1 left, -1 right) at each window's `centre_x_m`, NaN where it does not go."""
+        """y [m] of the line on `side` (+1 left, -1 right) at each window's `centre_x_m`, NaN beyond the line's ends."""
         points = lane.beside(side * 0.5 * lane.width_m)
         x = points[:, 0]
-        first = int(np.argmin(np.abs(lane.s_m)))  # beside the car; in a tight bend the line comes by there again
+        first = int(np.argmin(np.abs(lane.s_m)))  # beside the car; in a tight bend the line passes there again
         folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (lane.s_m[1] - lane.s_m[0]))
         last = first + int(folds[0]) if len(folds) else len(x) - 1
         wanted = self.windows.centre_x_m
         if last <= first:
             return np.full(len(wanted), np.nan)
-        along, aside = x[first : last + 1], points[first : last + 1, 1]
-        return np.asarray(np.interp(wanted, along, aside, left=np.nan, right=np.nan))
+        part = points[first : last + 1]
+        return np.asarray(np.interp(wanted, part[:, 0], part[:, 1], left=np.nan, right=np.nan))
 
     def _sigma(self, points_m: FloatArray) -> FloatArray:
-        """A window's point is good to a tenth of the marking's width near the car; further out calibration counts."""
+        """Standard deviations (n,): 0.12 markings near the car; further out the calibration's error dominates."""
         ahead = points_m[:, 0] - self.view.x_near_m
         return np.asarray(0.12 * self.marking_m + 0.01 * np.maximum(ahead, 0.0))

@@ -1,6 +1,6 @@
-"""The walk of one line's windows over one view: from window to window, over gaps, past what turns away.
+"""The track of one line from window to window, along the path where the line is expected, and over gaps.
 
-An expected line: last frame's model, moved by the odometry, as the line following reads it.
+`PathCursor` moves along the expected line, `WindowTracker` moves the window; `LineFollowing` sets both up.
 """
 
 from __future__ import annotations
@@ -12,17 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from automodel.perception.windows.line_windows import Glimpse, LineWindows
+from automodel.perception.windows.line_windows import LineWindows, WindowHit
 from automodel.types import FloatArray, Image
+
+ODD_RAD = math.radians(8.0)  # from the line's direction: a point that is turned by more belongs to another line
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExpectedLine:
     """Points (n, 2) [m] of a line in the body frame, the nearest along the line first, and its headings (n,) [rad].
 
-    Headings go on steadily, past pi too. Beyond the arc length `known_m` from its beginning the line is a guess, which
-    a line that is seen without a gap may leave. Raises ValueError for less than two points, for one that is not finite
-    and for headings that are not as many.
+    Headings are continuous, past pi too. Beyond the arc length `known_m` from its first point the line is a guess,
+    which a line that is visible without a gap may leave. Raises ValueError for fewer than two points, other shapes,
+    and values that are not finite.
     """
 
     points_m: FloatArray
@@ -33,7 +35,7 @@ class ExpectedLine:
         points, heading = (np.array(a, dtype=np.float64) for a in (self.points_m, self.heading_rad))
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or heading.shape != points.shape[:1]:
             raise ValueError(
-                f"ExpectedLine: points {points.shape} and headings {heading.shape}; (n, 2) and (n,) wanted"
+                f"ExpectedLine: expected points (n, 2) and headings (n,), got {points.shape} and {heading.shape}"
             )
         if not (np.isfinite(points).all() and np.isfinite(heading).all()):
             raise ValueError("ExpectedLine: points and headings must be finite")
@@ -42,25 +44,24 @@ class ExpectedLine:
         object.__setattr__(self, "heading_rad", heading)
 
 
-class Guide:
-    """An expected line at equal steps, and the place on it where the following has come to.
+class PathCursor:
+    """A place on an expected line, which is resampled at equal steps.
 
-    `x_m`, `y_m`, `heading_rad` are the line's there, `way_m` is the arc length to there from the line's beginning,
-    `turn_rad` how much the line turns on the next step, `ended` says that there is no next one, and `known` that the
-    line is no guess there.
+    `x_m`, `y_m`, `heading_rad` are the line's there, `s_m` is the arc length from the line's first point, `turn_rad`
+    the line's turn over the next step. `ended`: there is no next step. `known`: the line is no guess there.
     """
 
-    MOST = 4096  # steps; a line that is longer is cut
+    MAX_STEPS = 4096  # a longer line is cut
 
     __slots__ = (
-        "_at", "_cos", "_known_m", "_nodes", "_sin", "_step_m", "ended", "heading_rad", "known", "turn_rad", "way_m",
+        "_at", "_cos", "_known_m", "_nodes", "_sin", "_step_m", "ended", "heading_rad", "known", "s_m", "turn_rad",
         "x_m", "y_m",
     )  # fmt: skip
 
     def __init__(self, expected: ExpectedLine, step_m: float) -> None:
         points, heading = expected.points_m, expected.heading_rad
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-        places = np.arange(0.0, min(max(float(s[-1]), 1e-9), self.MOST * step_m), step_m)
+        places = np.arange(0.0, min(max(float(s[-1]), 1e-9), self.MAX_STEPS * step_m), step_m)
         columns = (np.interp(places, s, column) for column in (points[:, 0], points[:, 1], heading))
         self._nodes: list[tuple[float, float, float]] = list(zip(*(c.tolist() for c in columns), strict=True))
         self._step_m, self._known_m = step_m, expected.known_m
@@ -69,31 +70,31 @@ class Guide:
     def _go(self, at: int) -> None:
         self._at = at
         self.x_m, self.y_m, self.heading_rad = self._nodes[at]
-        self.way_m = at * self._step_m
-        self.known = self.way_m <= self._known_m
+        self.s_m = at * self._step_m
+        self.known = self.s_m <= self._known_m
         self.ended = at + 1 >= len(self._nodes)
         self.turn_rad = 0.0 if self.ended else self._nodes[at + 1][2] - self.heading_rad
         self._cos, self._sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
 
     def next(self) -> None:
-        """Go on by a step; does nothing at the end."""
+        """Advance by one step; does nothing at the end."""
         if not self.ended:
             self._go(self._at + 1)
 
-    def come(self, x_m: float, y_m: float) -> None:
-        """Go on to where (x, y) lies beside the line."""
+    def advance_to(self, x_m: float, y_m: float) -> None:
+        """Advance to the place beside (x, y)."""
         half = 0.5 * self._step_m
         while not self.ended and (x_m - self.x_m) * self._cos + (y_m - self.y_m) * self._sin > half:
             self._go(self._at + 1)
 
-    def aside(self, x_m: float, y_m: float) -> float:
-        """How far [m] (x, y) lies to the left of the line at the place."""
+    def lateral(self, x_m: float, y_m: float) -> float:
+        """Distance [m] of (x, y) to the left of the line's tangent at the cursor."""
         return (y_m - self.y_m) * self._cos - (x_m - self.x_m) * self._sin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WalkSettings:
-    """Lengths of a walk: see `LineFollowing`."""
+class TrackerSettings:
+    """Lengths of a track: see `LineFollowing`."""
 
     step_m: float
     spacing_m: float  # between the windows of a search
@@ -101,13 +102,13 @@ class WalkSettings:
     max_gap_m: float
     max_blind_gap_m: float  # without an expected line
     max_turn_rad: float  # on one step
-    max_leap_m: float  # to the side of a line that is not lost
+    max_shift_m: float  # lateral, between two windows of a line that is not lost
     max_steps: int
-    wide_gap: int  # windows; one so wide is more than that between two dashes
+    wide_gap: int  # windows; wider than any gap between two dashes
 
 
-class Walker:
-    """Where the next window goes: a place (x, y) [m] of the body frame, a heading and a bend."""
+class WindowPose:
+    """The place (x, y) [m] of a window in the body frame, its heading, and the curvature of its track."""
 
     __slots__ = ("cos", "curvature_per_m", "heading_rad", "sin", "x_m", "y_m")
 
@@ -120,51 +121,48 @@ class Walker:
         self.heading_rad += angle_rad
         self.cos, self.sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
 
-    def aside(self, x_m: float, y_m: float) -> float:
-        """How far [m] (x, y) lies to the left of the window's middle."""
+    def lateral(self, x_m: float, y_m: float) -> float:
+        """Distance [m] of (x, y) to the left of the window's axis."""
         return (y_m - self.y_m) * self.cos - (x_m - self.x_m) * self.sin
 
-    def shift(self, aside_m: float) -> None:
+    def shift(self, left_m: float) -> None:
         """Move to the left."""
-        self.x_m -= aside_m * self.sin
-        self.y_m += aside_m * self.cos
+        self.x_m -= left_m * self.sin
+        self.y_m += left_m * self.cos
 
-    def go(self, way_m: float, turn_rad: float) -> None:
-        """Go ahead along an arc."""
+    def advance(self, distance_m: float, turn_rad: float) -> None:
+        """Move ahead along an arc."""
         middle = self.heading_rad + 0.5 * turn_rad
-        self.x_m += way_m * math.cos(middle)
-        self.y_m += way_m * math.sin(middle)
+        self.x_m += distance_m * math.cos(middle)
+        self.y_m += distance_m * math.sin(middle)
         self.turn(turn_rad)
 
 
-class WalkPoint(NamedTuple):
-    """A point of the line, the windows missed before it, and how it lies to the expected line: beside, turned from."""
+class TrackedPoint(NamedTuple):
+    """A point of the line, the number of windows missed before it, and its offset and turn from the expected line."""
 
     x_m: float
     y_m: float
     missed: int
-    aside_m: float
+    lateral_m: float
     turned_rad: float
 
 
-ODD_RAD = math.radians(8.0)
-
-
-def _usual_turn(points: list[WalkPoint]) -> float:
-    """How the line is turned from the expected one: the points' median, for some may lie on another road's corner."""
+def _median_turn(points: list[TrackedPoint]) -> float:
+    """The points' median turn from the expected line: some may lie on the corner of another road."""
     return sorted(p.turned_rad for p in points)[len(points) // 2] if points else 0.0
 
 
-def _odd(points: list[WalkPoint]) -> list[bool]:
-    """Which points have another direction than the line has."""
-    usual = _usual_turn(points)
+def _odd(points: list[TrackedPoint]) -> list[bool]:
+    """Which points have another direction than the line."""
+    usual = _median_turn(points)
     return [abs(p.turned_rad - usual) > ODD_RAD for p in points]
 
 
-def without_corners(points: list[WalkPoint], wide_gap: int, lost: bool) -> list[WalkPoint]:
-    """The points of a line but for the odd ones beside a wide gap: at a junction they lie on another road's corner.
+def without_corners(points: list[TrackedPoint], wide_gap: int, lost: bool) -> list[TrackedPoint]:
+    """The points of a line less the odd ones beside a wide gap: at a junction they lie on another road's corner.
 
-    `wide_gap` counts windows; `lost`: there is such a gap beyond the last point.
+    `wide_gap` [windows]; `lost`: there is such a gap beyond the last point.
     """
     gaps = [i for i in range(1, len(points)) if points[i].missed >= wide_gap] + [len(points)] * lost
     if not gaps:
@@ -177,179 +175,178 @@ def without_corners(points: list[WalkPoint], wide_gap: int, lost: bool) -> list[
     return [p for i, p in enumerate(points) if i not in dropped]
 
 
-class LineWalk:
-    """One line's walk; `run` fills `points` and, where the line is lost within the view, `lost_m`."""
+class WindowTracker:
+    """Tracks one line; `run` fills `points` and, where the line is lost within the view, `lost_m`.
 
-    TURN_RAD = math.radians(35.0)  # a piece's direction off the walk's, at most
+    `path` is a cursor on the expected line, near which the line must lie: within `reach_m` and what the distance adds.
+    """
+
+    TURN_RAD = math.radians(35.0)  # largest direction of a piece relative to the track's
     GAP_TURN_RAD, BLIND_GAP_TURN_RAD = math.radians(17.0), math.radians(25.0)  # after a gap; without an expected line
-    COVERED = 0.7  # share of its window's length on which a piece is seen that is the line found again
-    FLANKED = 0.4  # share of a line that lies on both sides of what is one of several, a zebra's bars
+    COVERED = 0.7  # minimum covered share of the window's length for a line found again
+    FLANKED = 0.4  # share of a line on both sides from which on a piece is one of a zebra's bars
     AWAY_RAD = math.radians(25.0)  # off the expected line's direction: given up
-    SPREAD_PER_M, BLIND_SPREAD_PER_M = 0.06, 0.12  # widening of the search, a metre of gap; without an expected line
-    ASIDE_PER_M = 0.08  # widening of what may lie beside the expected line, a metre of way along it
-    HEADING_GAIN, BEND_GAIN = 0.5, 0.1  # share of a window's surprise that goes to the direction and to the bend
+    SPREAD_PER_M, BLIND_SPREAD_PER_M = 0.06, 0.12  # widening of the search per metre of gap; without an expected line
+    LATERAL_PER_M = 0.08  # widening of the tolerance about the expected line per metre along it
+    HEADING_GAIN, CURVATURE_GAIN = 0.5, 0.1  # shares of a window's lateral error that correct heading and curvature
     OWN_GAIN, FOUND_GAIN = 0.25, 0.5  # share of the piece's own direction; of one found after a gap
-    STRAIGHTEN = 0.9  # of the bend is left after a step over a gap
+    STRAIGHTEN = 0.9  # share of the curvature left after a step over a gap
     REJOIN = 0.3  # share of the turn back to the line's usual direction on a step over a gap
-    TURNED_GAIN = 0.15  # share of a point in what is usual
-    HIDDEN = 2  # windows out of sight that end the walk
+    TURNED_GAIN = 0.15  # weight of a point in the mean turn
+    MAX_HIDDEN = 2  # windows out of sight that end the track
 
     def __init__(
         self,
-        settings: WalkSettings,
+        settings: TrackerSettings,
         windows: LineWindows,
         features: Image,
-        walker: Walker,
-        guide: Guide | None,
-        breadth_m: float,
+        pose: WindowPose,
+        path: PathCursor | None,
+        reach_m: float,
     ) -> None:
-        self.points: list[WalkPoint] = []
+        self.points: list[TrackedPoint] = []
         self.lost_m: tuple[float, float] | None = None
         self._set, self._windows, self._features = settings, windows, features
-        self._walker, self._whole_guide, self._breadth_m = walker, guide, breadth_m
+        self._pose, self._path, self._reach_m = pose, path, reach_m  # `_path` is None once the expected line has ended
         self._missed = 0  # windows without the line since it was last seen
         self._lost = True  # the line was not in the last window, or has not been seen yet
-        self._guide: Guide | None = None  # the expected line up to its end
-        self._come()
-        self._from_m = guide.way_m if guide is not None else 0.0
-        self._turned_rad = 0.0  # of the line from the expected one, on the mean of the last points
-        self._most_aside_m = 0.0  # that a lost line may lie beside the window's middle
+        self._follow_path()
+        self._from_m = path.s_m if path is not None else 0.0
+        self._turned_rad = 0.0  # of the line from the expected one, mean of the last points
+        self._max_lateral_m = 0.0  # of a lost line from the window's axis
 
     def run(self) -> None:
         """Step until the line leaves the view or is lost."""
-        guided = self._guide is not None
-        self._step_on()
+        guided = self._path is not None
+        self._track()
         if guided:
             self.points = without_corners(self.points, self._set.wide_gap, self._missed >= self._set.wide_gap)
 
-    def _step_on(self) -> None:
-        walker = self._walker
-        hidden = -self._set.max_steps  # until the walk comes into sight
+    def _track(self) -> None:
+        pose = self._pose
+        hidden = -self._set.max_steps  # until the track comes into sight
         for _ in range(self._set.max_steps):
-            glimpse = self._search() if self._lost else self._look(0.0)
-            if glimpse is not None and self._take(glimpse):
+            hit = self._search() if self._lost else self._look(0.0)
+            if hit is not None and self._accept(hit):
                 hidden = 0
-            elif self._windows.in_sight(walker.x_m, walker.y_m):
+            elif self._windows.in_sight(pose.x_m, pose.y_m):
                 hidden = 0
                 self._missed += 1
                 self._lost = True
-                most = self._set.max_blind_gap_m if self._guide is None else self._set.max_gap_m
+                most = self._set.max_blind_gap_m if self._path is None else self._set.max_gap_m
                 if self._missed * self._set.step_m > most:
-                    self.lost_m = (walker.x_m, walker.y_m)
+                    self.lost_m = (pose.x_m, pose.y_m)
                     return
             else:
                 hidden += 1
-                if hidden >= self.HIDDEN:
+                if hidden >= self.MAX_HIDDEN:
                     return
             self._advance()
 
-    def _search(self) -> Glimpse | None:
+    def _search(self) -> WindowHit | None:
         """The line in the window or in windows to both sides, the nearest first."""
-        walker = self._walker
-        spread = self.BLIND_SPREAD_PER_M if self._guide is None else self.SPREAD_PER_M
-        reach = spread * self._missed * self._set.step_m + (0.0 if self.points else self._breadth_m)
-        self._most_aside_m = reach + self._set.marking_m
-        if self._windows.is_bare(self._features, walker.x_m, walker.y_m, reach):
+        pose = self._pose
+        spread = self.BLIND_SPREAD_PER_M if self._path is None else self.SPREAD_PER_M
+        reach = spread * self._missed * self._set.step_m + (0.0 if self.points else self._reach_m)
+        self._max_lateral_m = reach + self._set.marking_m
+        if self._windows.is_empty(self._features, pose.x_m, pose.y_m, reach):
             return None
-        glimpse = self._look(0.0)
-        if glimpse is not None:
-            return glimpse
+        hit = self._look(0.0)
+        if hit is not None:
+            return hit
         for k in range(1, math.ceil(reach / self._set.spacing_m) + 1):
-            aside = min(k * self._set.spacing_m, reach)
-            found = [g for g in (self._look(aside), self._look(-aside)) if g is not None]
+            left = min(k * self._set.spacing_m, reach)
+            found = [h for h in (self._look(left), self._look(-left)) if h is not None]
             if found:
-                return min(found, key=lambda g: abs(walker.aside(g.x_m, g.y_m)))
+                return min(found, key=lambda h: abs(pose.lateral(h.x_m, h.y_m)))
         return None
 
-    def _look(self, aside_m: float) -> Glimpse | None:
-        """What a window `aside_m` to the left shows, if it can be the line."""
-        walker, guide = self._walker, self._guide
-        x, y = walker.x_m - aside_m * walker.sin, walker.y_m + aside_m * walker.cos
-        glimpse = self._windows.look(self._features, x, y, walker.heading_rad)
-        if glimpse is None:
+    def _look(self, left_m: float) -> WindowHit | None:
+        """The content of a window `left_m` to the left, if it can be the line."""
+        pose, path = self._pose, self._path
+        x, y = pose.x_m - left_m * pose.sin, pose.y_m + left_m * pose.cos
+        hit = self._windows.look(self._features, x, y, pose.heading_rad)
+        if hit is None:
             return None
-        most = self._most_aside_m if self._lost else self._set.max_leap_m
-        if abs(walker.aside(glimpse.x_m, glimpse.y_m)) > most:
+        most = self._max_lateral_m if self._lost else self._set.max_shift_m
+        if abs(pose.lateral(hit.x_m, hit.y_m)) > most:
             return None
-        if self._lost and not self._is_found(glimpse):
+        if self._lost and not self._is_line_again(hit):
             return None
-        if glimpse.direction_rad is not None and abs(glimpse.direction_rad - walker.heading_rad) > self.TURN_RAD:
+        if hit.direction_rad is not None and abs(hit.direction_rad - pose.heading_rad) > self.TURN_RAD:
             return None
-        if guide is not None and (self._lost or guide.known):
-            most = self._breadth_m + self._set.marking_m + self.ASIDE_PER_M * (guide.way_m - self._from_m)
-            if abs(guide.aside(glimpse.x_m, glimpse.y_m)) > most:
+        if path is not None and (self._lost or path.known):
+            most = self._reach_m + self._set.marking_m + self.LATERAL_PER_M * (path.s_m - self._from_m)
+            if abs(path.lateral(hit.x_m, hit.y_m)) > most:
                 return None
-        return glimpse
+        return hit
 
-    def _is_found(self, glimpse: Glimpse) -> bool:
+    def _is_line_again(self, hit: WindowHit) -> bool:
         """Whether a piece may be the lost line: whole, in its direction, and none of a zebra's bars."""
-        walker, windows, direction = self._walker, self._windows, glimpse.direction_rad
-        most = self.BLIND_GAP_TURN_RAD if self._guide is None else self.GAP_TURN_RAD
-        if direction is None or abs(direction - walker.heading_rad) > most:
+        direction = hit.direction_rad
+        most = self.BLIND_GAP_TURN_RAD if self._path is None else self.GAP_TURN_RAD
+        if direction is None or abs(direction - self._pose.heading_rad) > most:
             return False
-        around = windows.around(self._features, glimpse.x_m, glimpse.y_m, direction)
+        around = self._windows.surroundings(self._features, hit.x_m, hit.y_m, direction)
         return around.covered >= self.COVERED and min(around.flanks) < self.FLANKED
 
-    def _take(self, glimpse: Glimpse) -> bool:
+    def _accept(self, hit: WindowHit) -> bool:
         """Move onto the line; False where it has turned away from the expected line."""
-        walker, step, guide = self._walker, self._set.step_m, self._guide
-        aside = walker.aside(glimpse.x_m, glimpse.y_m)
-        walker.shift(aside)
+        pose, step, path = self._pose, self._set.step_m, self._path
+        error = pose.lateral(hit.x_m, hit.y_m)
+        pose.shift(error)
         turn = 0.0
         if not self._lost:
-            turn = self.HEADING_GAIN * aside / step
-            walker.curvature_per_m += self.BEND_GAIN * aside / (step * step)
-        seen_rad = walker.heading_rad + turn
-        if glimpse.direction_rad is not None:
-            seen_rad = glimpse.direction_rad
-            turn += (self.FOUND_GAIN if self._lost else self.OWN_GAIN) * (seen_rad - walker.heading_rad - turn)
-        walker.turn(turn)
-        beside = turned = 0.0
-        if guide is not None:
-            beside = guide.aside(walker.x_m, walker.y_m)
-            turned = math.remainder(0.5 * (walker.heading_rad + seen_rad) - guide.heading_rad, math.tau)
-            if self._lost or guide.known:
+            turn = self.HEADING_GAIN * error / step
+            pose.curvature_per_m += self.CURVATURE_GAIN * error / (step * step)
+        seen_rad = pose.heading_rad + turn
+        if hit.direction_rad is not None:
+            seen_rad = hit.direction_rad
+            turn += (self.FOUND_GAIN if self._lost else self.OWN_GAIN) * (seen_rad - pose.heading_rad - turn)
+        pose.turn(turn)
+        lateral = turned = 0.0
+        if path is not None:
+            lateral = path.lateral(pose.x_m, pose.y_m)
+            turned = math.remainder(0.5 * (pose.heading_rad + seen_rad) - path.heading_rad, math.tau)
+            if self._lost or path.known:
                 if abs(turned) > self.AWAY_RAD:
-                    self._turn_back(guide)
+                    self._turn_back(path)
                     return False
                 self._turned_rad += max(self.TURNED_GAIN, 1.0 / (len(self.points) + 2)) * (turned - self._turned_rad)
-            elif abs(turned - self._turned_rad) > ODD_RAD:  # the line leaves what was a guess
-                self._guide = self._whole_guide = None
+            elif abs(turned - self._turned_rad) > ODD_RAD:  # the line leaves the guessed part
+                self._path = None
                 turned = self._turned_rad
-        self.points.append(WalkPoint(glimpse.x_m, glimpse.y_m, self._missed, beside, turned))
+        self.points.append(TrackedPoint(hit.x_m, hit.y_m, self._missed, lateral, turned))
         self._missed, self._lost = 0, False
         return True
 
-    def _turn_back(self, guide: Guide) -> None:
-        """Give up the last points, which led away from the expected line, and go on beside it as before them."""
+    def _turn_back(self, path: PathCursor) -> None:
+        """Drop the last points, which led away from the expected line, and go on beside it as before them."""
         odd = _odd(self.points)
         while odd and odd.pop():
             self._missed += 1 + self.points.pop().missed
-        walker = self._walker
-        walker.x_m, walker.y_m = guide.x_m, guide.y_m
-        self._turned_rad = _usual_turn(self.points)
-        walker.turn(guide.heading_rad + self._turned_rad - walker.heading_rad)
-        walker.shift(self.points[-1].aside_m if self.points else 0.0)
+        pose = self._pose
+        pose.x_m, pose.y_m = path.x_m, path.y_m
+        self._turned_rad = _median_turn(self.points)
+        pose.turn(path.heading_rad + self._turned_rad - pose.heading_rad)
+        pose.shift(self.points[-1].lateral_m if self.points else 0.0)
 
     def _advance(self) -> None:
-        """To the next window's place: along the expected line's bend if there is one, else along the line's own."""
-        walker, step, guide, most = self._walker, self._set.step_m, self._guide, self._set.max_turn_rad
-        if guide is not None and (self._lost or guide.known):
-            walker.curvature_per_m = guide.turn_rad / step
+        """Move to the next window, with the expected line's curvature if there is one, else with the line's own."""
+        pose, step, path, most = self._pose, self._set.step_m, self._path, self._set.max_turn_rad
+        if path is not None and (self._lost or path.known):
+            pose.curvature_per_m = path.turn_rad / step
             if self._lost:
-                wanted = guide.heading_rad + self._turned_rad
-                walker.turn(self.REJOIN * math.remainder(wanted - walker.heading_rad, math.tau))
+                wanted = path.heading_rad + self._turned_rad
+                pose.turn(self.REJOIN * math.remainder(wanted - pose.heading_rad, math.tau))
         elif self._lost:
-            walker.curvature_per_m *= self.STRAIGHTEN
-        walker.go(step, min(max(walker.curvature_per_m * step, -most), most))
-        self._come()
+            pose.curvature_per_m *= self.STRAIGHTEN
+        pose.advance(step, min(max(pose.curvature_per_m * step, -most), most))
+        self._follow_path()
 
-    def _come(self) -> None:
-        """The expected line's place beside the walker; None once the expected line has ended."""
-        guide = self._whole_guide
-        if guide is not None:
-            guide.come(self._walker.x_m, self._walker.y_m)
-            if guide.ended:
-                self._guide = self._whole_guide = None
-            else:
-                self._guide = guide
+    def _follow_path(self) -> None:
+        """Move the cursor on the expected line beside the window; drop it at the line's end."""
+        if self._path is not None:
+            self._path.advance_to(self._pose.x_m, self._pose.y_m)
+            if self._path.ended:
+                self._path = None

@@ -9,7 +9,7 @@ import pytest
 
 from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig, LaneShape
 from automodel.geometry import View
-from automodel.perception.markings.crossings import Crossed, CrossingSearch
+from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from tests.support.drawn_views import Shape, bar, binary, line_at
 
 LANE_M, MARKING_M, REFERENCE_M = 0.4, 0.03, 0.13
@@ -23,7 +23,7 @@ def lane(offset_m: float = 0.0, heading_rad: float = 0.0, curvature_per_m: float
     return FIT.shape(FIT.start(offset_m, -heading_rad, curvature_per_m, LANE_M))
 
 
-def search(*shapes: Shape, along: LaneShape | None = None) -> Crossed:
+def search(*shapes: Shape, along: LaneShape | None = None) -> CrossingScan:
     finder = CrossingSearch(VIEW, LANE_M, MARKING_M)
     return finder.step(binary(VIEW, *shapes), along if along is not None else lane(), FAR_M)
 

@@ -11,7 +11,7 @@ import pytest
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.markings.feature_points import FeaturePoints, resized_camera
+from automodel.perception.markings.binary_views import FeaturePoints, resized_camera
 from tests.support.drawn_roads import MARKING_M, Road
 from tests.support.drawn_views import Shape, disc, share
 
@@ -86,7 +86,7 @@ def test_a_line_lies_where_it_is_whatever_the_masks_size(
     view: View, camera: CameraConfig, size_px: tuple[int, int]
 ) -> None:
     road, d = Road(heading_rad=0.1), 0.07
-    features = FeaturePoints(camera, view, MARKING_M, sizes_px=(size_px,)).step(mask_of(camera, size_px, road.line(d)))
+    features = FeaturePoints(camera, view, MARKING_M).step(mask_of(camera, size_px, road.line(d)))
     assert set(np.unique(features)) == {0, 255}
     near = features[view.height_px // 3 :]  # further out a pixel of a small mask is as long as a step of the line
     near = np.vstack((np.zeros_like(features[: view.height_px // 3]), near))

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from automodel.perception.markings import onnx_check as onnx_reader
-from automodel.perception.markings.onnx_check import Allowance, MalformedError, Message, check_onnx
+from automodel.perception.markings import onnx_check
+from automodel.perception.markings.onnx_check import MalformedError, Message, PartBudget, check_onnx
 from tests.support import onnx_files as files
 
 GOOD = files.model()
@@ -33,24 +33,24 @@ OUTSIDE = field(2, 1) + field(8, "far") + field(13, field(1, "location") + field
 NAN = files.weights("w", np.array([1.0, np.nan], np.float32))
 
 HOSTILE = {
-    "nothing": (b"", "is no ONNX file"),
+    "nothing": (b"", "is not an ONNX file"),
     "text": (b"hello, this is a text\n", "the file"),
     "zeros": (bytes(100), "has a field 0"),
-    "only a graph": (field(7, files.graph()), "is no ONNX file"),
+    "only a graph": (field(7, files.graph()), "is not an ONNX file"),
     "onnxruntime's own format": (GOOD[:4] + b"ORTM" + GOOD[8:], "own format"),
-    "a part of 2 GB": (GOOD + b"\x32\xff\xff\xff\xff\x07", "ends too early: a part of 2147483647 bytes"),
-    "a part of 2^63": (GOOD + b"\x32" + files.varint(1 << 63), "ends too early"),
+    "a part of 2 GB": (GOOD + b"\x32\xff\xff\xff\xff\x07", "is cut off: a part has 2147483647 bytes"),
+    "a part of 2^63": (GOOD + b"\x32" + files.varint(1 << 63), "is cut off"),
     "a number of 80 bits": (GOOD + b"\x08" + b"\xff" * 11, "longer than 64 bits"),
     "a number of 70 bits": (GOOD + b"\x08" + b"\xff" * 9 + b"\x7f", "longer than 64 bits"),
     "a number cut off": (GOOD + b"\x08\xff", "ends within a number"),
     "a group": (GOOD + b"\x33", "unknown kind 3"),
-    "two graphs": (GOOD + field(7, files.graph()), "has 2 of the graph"),
-    "a graph that is a number": (field(1, 8) + field(7, 5) + field(8, field(2, 17)), "of another type"),
+    "two graphs": (GOOD + field(7, files.graph()), "expected the graph once, got 2"),
+    "a graph that is a number": (field(1, 8) + field(7, 5) + field(8, field(2, 17)), "has another type"),
     "training information": (GOOD + field(20, b""), "has a field 20"),
     "functions": (GOOD + field(25, field(1, "f")), "has a field 25"),
     "an own domain": (with_nodes(*files.NODES, node("Evil", "grey", "x", domain="com.evil")), "'Evil' of 'com.evil'"),
     "a set of an own domain": (files.model(domain="com.microsoft"), "operators of 'com.microsoft'"),
-    "an old operator set": (files.model(opset=7), "operator set 7; known are 11 to 23"),
+    "an old operator set": (files.model(opset=7), "operator set 7; supported are 11 to 23"),
     "a future operator set": (files.model(opset=99), "operator set 99"),
     "an unknown operator": (with_nodes(*files.NODES, node("Evil", "grey", "x")), "operator 'Evil'"),
     "If": (with_nodes(*files.NODES, node("If", "grey", "x")), "operator 'If'"),
@@ -60,7 +60,7 @@ HOSTILE = {
     "graphs in an attribute": (with_attribute(field(1, "body") + field(11, files.graph())), "field 11"),
     "two operators of one node": (
         with_nodes(files.NODES[0] + field(4, "If"), *files.NODES[1:]),
-        "2 strings in field 4",
+        "one string in field 4, got 2",
     ),
     "an operator in Latin-1": (with_nodes(field(4, b"\xe9")), "not UTF-8"),
     "a weight in another file": (with_tensor(OUTSIDE), "keeps 'far' in another file"),
@@ -75,15 +75,18 @@ HOSTILE = {
     "a constant that is NaN": (with_attribute(field(1, "value") + field(5, NAN)), "weights in 'w'"),
     "weights that are infinite": (with_tensor(field(2, 1) + field(4, np.float32(np.inf).tobytes())), "not finite"),
     "half a weight": (with_tensor(field(2, 1) + field(9, b"\0\0")), "not finite"),
-    "no input": (files.model(files.graph(inputs=())), "has the inputs none where one, 'image', is wanted"),
-    "another input": (files.model(files.graph(inputs=(value("x"),))), "has the inputs 'x' where"),
-    "two inputs": (files.model(files.graph(inputs=(value("image"), value("more")))), "inputs 'image', 'more' where"),
-    "another output": (files.model(files.graph(outputs=(value("y"),))), "has the outputs 'y' where one, 'marking'"),
-    "a float input": (files.model(files.graph(inputs=(value("image", 1),))), "'image' as float32 (1, 1, 128, 256)"),
-    "a float output": (files.model(files.graph(outputs=(value("marking", 1),))), "'marking' as float32"),
+    "no input": (files.model(files.graph(inputs=())), "expected one input, 'image', got none"),
+    "another input": (files.model(files.graph(inputs=(value("x"),))), "expected one input, 'image', got 'x'"),
+    "two inputs": (files.model(files.graph(inputs=(value("image"), value("more")))), "got 'image', 'more'"),
+    "another output": (files.model(files.graph(outputs=(value("y"),))), "expected one output, 'marking', got 'y'"),
+    "a float input": (
+        files.model(files.graph(inputs=(value("image", 1),))),
+        "'image' as uint8 (1, 1, 128, 256), got float32 (1, 1, 128, 256)",
+    ),
+    "a float output": (files.model(files.graph(outputs=(value("marking", 1),))), "got float32"),
     "another size": (
         files.model(files.graph(inputs=(value("image", shape=(1, 1, 64, 64)),))),
-        "as uint8 (1, 1, 64, 64) where uint8 (1, 1, 128, 256) is wanted",
+        "as uint8 (1, 1, 128, 256), got uint8 (1, 1, 64, 64)",
     ),
     "an open size": (files.model(files.graph(inputs=(value("image", shape=("n", 1, 128, 256)),))), "uint8 (0, 1, 128"),
     "no shape": (files.model(files.graph(inputs=(field(1, "image") + field(2, field(1, field(1, 2))),))), "the shape"),
@@ -111,28 +114,30 @@ def test_a_truncated_file_is_refused(share: float) -> None:
 
 
 def test_a_file_of_very_many_parts_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(onnx_reader, "MAX_PARTS", 1000)
+    monkeypatch.setattr(onnx_check, "MAX_PARTS", 1000)
     with pytest.raises(MalformedError, match="more than 1000 parts"):
-        Message(memoryview(b"\x08\x00" * 1001), "the file", Allowance(1000))
-    Message(memoryview(b"\x08\x00" * 1000), "the file", Allowance(1000))
+        Message(memoryview(b"\x08\x00" * 1001), "the file", PartBudget(1000))
+    Message(memoryview(b"\x08\x00" * 1000), "the file", PartBudget(1000))
 
 
 def test_the_parts_of_all_levels_are_counted_together() -> None:
     nodes = b"".join(field(1, b"\x08\x01" * 10) for _ in range(10))
     with pytest.raises(MalformedError, match="parts"):
-        Message(memoryview(nodes), "a graph", Allowance(100)).messages(1, "a node")
+        Message(memoryview(nodes), "a graph", PartBudget(100)).messages(1, "a node")
 
 
 @pytest.mark.parametrize("number", [0, 1, 127, 128, 300, (1 << 64) - 1])
 def test_numbers_are_read_back(number: int) -> None:
-    message = Message(memoryview(field(3, number) + field(536870911, b"abc")), "a message", Allowance())
+    message = Message(memoryview(field(3, number) + field(536870911, b"abc")), "a message", PartBudget())
     assert message.number(3) == number
     assert message.fields == {3, 536870911}
     assert bytes(message.blob(536870911, "bytes")) == b"abc"
 
 
 def test_fixed_numbers_are_little_endian() -> None:
-    message = Message(memoryview(b"\x0d\x01\x02\x00\x00\x11\x03\x00\x00\x00\x00\x00\x00\x00"), "a message", Allowance())
+    message = Message(
+        memoryview(b"\x0d\x01\x02\x00\x00\x11\x03\x00\x00\x00\x00\x00\x00\x00"), "a message", PartBudget()
+    )
     assert message.fields == {1, 2}
     with pytest.raises(MalformedError, match="another type"):
         message.number(1)

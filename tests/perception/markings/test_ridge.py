@@ -10,7 +10,7 @@ import pytest
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.ridge import RidgeMarkings, apparent_width_px
+from automodel.perception.markings.ridge import RidgeFilter, apparent_width_px
 from tests.support.drawn_views import Shape, line_at
 
 MARKING_M = 0.03
@@ -48,11 +48,11 @@ def picture(drawn: np.ndarray, floor: float = 50.0, paint: float = 190.0, noise:
 NEAR = (ground_of(CAMERA)[0] > 0.0) & (ground_of(CAMERA)[0] < 2.0)
 
 
-def full_size(markings: RidgeMarkings) -> bool:
+def full_size(markings: RidgeFilter) -> bool:
     return markings.size_px == (CAMERA.camera.width_px, CAMERA.camera.height_px)
 
 
-class Whole(RidgeMarkings):
+class Whole(RidgeFilter):
     """At the picture's own size, so that evidence and drawing can be compared pixel by pixel."""
 
     MAX_WIDTH_PX = 4096
@@ -122,11 +122,11 @@ def test_light_that_changes_slowly_has_no_say() -> None:
 
 def test_dark_markings_are_bright_ones_of_the_negative() -> None:
     grey = picture(share(CAMERA, line_at(0.0)))
-    bright = RidgeMarkings.of_camera(CAMERA, MARKING_M).step(grey)
-    dark = RidgeMarkings.of_camera(CAMERA, MARKING_M, dark=True).step(255 - grey)
+    bright = RidgeFilter.of_camera(CAMERA, MARKING_M).step(grey)
+    dark = RidgeFilter.of_camera(CAMERA, MARKING_M, dark=True).step(255 - grey)
     assert (np.abs(bright.astype(int) - dark) <= 16).mean() > 0.99  # rounding
     assert bright.max() == dark.max() == 255
-    assert not (RidgeMarkings.of_camera(CAMERA, MARKING_M, dark=True).step(grey) >= 128)[200:, 300:340].any()
+    assert not (RidgeFilter.of_camera(CAMERA, MARKING_M, dark=True).step(grey) >= 128)[200:, 300:340].any()
 
 
 class TestLevel:
@@ -144,12 +144,12 @@ class TestLevel:
 
     @pytest.mark.parametrize("grey", [0, 128, 255])
     def test_bare_pictures_have_no_evidence(self, grey: int) -> None:
-        assert not RidgeMarkings.of_camera(CAMERA, MARKING_M).step(np.full((360, 640), grey, np.uint8)).any()
+        assert not RidgeFilter.of_camera(CAMERA, MARKING_M).step(np.full((360, 640), grey, np.uint8)).any()
 
     def test_noise_below_the_contrast_is_none(self) -> None:
         rng = np.random.default_rng(1)
         grey = np.clip(rng.normal(90.0, 4.0, (360, 640)), 0, 255).astype(np.uint8)
-        assert (RidgeMarkings.of_camera(CAMERA, MARKING_M).step(grey) >= RidgeMarkings.LEVEL).mean() < 1e-3
+        assert (RidgeFilter.of_camera(CAMERA, MARKING_M).step(grey) >= RidgeFilter.LEVEL).mean() < 1e-3
 
     def test_faint_lines_count_from_the_contrast_on(self) -> None:
         drawn = share(CAMERA, line_at(0.0))
@@ -161,10 +161,10 @@ class TestLevel:
 
 class TestSizes:
     def test_a_broad_picture_is_reduced_and_lines_stay_where_they_are(self) -> None:
-        markings = RidgeMarkings.of_camera(HD, MARKING_M)
+        markings = RidgeFilter.of_camera(HD, MARKING_M)
         assert markings.size_px == (512, 288)
         drawn = share(HD, line_at(0.1))
-        found = markings.step(picture(drawn)) >= RidgeMarkings.LEVEL
+        found = markings.step(picture(drawn)) >= RidgeFilter.LEVEL
         u, u_small = np.arange(1280), np.arange(512)
         for row in (120, 180, 240, 280):
             big = int((row + 0.5) * 2.5)
@@ -174,25 +174,25 @@ class TestSizes:
 
     def test_a_picture_without_calibration_needs_the_widths_only(self) -> None:
         width = np.maximum(np.arange(120) - 40.0, 0.0) * 0.1
-        markings = RidgeMarkings(width, 160, contrast=8.0)
+        markings = RidgeFilter(width, 160, contrast=8.0)
         assert markings.size_px == (160, 120)
         grey = np.full((120, 160), 70, np.uint8)
         for v in range(48, 120):
             grey[v, 80 - round(0.5 * width[v]) : 80 + round(0.5 * width[v]) + 1] = 200
-        found = markings.step(grey) >= RidgeMarkings.LEVEL
+        found = markings.step(grey) >= RidgeFilter.LEVEL
         assert found[50:, 80].mean() > 0.95
         assert not found[:, :60].any()
         assert not found[:40].any()
 
     def test_a_camera_that_sees_no_ground_gives_nothing(self) -> None:
-        markings = RidgeMarkings(np.zeros(48), 64)
+        markings = RidgeFilter(np.zeros(48), 64)
         assert not markings.step(np.full((48, 64), 200, np.uint8)).any()
 
     def test_wrong_sizes_and_widths_are_refused(self) -> None:
         with pytest.raises(ValueError, match="picture"):
-            RidgeMarkings.of_camera(CAMERA, MARKING_M).step(np.zeros((256, 512), np.uint8))
+            RidgeFilter.of_camera(CAMERA, MARKING_M).step(np.zeros((256, 512), np.uint8))
         for width in (np.array([[1.0]]), np.array([np.nan, 1.0])):
             with pytest.raises(ValueError, match="widths"):
-                RidgeMarkings(width, 64)
+                RidgeFilter(width, 64)
         with pytest.raises(ValueError, match="contrast"):
-            RidgeMarkings(np.ones(48), 64, contrast=0.0)
+            RidgeFilter(np.ones(48), 64, contrast=0.0)

@@ -9,7 +9,7 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.markings.temporal_paint_check import GroundCheck
+from automodel.perception.markings.binary_views import TemporalPaintCheck
 from tests.support.drawn_views import binary, disc, line_at, seen_from
 
 LANE_M, MARKING_M = 0.4, 0.03
@@ -22,7 +22,7 @@ MIRRORED = disc(1.0, 0.02, 0.05)
 
 
 def drive(
-    check: GroundCheck, way_m: float, curvature_per_m: float = 0.0, mirrored: bool = True
+    check: TemporalPaintCheck, way_m: float, curvature_per_m: float = 0.0, mirrored: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
     """The last view, as it was filtered and as it was checked."""
     car, before_from_after = SE2(), SE2.arc(STEP_M, curvature_per_m * STEP_M)
@@ -39,7 +39,7 @@ def drive(
 
 @pytest.mark.parametrize("curvature_per_m", [0.0, 0.5, -0.5])
 def test_what_goes_with_the_car_is_removed_and_paint_stays(curvature_per_m: float) -> None:
-    check = GroundCheck(VIEW, MASK, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     lines, checked = drive(check, 0.8, curvature_per_m)
     blob = binary(VIEW, MIRRORED) > 0
     paint = (lines > 0) & ~blob
@@ -49,13 +49,13 @@ def test_what_goes_with_the_car_is_removed_and_paint_stays(curvature_per_m: floa
 
 
 def test_before_enough_way_everything_passes() -> None:
-    check = GroundCheck(VIEW, MASK, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     lines, checked = drive(check, 0.25)
     np.testing.assert_array_equal(checked, lines)
 
 
 def test_standing_still_removes_nothing() -> None:
-    check = GroundCheck(VIEW, MASK, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     lines = binary(VIEW, *PAINT, MIRRORED)
     for _ in range(50):
         check.move(SE2(), 0.0)
@@ -64,7 +64,7 @@ def test_standing_still_removes_nothing() -> None:
 
 
 def test_forgetting_begins_anew() -> None:
-    check = GroundCheck(VIEW, MASK, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     drive(check, 0.8)
     check.forget()
     lines = binary(VIEW, *PAINT, MIRRORED)
@@ -74,7 +74,7 @@ def test_forgetting_begins_anew() -> None:
 
 
 def test_what_was_out_of_sight_passes() -> None:
-    check = GroundCheck(VIEW, MASK, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     drive(check, 0.8, mirrored=False)
     # the car sees 0.4 m further than it did a lane's width of way ago: a mark there may be new
     far = binary(VIEW, disc(1.5, 0.0, 0.03))
@@ -85,7 +85,7 @@ def test_what_was_out_of_sight_passes() -> None:
 
 
 def test_a_turn_on_the_spot_turns_the_views() -> None:
-    check = GroundCheck(VIEW, EVERYWHERE, LANE_M, MARKING_M)
+    check = TemporalPaintCheck(VIEW, EVERYWHERE, LANE_M, MARKING_M)
     check.remember(binary(VIEW, *PAINT))
     motion = SE2(0.0, 0.0, math.radians(12.0))
     check.move(motion, 1.1 * LANE_M)  # wheels that slip: the way counts, the place stays

@@ -16,8 +16,7 @@ import pytest
 
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings import onnx_check, unet
-from automodel.perception.markings.self_test import drawn_lines, self_test
-from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
+from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig, drawn_lines, self_test
 from tests.support import onnx_files as files
 
 SMALL = (files.HEIGHT, files.WIDTH)
@@ -166,7 +165,7 @@ def test_the_bytes_that_were_checked_are_those_that_are_loaded(path: Path, monke
     ids=["no such value", "no kernel", "a loop", "another shape", "another type", "no layers"],
 )
 def test_a_graph_that_makes_no_sense_is_refused(path: Path, data: bytes) -> None:
-    assert "runs on none of the providers asked for: cpu: " in refusal(path, data, providers=("cpu",))
+    assert "runs on none of the configured providers: cpu: " in refusal(path, data, providers=("cpu",))
 
 
 @pytest.mark.parametrize(
@@ -185,7 +184,7 @@ def test_the_self_test_refuses_marks_on_black() -> None:
     def network(grey: Any) -> Any:
         return drawn_lines(256, 128)[1] if grey.any() else np.full(SMALL, 255, np.uint8)
 
-    with pytest.raises(ValueError, match="marks a black picture"):
+    with pytest.raises(ValueError, match="marks a black image"):
         self_test(network, 256, 128)
 
 
@@ -207,13 +206,13 @@ def test_providers_that_are_not_there_are_passed_over(path: Path) -> None:
     network = MarkingNetwork(config(path, providers=("cpu", "tensorrt")))
     if "TensorrtExecutionProvider" not in onnxruntime.get_available_providers():
         assert network.provider == "cpu"
-        assert network.told == f"{path} runs on cpu (tensorrt: not in this onnxruntime)"
+        assert network.notice == f"{path} runs on cpu (tensorrt: not in this onnxruntime)"
 
 
 def test_no_provider_at_all_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ["CPUExecutionProvider"])
     assert (
-        refusal(path, providers=("cuda",)) == "runs on none of the providers asked for: cuda: not in this onnxruntime"
+        refusal(path, providers=("cuda",)) == "runs on none of the configured providers: cuda: not in this onnxruntime"
     )
 
 
@@ -238,7 +237,7 @@ def test_a_provider_that_fails_gives_way_to_the_next(path: Path, monkeypatch: py
     network = MarkingNetwork(config(path, providers=("cpu", "cuda", "tensorrt")))
     assert opened == ["tensorrt", "cuda", "cpu"]
     assert network.provider == "cpu"
-    assert "tensorrt: no engine for this board; cuda: it fails the self-test: marks 0%" in network.told
+    assert "tensorrt: no engine for this board; cuda: it fails the self-test: marks 0%" in network.notice
 
 
 def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -252,7 +251,7 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: ALL)
     monkeypatch.setattr(onnxruntime, "InferenceSession", session)
     network = MarkingNetwork(config(path, engine_cache="engines"))
-    assert network.told.count("its libraries cannot be loaded") == 2
+    assert network.notice.count("its libraries cannot be loaded") == 2
     assert network.provider == "cpu"
     assert given[0][0] == (ALL[0], {"trt_engine_cache_enable": True, "trt_engine_cache_path": "engines"})
     assert given[1:] == [ALL[1:], ALL[2:]]
@@ -280,7 +279,7 @@ def test_onnxruntime_is_imported_only_when_a_network_is_loaded() -> None:
 @pytest.mark.parametrize("size", SIZES)
 def test_the_networks_that_ship_find_lines(size: str) -> None:
     network = MarkingNetwork(UnetConfig(size=size, providers=("cpu",), threads=1))
-    assert network.told == f"marking_{size}.onnx runs on cpu"
+    assert network.notice == f"marking_{size}.onnx runs on cpu"
     picture, lines = drawn_lines(672, 376)
     found = cv2.resize(network.step(picture), (672, 376)) > 127
     assert found[lines > 0].mean() > 0.7

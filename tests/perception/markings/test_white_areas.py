@@ -7,7 +7,7 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.markings.white_areas import WhiteAreas
+from automodel.perception.markings.binary_views import WhiteAreas
 from tests.support.drawn_views import bar, disc, grey, line_at, share
 
 MARKING_M = 0.03

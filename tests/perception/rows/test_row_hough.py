@@ -8,14 +8,13 @@ import math
 import numpy as np
 import pytest
 
-from automodel.perception.markings.ridge import Brightness
-from automodel.perception.rows.initial_lane import LaneGuess, StartConfig
-from automodel.perception.rows.lane_pair_search import RowSums
-from automodel.perception.rows.row_hough import RowStart
+from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
+from automodel.perception.rows.row_hough import RowHough
+from automodel.perception.rows.row_ridges import Brightness
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
-HIGHWAY = StartConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0)
-SCALE = StartConfig(lane_width_m=0.4, marking_m=0.03, reference_x_m=0.13, radius_lanes=1.4)
+HIGHWAY = LaneSearchConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0)
+SCALE = LaneSearchConfig(lane_width_m=0.4, marking_m=0.03, reference_x_m=0.13, radius_lanes=1.4)
 
 
 class Counting(Brightness):
@@ -30,11 +29,11 @@ class Counting(Brightness):
         return super().read(image, pixels)
 
 
-def start(picture: np.ndarray, config: StartConfig = HIGHWAY, camera=None) -> LaneGuess | None:
-    return RowStart(camera or mounted(), config, Brightness("grey", False)).step(picture)
+def start(picture: np.ndarray, config: LaneSearchConfig = HIGHWAY, camera=None) -> InitialLane | None:
+    return RowHough(camera or mounted(), config, Brightness("grey", False)).step(picture)
 
 
-def off_m(guess: LaneGuess, x_m: float, heading: float, curvature: float, offset: float = 0.0) -> float:
+def off_m(guess: InitialLane, x_m: float, heading: float, curvature: float, offset: float = 0.0) -> float:
     """How far the lane's middle is misplaced at body x."""
     way = x_m - HIGHWAY.reference_x_m
     y = -guess.offset_m + guess.heading_rad * way + 0.5 * guess.curvature_per_m * way * way
@@ -107,7 +106,7 @@ def test_the_start_reads_less_than_12_percent() -> None:
     busy = draw(mounted(), [*lane(0.2, DOTS, DASHES), *NEXT])
     for picture in (busy, np.zeros_like(busy), np.random.default_rng(1).integers(0, 255, busy.shape).astype(np.uint8)):
         counting = Counting()
-        RowStart(mounted(), HIGHWAY, counting).step(picture)
+        RowHough(mounted(), HIGHWAY, counting).step(picture)
         assert 0.03 < len(counting.seen) / picture.size < 0.12
 
 
@@ -116,15 +115,15 @@ def test_what_is_read_does_not_grow_with_the_picture() -> None:
     for width, height, focal in ((512, 288, 450.0), (1024, 576, 900.0)):
         camera = mounted(camera_model(width, height, focal))
         counting = Counting()
-        RowStart(camera, HIGHWAY, counting).step(np.zeros((height, width), np.uint8))
+        RowHough(camera, HIGHWAY, counting).step(np.zeros((height, width), np.uint8))
         shares.append(len(counting.seen) / (width * height))
     assert shares[1] < 0.45 * shares[0]
 
 
 def test_tight_bends_have_no_line_sums() -> None:
     camera = mounted(camera_model(640, 360, 480.0), z_m=0.18, pitch_rad=0.26, x_m=0.2)
-    assert RowStart(camera, SCALE, Brightness("grey", False))._sums is None
-    assert isinstance(RowStart(mounted(), HIGHWAY, Brightness("grey", False))._sums, RowSums)
+    assert RowHough(camera, SCALE, Brightness("grey", False))._sums is None
+    assert isinstance(RowHough(mounted(), HIGHWAY, Brightness("grey", False))._sums, LineIntegralSearch)
 
 
 @pytest.mark.parametrize(("curvature", "offset"), [(0.0, 0.03), (0.5, 0.0), (-0.6, -0.04)])
@@ -143,12 +142,12 @@ def test_a_scale_car_s_bend(curvature: float, offset: float) -> None:
 
 def test_a_camera_that_looks_over_the_road_is_refused() -> None:
     with pytest.raises(ValueError, match="pitch_rad"):
-        RowStart(mounted(pitch_rad=-0.8), HIGHWAY, Brightness("grey", False))
+        RowHough(mounted(pitch_rad=-0.8), HIGHWAY, Brightness("grey", False))
 
 
 def test_dark_lines_on_a_bright_floor() -> None:
     picture = 255 - draw(mounted(), lane(0.3), seed=1)
-    guess = RowStart(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)
+    guess = RowHough(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)
     assert guess is not None
     assert guess.offset_m == pytest.approx(0.3, abs=0.06)
     assert math.isfinite(guess.edge)

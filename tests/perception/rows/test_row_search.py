@@ -14,8 +14,8 @@ from automodel.config import Extrinsics, Intrinsics
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.markings.ridge import REACH, Brightness, RowRidges
-from automodel.perception.rows.row_search import RowSearch, Sighting
+from automodel.perception.rows.row_ridges import REACH, Brightness, RunRidges
+from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.types import FloatArray, Image
 
 HEIGHT, WIDTH, MARKING, LANE, REFERENCE = 240, 400, 0.03, 0.42, 0.15
@@ -59,7 +59,7 @@ def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: i
 
 
 def search(lens: str = "none", dark: bool = False) -> RowSearch:
-    ridges = RowRidges(Brightness("grey", dark), 20.0)
+    ridges = RunRidges(Brightness("grey", dark), 20.0)
     return RowSearch(LineProjection(camera(lens)), ridges, NODES, MARKING, (HEIGHT, WIDTH))
 
 
@@ -68,7 +68,7 @@ def shaped(road: str, offset: float = 0.0, heading: float = 0.0) -> PairShape:
     return pair.shape(np.array([offset, heading, LANE, *[ROADS[road]] * pair.stations]), 0.0)
 
 
-def seen(sighting: Sighting) -> NDArray[np.bool_]:
+def seen(sighting: NodeMeasurements) -> NDArray[np.bool_]:
     """Which of the 2 n nodes were found."""
     all_of_them = np.zeros(2 * COUNT, bool)
     k = len(sighting.nodes)
@@ -216,7 +216,7 @@ class Noted(Brightness):
 
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     noted, shape = Noted("grey", False), shaped("left")
-    looking = RowSearch(LineProjection(camera("none")), RowRidges(noted, 20.0), NODES, MARKING, (HEIGHT, WIDTH))
+    looking = RowSearch(LineProjection(camera("none")), RunRidges(noted, 20.0), NODES, MARKING, (HEIGHT, WIDTH))
     looking.look(drawn("none", "left"), shape, LANE)
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]

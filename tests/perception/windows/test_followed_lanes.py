@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from automodel.geometry import SE2, View
-from automodel.perception.markings.feature_points import FeaturePoints
-from automodel.perception.windows.line_following import ExpectedLine, LineFollowing
+from automodel.perception.markings.binary_views import FeaturePoints
+from automodel.perception.windows.line_following import LineFollowing
+from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.sim.track import Lane
 from automodel.sim.track_files import load_track
 from tests.support.drawn_roads import MARKING_M
@@ -42,7 +43,7 @@ def test_points_lie_on_the_lanes_lines(track: str, direction: str, stations: np.
     lane, eye = world.lane(direction), renderer(world, CAR)
     half = 0.5 * float(lane.width_m(0.0))
     features = FeaturePoints(CAR.camera, VIEW, MARKING_M)
-    following = LineFollowing(VIEW, 2.0 * half, MARKING_M, features.visible, CAR.vehicle.reference_x_m)
+    following = LineFollowing(VIEW, 2.0 * half, MARKING_M, features.visible)
     errors: list[float] = []
     for s in stations.tolist():
         pose = lane.pose(s, 0.04 * math.sin(3.0 * s), 0.1 * math.cos(2.3 * s))

@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from automodel.geometry import View
-from automodel.perception.windows.line_following import ExpectedLine, FollowedLine, LineFollowing, LineStart
+from automodel.perception.windows.line_following import FollowedLine, LineFollowing
+from automodel.perception.windows.line_initialisation import LineInitialisation, LineStart
+from automodel.perception.windows.window_tracker import ExpectedLine
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, crossing, within, zebra
 from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
@@ -23,7 +25,11 @@ PAIR = (STRAIGHT.line(HALF), STRAIGHT.line(-HALF))
 
 
 def following(view: View = VIEW, visible: np.ndarray | None = None) -> LineFollowing:
-    return LineFollowing(view, LANE_M, MARKING_M, visible, REFERENCE_M)
+    return LineFollowing(view, LANE_M, MARKING_M, visible)
+
+
+def starts(features: np.ndarray) -> tuple[LineStart | None, LineStart | None]:
+    return LineInitialisation(VIEW, LANE_M, MARKING_M, REFERENCE_M).step(features)
 
 
 def draw(*shapes: Shape, view: View = VIEW) -> np.ndarray:
@@ -123,7 +129,7 @@ class TestCleanLines:
         road = Road(curvature_per_m=0.01 * bend, heading_rad=math.radians(heading), aside_m=aside)
         wlf = following()
         features = draw(road.line(HALF), road.line(-HALF))
-        found = wlf.start(features)
+        found = starts(features)
         assert any(found)
         start = found[0 if side > 0 else 1]
         if start is None:
@@ -276,7 +282,7 @@ class TestOtherPaint:
     def test_bare_and_full_views_have_no_points(self, value: int) -> None:
         wlf = following()
         features = np.full((VIEW.height_px, VIEW.width_px), value, np.uint8)
-        assert wlf.start(features) == (None, None)
+        assert starts(features) == (None, None)
         for start, expected in ((LineStart((0.5, 0.2), 0.0), None), (None, STRAIGHT.expected(HALF))):
             line = wlf.follow(features, start, expected, 0.05)
             assert line.points_m.shape == (0, 2)

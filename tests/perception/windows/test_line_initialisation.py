@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.windows.line_following import LineStart
-from automodel.perception.windows.line_initialisation import LineStarts
+from automodel.perception.windows.line_initialisation import LineInitialisation, LineStart
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
 from tests.support.drawn_views import Shape, binary, disc
 
@@ -25,7 +24,9 @@ Found = tuple[LineStart | None, LineStart | None]
 
 def find(*shapes: Shape, view: View = VIEW, visible: np.ndarray | None = None) -> Found:
     features = binary(view, *shapes, samples=2)
-    return LineStarts(view, LANE_M, MARKING_M, REFERENCE_M).step(features if visible is None else features & visible)
+    return LineInitialisation(view, LANE_M, MARKING_M, REFERENCE_M).step(
+        features if visible is None else features & visible
+    )
 
 
 def check(start: LineStart | None, road: Road, d_m: float) -> None:
@@ -109,7 +110,7 @@ def test_areas_specks_and_bars_are_no_lines() -> None:
     for shapes in ([half_floor], specks, [zebra(0.5)]):
         assert find(*shapes) == (None, None)
     full = np.full((VIEW.height_px, VIEW.width_px), 255, np.uint8)
-    assert LineStarts(VIEW, LANE_M, MARKING_M).step(full) == (None, None)
+    assert LineInitialisation(VIEW, LANE_M, MARKING_M).step(full) == (None, None)
 
 
 def test_a_line_beside_an_area_is_found() -> None:
@@ -123,7 +124,7 @@ def test_full_scale_with_rows_coarser_than_columns() -> None:
     view = View(x_near_m=3.0, x_far_m=41.0, half_width_m=10.0, m_per_px=0.08, m_per_row=0.16)
     road = Road(curvature_per_m=-0.02, heading_rad=0.2)
     features = binary(view, road.line(5.0, 0.25), road.line(-5.0, 0.25), samples=2)
-    left, right = LineStarts(view, 10.0, 0.25, 1.2).step(features)
+    left, right = LineInitialisation(view, 10.0, 0.25, 1.2).step(features)
     assert left is not None
     assert right is not None
     for start, d in ((left, 5.0), (right, -5.0)):

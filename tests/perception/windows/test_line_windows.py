@@ -10,9 +10,10 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.windows.line_following import ExpectedLine, LineFollowing, LineStart
+from automodel.perception.windows.line_following import LineFollowing
+from automodel.perception.windows.line_initialisation import LineStart
 from automodel.perception.windows.line_windows import LineWindows
-from automodel.perception.windows.window_tracker import Guide
+from automodel.perception.windows.window_tracker import ExpectedLine, PathCursor
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
@@ -69,20 +70,20 @@ def test_of_two_lines_in_a_window_the_one_ahead_counts() -> None:
 
 def test_what_lies_about_a_piece() -> None:
     windows = LineWindows(VIEW, MARKING_M)
-    alone = windows.around(binary(VIEW, line_at(0.0)), 1.2, 0.0, 0.0)
+    alone = windows.surroundings(binary(VIEW, line_at(0.0)), 1.2, 0.0, 0.0)
     assert alone.covered == 1.0
     assert alone.flanks == (0.0, 0.0)
-    flanked = windows.around(binary(VIEW, *(line_at(0.1 * k, 0.05) for k in (-1, 0, 1))), 1.2, 0.0, 0.0)
+    flanked = windows.surroundings(binary(VIEW, *(line_at(0.1 * k, 0.05) for k in (-1, 0, 1))), 1.2, 0.0, 0.0)
     assert min(flanked.flanks) > 1.0
-    left_only = windows.around(binary(VIEW, line_at(0.0), line_at(0.1)), 1.2, 0.0, 0.0)
+    left_only = windows.surroundings(binary(VIEW, line_at(0.0), line_at(0.1)), 1.2, 0.0, 0.0)
     assert left_only.flanks[0] > 0.7
     assert left_only.flanks[1] == 0.0
-    aside = windows.around(binary(VIEW, bar(1.2, 0.03), bar(1.1, 0.03)), 1.215, 0.0, 0.5 * math.pi)
+    aside = windows.surroundings(binary(VIEW, bar(1.2, 0.03), bar(1.1, 0.03)), 1.215, 0.0, 0.5 * math.pi)
     assert aside.covered == 1.0
     assert sorted(aside.flanks)[0] == 0.0
     assert sorted(aside.flanks)[1] > 0.7
     dotted = binary(VIEW, lambda x, y: line_at(0.0)(x, y) & (np.abs(x - 1.2) > 0.025))
-    assert windows.around(dotted, 1.2, 0.0, 0.0).covered < 0.5
+    assert windows.surroundings(dotted, 1.2, 0.0, 0.0).covered < 0.5
 
 
 class TestSight:
@@ -131,17 +132,17 @@ class TestExpectations:
 
     def test_a_guide_goes_along_its_line(self) -> None:
         road = Road(curvature_per_m=0.5)
-        guide = Guide(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1)
-        assert guide.turn_rad == pytest.approx(0.05, abs=1e-3)
-        guide.come(math.sin(0.5) * 2.0, 2.0 - 2.0 * math.cos(0.5))  # 1 m along the arc
-        assert guide.way_m == pytest.approx(1.0, abs=0.06)
-        assert guide.heading_rad == pytest.approx(0.5, abs=0.03)
-        assert guide.aside(guide.x_m - 0.03 * math.sin(0.5), guide.y_m + 0.03 * math.cos(0.5)) == pytest.approx(
+        path = PathCursor(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1)
+        assert path.turn_rad == pytest.approx(0.05, abs=1e-3)
+        path.advance_to(math.sin(0.5) * 2.0, 2.0 - 2.0 * math.cos(0.5))  # 1 m along the arc
+        assert path.s_m == pytest.approx(1.0, abs=0.06)
+        assert path.heading_rad == pytest.approx(0.5, abs=0.03)
+        assert path.lateral(path.x_m - 0.03 * math.sin(0.5), path.y_m + 0.03 * math.cos(0.5)) == pytest.approx(
             0.03, abs=1e-3
         )
-        guide.come(9.0, 9.0)
-        assert guide.ended
-        assert guide.turn_rad == 0.0
+        path.advance_to(9.0, 9.0)
+        assert path.ended
+        assert path.turn_rad == 0.0
 
     def test_a_very_long_expectation_costs_no_more_than_a_long_one(self) -> None:
         s = np.array([0.0, 1e9])

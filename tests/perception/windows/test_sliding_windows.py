@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.geometry import View
-from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, Start
+from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, StartCandidate
 from tests.support.drawn_views import Shape, bar, binary, dashed, line_at
 
 LANE_M, MARKING_M, REFERENCE_M = 0.4, 0.03, 0.13
@@ -103,7 +103,7 @@ class TestSlidingWindows:
         assert np.abs(points[:, 1] - 0.2).max() < 0.003
 
 
-def starts_of(*shapes: Shape, view: View = VIEW) -> list[Start]:
+def starts_of(*shapes: Shape, view: View = VIEW) -> list[StartCandidate]:
     return HistogramStart(view, LANE_M, MARKING_M, REFERENCE_M).step(binary(view, *shapes))
 
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from automodel.perception.markings.ridge import (
+from automodel.perception.rows.row_ridges import (
     AROUND,
     BAR,
     GATE,
     LINE,
     PER_MARKING,
     Brightness,
-    Judged,
-    RidgeJudge,
-    RowRidges,
+    Ridges,
+    RowRidgeFilter,
+    RunRidges,
     judge,
 )
 from automodel.types import FloatArray
@@ -29,7 +29,7 @@ def covered(at: FloatArray, low: float, high: float) -> FloatArray:
     return np.clip(np.minimum(at + 0.5, high) - np.maximum(at - 0.5, low), 0.0, 1.0)
 
 
-def judged_of(values: NDArray[np.float32]) -> Judged:
+def judged_of(values: NDArray[np.float32]) -> Ridges:
     """The ridge in the middle of one column of brightness."""
     return judge(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), CONTRAST)
 
@@ -50,7 +50,7 @@ def row(middle: float, breadth: float = PER_MARKING, paint: float = PAINT) -> ND
 
 def found(picture: NDArray[np.uint8], pixel: int, step: float = 1.0, dark: bool = False) -> tuple[float, bool]:
     """Pixel of the best ridge about `pixel`, and whether it is a line's; the run has samples every `step` px."""
-    ridges = RowRidges(Brightness("grey", dark), CONTRAST)
+    ridges = RunRidges(Brightness("grey", dark), CONTRAST)
     judged = ridges.find(picture, np.array([pixel + 0.5]), np.array([step]))
     return pixel + step * float(judged.place[0]), bool(judged.flags[LINE, 0])
 
@@ -148,7 +148,7 @@ def test_uniform_rows_and_edges_give_no_line(dark: bool) -> None:
 def test_runs_keep_their_order_and_their_rows() -> None:
     picture = np.concatenate([row(100.0 + 50.0 * k + 0.3 * k) for k in range(4)])
     first = np.array([100.5, WIDTH + 150.5, 2 * WIDTH + 200.5, 3 * WIDTH + 250.5])
-    judged = RowRidges(Brightness("grey", False), CONTRAST).find(picture, first, np.ones(4))
+    judged = RunRidges(Brightness("grey", False), CONTRAST).find(picture, first, np.ones(4))
     assert judged.flags[LINE].all()
     assert judged.place == pytest.approx(0.3 * np.arange(4), abs=0.25)
 
@@ -175,7 +175,7 @@ def test_grey_is_the_weighted_sum_of_the_colours_and_reads_no_further_than_the_p
 
 def test_the_filter_along_whole_rows_peaks_in_the_middle_of_the_marking() -> None:
     rows = np.concatenate((row(100.0), row(140.0)))[:, :200]
-    judging = RidgeJudge(2, 200, CONTRAST)
+    judging = RowRidgeFilter(2, 200, CONTRAST)
     heights = judging.heights(rows, 20, 180)
     assert (heights.argmax(axis=1) + 20).tolist() == [100, 140]
     wanted = [

@@ -1,0 +1,207 @@
+"""Binary images of line markings: from a network's mask, from a grey bird's-eye view, and their check over time.
+
+`centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (the AutoModelCar paper)
+uses `WhiteAreas` and `TemporalPaintCheck`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from automodel.config import CameraConfig, Intrinsics
+from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.types import Image
+
+HIGH, LOW = 160, 70  # of 255: a marking whatever surrounds it; a marking if it exceeds its surroundings
+ABOVE = 34  # by how much it must exceed the mean around it
+AROUND_PX = (21, 7)  # for a mask 512 px wide: lines run up the image, so the box is wider than high
+
+
+def adaptive_threshold(probability: Image) -> Image:
+    """The mask (h, w), 0 .. 255, with markings raised to 128 or more, and the rest lowered to 127 or less.
+
+    Worn lines have a low probability with a sharp peak, while light strips of road, kerbs and edges have a low one over
+    a wide area.
+    """
+    scale = probability.shape[1] / 512.0
+    width, height = (2 * round(0.5 * (side * scale - 1.0)) + 1 for side in AROUND_PX)
+    above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (width, height))))
+    marking = ((above > ABOVE) & (probability > LOW)) | (probability > HIGH)
+    raised = np.maximum(probability, 128) * marking.view(np.uint8)
+    return np.maximum(np.minimum(probability, 127), raised)
+
+
+def resized_camera(camera: CameraConfig, width_px: int, height_px: int) -> CameraConfig:
+    """The camera of the resized image: pixel centres move from u to (u + 1/2) scale - 1/2."""
+    across, down = width_px / camera.width_px, height_px / camera.height_px
+    given = camera.intrinsics
+    intrinsics = Intrinsics(
+        fx_px=given.fx_px * across,
+        fy_px=given.fy_px * down,
+        cx_px=(given.cx_px + 0.5) * across - 0.5,
+        cy_px=(given.cy_px + 0.5) * down - 0.5,
+        distortion=given.distortion,
+    )
+    return replace(camera, width_px=width_px, height_px=height_px, intrinsics=intrinsics)
+
+
+class FeaturePoints:
+    """Warps a line mask into the bird's-eye view, thresholds and cleans it (Cudrano et al. 2020, section IV).
+
+    The mask covers the camera's image at any size; the maps of a size are computed at its first use. `visible` (h, w)
+    is 255 where the view shows ground that the camera sees.
+    """
+
+    OPEN, CLOSE = 0.6, 0.6  # sides of the kernels in marking widths
+
+    def __init__(self, camera: CameraConfig, view: View, marking_width_m: float, threshold: float = 0.5) -> None:
+        if not 0.0 < threshold < 1.0:
+            raise ValueError(f"FeaturePoints: expected a threshold between 0 and 1, got {threshold}")
+        self.view, self._camera, self._level = view, camera, 255.0 * threshold
+        self._open, self._close = (self._kernel(side * marking_width_m) for side in (self.OPEN, self.CLOSE))
+        self._birdseyes: dict[tuple[int, int], BirdsEye] = {}
+        self.visible: Image = BirdsEye(GroundCamera.from_config(camera), view).mask
+
+    def step(self, mask: Image) -> Image:
+        """The binary view (h, w), 0 or 255, of a mask (rows, columns), 0 .. 255."""
+        rows, columns = mask.shape
+        birdseye = self._birdseye((columns, rows))
+        lines = cv2.threshold(birdseye.warp(mask), self._level, 255, cv2.THRESH_BINARY)[1]
+        if self._close is not None:
+            lines = cv2.morphologyEx(lines, cv2.MORPH_CLOSE, self._close)
+        if self._open is not None:
+            lines = cv2.morphologyEx(lines, cv2.MORPH_OPEN, self._open)
+        return np.asarray(cv2.bitwise_and(lines, birdseye.mask), dtype=np.uint8)
+
+    def _birdseye(self, size_px: tuple[int, int]) -> BirdsEye:
+        if size_px not in self._birdseyes:
+            camera = GroundCamera.from_config(resized_camera(self._camera, *size_px))
+            self._birdseyes[size_px] = BirdsEye(camera, self.view)
+        return self._birdseyes[size_px]
+
+    def _kernel(self, side_m: float) -> Image | None:
+        """A kernel with odd sides (an even one shifts the result by a pixel); None where it would do nothing."""
+        rows, columns = (2 * int(0.5 * side_m / m + 0.25) + 1 for m in (self.view.m_per_row, self.view.m_per_px))
+        return np.ones((rows, columns), np.uint8) if max(rows, columns) > 1 else None
+
+
+class WhiteAreas:
+    """The white-areas filter of the AutoModelCar paper, section IV-B: keeps what is about as wide as a marking.
+
+    A pixel is bright relative to the mean of a box five markings wide, so that slow changes of the light have no
+    effect. The threshold follows the image's contrast between `contrast` and six times `contrast` [grey levels]. Of the
+    bright areas, runs along a row between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider
+    than it is). `dark`: markings are darker than the ground.
+    """
+
+    NARROW, WIDE = 0.45, 2.4
+    SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
+    SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
+
+    def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float, dark: bool = False) -> None:
+        self.contrast, self.dark = contrast, dark
+        marking_px = marking_width_m / birdseye.view.m_per_px
+        self._box = 2 * int(2.5 * marking_px) + 1
+        self._reach = round(1.6 * marking_px)
+        # Odd kernels: opening with an even one shifts the result by a pixel.
+        self._narrow = np.ones((1, 2 * int(0.5 * self.NARROW * marking_px) + 1), np.uint8)
+        self._wide = np.ones((1, 2 * int(0.5 * self.WIDE * marking_px) + 1), np.uint8)
+        edge = np.ones((3, 2 * int(0.5 * marking_px) + 3), np.uint8)
+        padded = cv2.copyMakeBorder(birdseye.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
+        self.mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
+        self._thinned = np.ascontiguousarray(self.mask[::3])
+        self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
+
+    def step(self, view: Image) -> tuple[Image, Image]:
+        """Binary views (h, w), 0 or 255, of a grey view (h, w): all bright areas, and those as wide as a line."""
+        around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
+        contrast = cv2.subtract(around, view) if self.dark else cv2.subtract(view, around)
+        counts = cv2.calcHist([contrast[::3]], [0], self._thinned, [256], [0, 256]).ravel()  # a third of the rows
+        above = np.cumsum(counts[::-1])
+        brightest = 255 - int(np.searchsorted(above, 0.01 * self._visible_px))
+        level = min(max(self.SHARE * brightest, self.contrast), 6.0 * self.contrast)
+        bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
+        ridge = cv2.threshold(self._above_sides(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
+        no_specks = cv2.morphologyEx(cv2.bitwise_and(bright, ridge), cv2.MORPH_OPEN, self._narrow)
+        too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
+        # Masked only here: an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
+        lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self.mask)
+        return np.asarray(cv2.bitwise_and(bright, self.mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)
+
+    def _above_sides(self, view: Image) -> Image:
+        """By how much each pixel exceeds the brighter of its neighbours to the left and right, else 0.
+
+        The rim of a bright patch exceeds one side only.
+        """
+        reach = self._reach
+        padded = cv2.copyMakeBorder(view, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
+        left, right = padded[:, : view.shape[1]], padded[:, 2 * reach :]
+        if self.dark:
+            return np.asarray(cv2.subtract(cv2.min(left, right), view), dtype=np.uint8)
+        return np.asarray(cv2.subtract(view, cv2.max(left, right)), dtype=np.uint8)
+
+
+@dataclass(slots=True)
+class _PastView:
+    """An earlier view: 255 where the ground was visible and bare; the car's pose and the distance driven then."""
+
+    bare: Image
+    start_from_then: SE2
+    driven_m: float
+
+
+class TemporalPaintCheck:
+    """Removes reflections: compares a filtered view with what was bright a lane width of distance earlier.
+
+    Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
+    odometry gives each place in the earlier view; if the ground was visible and bare there, it carries no paint. Places
+    that were not visible pass, and so does everything until the car has driven far enough.
+    """
+
+    DISTANCE_LANES = 1.0  # to the view that is compared with
+    EVERY_LANES = 0.1  # distance between two remembered views
+    TOLERANCE_MARKINGS = 1.0  # lateral error of a point
+
+    def __init__(self, view: View, visible: Image, lane_width_m: float, marking_width_m: float) -> None:
+        self.view, self._visible = view, visible
+        self._distance_m, self._every_m = self.DISTANCE_LANES * lane_width_m, self.EVERY_LANES * lane_width_m
+        across = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_px) + 1
+        along = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_row) + 1
+        self._kernel = np.ones((along, across), np.uint8)
+        self._past: deque[_PastView] = deque()
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all views."""
+        self._past.clear()
+        self._start_from_now, self._driven_m = SE2(), 0.0
+
+    def move(self, before_from_after: SE2, distance_m: float) -> None:
+        """Move the car."""
+        self._start_from_now = self._start_from_now @ before_from_after
+        self._driven_m += abs(distance_m)
+        while len(self._past) > 1 and self._driven_m - self._past[1].driven_m >= self._distance_m:
+            self._past.popleft()
+
+    def remember(self, bright: Image) -> None:
+        """Keep the bright areas (h, w) of this frame, if the car has driven on since the last view kept."""
+        if not self._past or self._driven_m - self._past[-1].driven_m >= self._every_m:
+            bare = cv2.subtract(self._visible, cv2.dilate(bright, self._kernel))
+            self._past.append(_PastView(np.asarray(bare, dtype=np.uint8), self._start_from_now, self._driven_m))
+
+    def step(self, lines: Image) -> Image:
+        """The part of a filtered view (h, w) that may be paint."""
+        if not self._past or self._driven_m - self._past[0].driven_m < self._distance_m:
+            return lines
+        past = self._past[0]
+        now = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+        then_from_now = past.start_from_then.inverse() @ self._start_from_now
+        then = self.view.to_px(then_from_now.apply(self.view.to_body(now)))
+        affine = cv2.getAffineTransform(now.astype(np.float32), then.astype(np.float32))
+        size = (self.view.width_px, self.view.height_px)
+        bare = cv2.warpAffine(past.bare, affine, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=[0])
+        return np.asarray(cv2.subtract(lines, bare), dtype=np.uint8)
