@@ -189,7 +189,7 @@ class TestSizes:
         assert not markings.step(np.full((48, 64), 200, np.uint8)).any()
 
     def test_wrong_sizes_and_widths_are_refused(self) -> None:
-        with pytest.raises(ValueError, match="picture"):
+        with pytest.raises(ValueError, match="image"):
             RidgeFilter.of_camera(CAMERA, MARKING_M).step(np.zeros((256, 512), np.uint8))
         for width in (np.array([[1.0]]), np.array([np.nan, 1.0])):
             with pytest.raises(ValueError, match="widths"):
