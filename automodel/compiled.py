@@ -1,23 +1,81 @@
-"""Functions compiled to machine code: the loops of `contour`, where what numpy asks per call would be most of the time.
+"""Functions compiled to machine code by numba: the loops of `contour`, where numpy's cost per call would dominate.
 
-They are compiled when they are first called, for some seconds, and kept on disk for the next run where that has a
-place. With NUMBA_DISABLE_JIT=1 they run as plain Python, for a debugger or a coverage report.
+They are compiled when they are first called and kept for the next run in the user's cache folder: $NUMBA_CACHE_DIR
+where set, otherwise `automodel/` in $XDG_CACHE_HOME or ~/.cache. Where nothing can be written there, they are compiled
+in each run. With NUMBA_DISABLE_JIT=1 they run as plain Python, for a debugger or a coverage report.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import logging
+import os
+import tempfile
 from collections.abc import Callable
-from typing import TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
+from numba import config as numba_config
 from numba import njit
+from numba.core import event as numba_event
 
 F = TypeVar("F", bound=Callable[..., object])
+_PACKAGE = Path(__file__).parent
+config: Any = numba_config  # its names are made at run time
 
 
 def compiled(function: F) -> F:
     """The function, to be compiled: scalars, tuples and arrays of numbers go in and come out."""
+    _announce()
+    folder = _cache_folder()
+    if folder is None:
+        return cast(F, njit(error_model="numpy")(function))
+    before, config.CACHE_DIR = config.CACHE_DIR, str(folder)  # numba looks there when it decorates
     try:
-        made = njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # neither beside the file nor in the user's cache may anything be written
-        made = njit(error_model="numpy")(function)
-    return cast(F, made)
+        return cast(F, njit(cache=True, error_model="numpy")(function))
+    except RuntimeError:  # the function has no file
+        return cast(F, njit(error_model="numpy")(function))
+    finally:
+        config.CACHE_DIR = before
+
+
+@functools.cache
+def _cache_folder() -> Path | None:
+    """Where machine code is kept, None where that cannot be written to."""
+    try:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        folder = Path(config.CACHE_DIR or cache / "automodel" / _version())
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except (OSError, RuntimeError):  # RuntimeError: there is no home
+        return None
+    return folder
+
+
+def _version() -> str:
+    """A hash of all compiled modules: numba does not see that a function of another module has changed."""
+    sources = (path.read_bytes() for path in sorted(_PACKAGE.rglob("*.py")))
+    code = b"".join(source for source in sources if b"@compiled" in source)
+    return hashlib.sha256(code).hexdigest()[:16]
+
+
+class _Announcement(numba_event.Listener):
+    """Logs one line before the first of our functions is compiled."""
+
+    done = False
+
+    def on_start(self, event: Any) -> None:
+        """Called before any function is compiled that was not found on disk."""
+        if not self.done and str(event.data["dispatcher"].__module__).startswith("automodel."):
+            self.done = True
+            logging.getLogger("automodel").info("compiling (once, takes some seconds)")
+
+    def on_end(self, event: Any) -> None:
+        """Nothing."""
+
+
+@functools.cache
+def _announce() -> None:
+    register: Any = numba_event.register
+    register("numba:compile", _Announcement())

@@ -19,11 +19,11 @@ ROOT = Path(__file__).resolve().parents[1]
 BUILT_FROM = ("automodel", "firmware_link", "calibration", "tracks", "pyproject.toml", "README.md", "LICENSE")
 
 
-def call(*command: object, cwd: Path) -> str:
-    """stdout of a command that succeeds, without the environment's own ways to find modules."""
-    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PIP_", "VIRTUAL_ENV"))}
+def call(*command: object, cwd: Path, **more: str) -> str:
+    """stdout of a command that succeeds, without the environment's own ways to find modules but with `more`."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PIP_", "VIRTUAL_ENV", "NUMBA_"))}
     words = [str(word) for word in command]
-    done = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True)
+    done = subprocess.run(words, cwd=cwd, env=environment | more, capture_output=True, text=True)
     assert done.returncode == 0, f"{' '.join(words)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -89,6 +89,15 @@ def test_an_installed_wheel_runs_in_real_time(python: Path, tmp_path: Path) -> N
     arguments = ["run", "--realtime", "--track", "oval", "--duration", "0.3", "--json"]
     (row,) = json.loads(call(python, "-m", "automodel", *arguments, cwd=tmp_path))["rows"]
     assert row["stops"] == 0
+
+
+def test_machine_code_lies_outside_the_installation(python: Path, tmp_path: Path) -> None:
+    """A file that pip knows nothing of would keep the package's folder alive when it is removed."""
+    arguments = ["run", "--pipeline", "contour", "--track", "oval", "--duration", "0.2", "--json"]
+    call(python, "-m", "automodel", *arguments, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
+    assert list((tmp_path / "cache" / "automodel").rglob("*.nbi"))
+    kinds = {file.suffix for file in python.parents[1].rglob("automodel/**/__pycache__/*")}
+    assert kinds == {".pyc"}
 
 
 def test_the_console_script_is_there(wheel: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import os
 import signal
 import sys
@@ -65,6 +66,9 @@ def main() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:  # nohup ignores SIGHUP: leave that
             signal.signal(number, interrupt)
+    if sys.stderr is not None and sys.stderr.isatty():  # what a program reads has results and errors only
+        logging.basicConfig(format="automodel: %(message)s")
+        logging.getLogger("automodel").setLevel(logging.INFO)
     code = run(sys.argv[1:])
     sys.exit(_flushed(code))
 
