@@ -19,14 +19,14 @@ def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> Floa
     array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
     wanted = tuple([got if want is None else want for got, want in zip(array.shape, shape, strict=False)])
     if array.ndim != len(shape) or array.shape != wanted:
-        raise ValueError(f"{name}: shape {array.shape} where {shape} is wanted")
+        raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     array.flags.writeable = False
     return array
 
 
 def _frozen_image(image: Image, name: str) -> Image:
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
-        raise ValueError(f"{name}: uint8 (h, w) or (h, w, 3) wanted, not {image.dtype} {image.shape}")
+        raise ValueError(f"{name}: expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}")
     view = image.view()  # a view, not a copy: the source hands the buffer over and does not write to it again
     view.flags.writeable = False
     return view

@@ -7,8 +7,7 @@ import glob
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from automodel.assembly.parts import make_camera
-from automodel.assembly.recordings import open_source
+from automodel.assembly.parts import make_camera, open_source
 from automodel.config import CarConfig, ConfigError
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource

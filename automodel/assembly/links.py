@@ -1,20 +1,24 @@
-"""The vehicle behind a real port. Apart from `parts`, because a replay must not so much as import a link."""
+"""The vehicle behind a serial port, in the language that car.toml's [link] kind names; and the boards of each.
+
+Loaded by name only (`automodel.config.parts.LINKS`): a replay never imports a link.
+"""
 
 from __future__ import annotations
 
 from automodel.config import CarConfig
-from automodel.interfaces import VehicleLink
 from firmware_link.arduino import ArduinoLink
 from firmware_link.autonomos import AutonomosLink
-from firmware_link.transport import SerialTransport
+from firmware_link.transport import SerialTransport, Transport
 
 
-def make_link(car: CarConfig) -> VehicleLink:
-    """The vehicle behind the serial ports that car.toml names, in the language that its [link] kind says."""
-    names = [car.link.port]
-    if car.link.kind == "autonomos" and car.link.autonomos.motor_port:
-        names.append(car.link.autonomos.motor_port)
-    ports = [SerialTransport(name, car.link.baud) for name in names]
-    if car.link.kind == "autonomos":
-        return AutonomosLink(ports, car.link, car.vehicle)
-    return ArduinoLink(ports[0], car.link, car.vehicle)
+def arduino_link(car: CarConfig, transport: Transport | None = None) -> ArduinoLink:
+    """The board with our firmware, on `transport` (default: the port of car.toml)."""
+    return ArduinoLink(transport or SerialTransport(car.link.port, car.link.baud), car.link, car.vehicle)
+
+
+def autonomos_link(car: CarConfig, transport: Transport | None = None) -> AutonomosLink:
+    """The boards of an AutoNOMOS car, on `transport` (default: the ports of car.toml, one or two)."""
+    if transport is not None:
+        return AutonomosLink([transport], car.link, car.vehicle)
+    names = [name for name in (car.link.port, car.link.autonomos.motor_port) if name]
+    return AutonomosLink([SerialTransport(name, car.link.baud) for name in names], car.link, car.vehicle)

@@ -1,4 +1,4 @@
-"""What several commands put together: configuration, loop, cameras."""
+"""From a car's configuration to the parts of a run, for every command alike."""
 
 from __future__ import annotations
 
@@ -8,15 +8,24 @@ from pathlib import Path
 
 import cv2
 
+from automodel.assembly.registry import make_part
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
+from automodel.config.parts import CAMERAS, CONTROLLERS, LINKS, PIPELINES
 from automodel.config.toml_reader import read_text
 from automodel.console.messages import say
-from automodel.control.controller import LaneController
 from automodel.control.limits import Limits
-from automodel.interfaces import Pipeline, Source
-from automodel.pipelines import make_pipeline
+from automodel.estimation.ego_motion import MotionEstimator
+from automodel.interfaces import Controller, Pipeline, Recorder, Source, VehicleLink
+from automodel.recording.reader import RecordingSource
 from automodel.recording.writer import McapRecorder
+from automodel.runtime.clocks import SleepingClock
 from automodel.runtime.loop import Checks, Loop
+from automodel.runtime.run_types import RunConfig, RunParts
+from automodel.runtime.safety import Safety
+from automodel.sources.errors import SourceError
+from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub
+
+FOLDER_RATE_HZ = 20.0  # frames a second of images in a folder, which carry no time
 
 
 def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
@@ -56,24 +65,73 @@ def _with_key(text: str, section: str, key: str, value: str | float) -> str:
     return tomlkit.dumps(document)
 
 
+def make_pipeline(name: str, car: CarConfig) -> Pipeline:
+    """The pipeline `name` for a car; raises ConfigError for an unknown name or a camera that it cannot work with.
+
+    What one pipeline needs (a network's runtime, a compiler) is loaded for that one alone.
+    """
+    pipeline: Pipeline = make_part(PIPELINES, name, car)
+    return pipeline
+
+
+def make_controller(car: CarConfig) -> Controller:
+    """The controller that car.toml names."""
+    controller: Controller = make_part(CONTROLLERS, car.control.controller, car)
+    return controller
+
+
+def make_link(car: CarConfig) -> VehicleLink:
+    """The vehicle behind the serial ports that car.toml names, in the language that its [link] kind says."""
+    link: VehicleLink = make_part(LINKS, car.link.kind, car)
+    return link
+
+
+def is_live_camera(car: CarConfig) -> bool:
+    """Whether car.toml names a camera, and not the simulator or something recorded."""
+    return CAMERAS.target(car.camera.source) is not None
+
+
+def make_camera(car: CarConfig) -> Source:
+    """The camera that car.toml names, or what is recorded at the path that it names."""
+    if is_live_camera(car):
+        camera: Source = make_part(CAMERAS, car.camera.source, car.camera)
+        return camera
+    return open_source(Path(car.camera.source), car, car.camera.rate_hz)
+
+
+def open_source(path: Path, car: CarConfig, rate_hz: float | None) -> Source:
+    """What is recorded at `path`: a recording, a video, a folder of images or a tub; raises SourceError.
+
+    `rate_hz` replaces the frame rate of a video, and is that of a folder (default 20 Hz).
+    """
+    if not path.exists():
+        raise SourceError(f"{path}: no such file or folder")
+    if path.is_dir():
+        folder = TubSource if is_tub(path) else ImageSource
+        return folder(path, rate_hz or FOLDER_RATE_HZ, car.camera.colour)
+    if path.suffix.lower() == ".mcap":
+        return RecordingSource(path)
+    return VideoSource(path, rate_hz, car.camera.colour)
+
+
 def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:
-    """A recorder into a new file at `path`; `text` is the car.toml that the run has."""
+    """A recorder into a new file at `path`; `text` is the car.toml of the run."""
     return McapRecorder(path, text, car.recording)
 
 
 def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Checks | None = None) -> Loop:
-    """Pipeline, controller and limits of a car; `pipeline` instead of the one that car.toml names.
+    """Pipeline, controller and limits of a car; `pipeline` replaces the one that car.toml names.
 
-    OpenCV is kept to one thread: handing so little over costs more. `checks` are for a car that drives.
+    OpenCV is kept to one thread: handing out so little work costs more. `checks` are for a car that drives.
     """
     cv2.setNumThreads(1)
     pipeline = make_pipeline(car.pipeline.name, car) if pipeline is None else pipeline
     notice = getattr(pipeline, "notice", "")
-    if notice:  # of a network that runs on something else than expected
+    if notice:  # for example a network that runs on another processor than configured
         say(notice)
     return Loop(
         pipeline,
-        LaneController(car),
+        make_controller(car),
         Limits(car.safety, car.vehicle),
         validity_s=car.safety.command_validity_s,
         stopwatch=time.perf_counter_ns,
@@ -81,16 +139,36 @@ def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Check
     )
 
 
-def make_camera(car: CarConfig) -> Source:
-    """The camera that car.toml names: "csi", "usb", or a path to replay from."""
-    from automodel.assembly.recordings import open_source
+def build_run(
+    car: CarConfig,
+    *,
+    source: Source,
+    link: VehicleLink,
+    clock: SleepingClock,
+    loop: Loop,
+    recorder: Recorder | None = None,
+    auto_arm: bool = True,
+) -> RunParts:
+    """The parts of a run with `car`: the one place where they are put together.
 
-    if car.camera.source == "csi":
-        from automodel.sources.cameras import CsiSource
+    `source`, `link` and `clock` belong together (a real car's, or those of one simulator). `auto_arm` arms once
+    without a person, as soon as all is well.
+    """
+    return RunParts(
+        source=source,
+        link=link,
+        recorder=recorder,
+        motion=MotionEstimator(car.vehicle),
+        loop=loop,
+        safety=Safety(car.safety, auto_arm=auto_arm),
+        clock=clock,
+    )
 
-        return CsiSource(car.camera)
-    if car.camera.source == "usb":
-        from automodel.sources.cameras import UsbSource
 
-        return UsbSource(car.camera)
-    return open_source(Path(car.camera.source), car, car.camera.rate_hz)
+def run_config(car: CarConfig, *, collector_off: bool, period_s: float | None = None) -> RunConfig:
+    """The times of a run with `car`; `period_s` is that of turns which no camera paces."""
+    return RunConfig(
+        command_validity_s=car.safety.command_validity_s,
+        period_s=1.0 / car.camera.rate_hz if period_s is None else period_s,
+        collector_off=collector_off,
+    )

@@ -1,24 +1,21 @@
-"""Watches a run: progress, the simulator's truth, and what came of it."""
+"""Watches a run: progress, the simulator's truth, and the results."""
 
 from __future__ import annotations
 
 import csv
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from automodel.config import CarConfig
-from automodel.console.messages import say
-from automodel.interfaces import Clock, Source, VehicleLink
+from automodel.interfaces import Source, VehicleLink
 from automodel.output_files import output_text
-from automodel.runtime.run_types import RunConfig, RunEnd, RunResult, TickRecord
-from automodel.runtime.runner import Runner
+from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import SafetyMode
 from automodel.signals import Command, Frame, StereoFrame, VehicleState
 from automodel.sim.world import Scene
+from automodel.types import Bools
 
 TRUTH_COLUMNS = (
     "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
@@ -26,26 +23,8 @@ TRUTH_COLUMNS = (
 GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Options:
-    """What the command line says."""
-
-    laps: int | None
-    duration_s: float | None
-    track: str
-    direction: str
-    seed: int
-    style: str
-    link: str | None
-    realtime: bool
-    arm: bool
-    record: Path | None
-    truth: Path | None
-    as_json: bool
-
-
 class Watcher:
-    """Implements `RunObserver`, and is told the scenes of the simulator."""
+    """Implements `RunObserver`, and takes the scenes of the simulator, which a real car does not have."""
 
     def __init__(self, laps: int | None, advance: Callable[..., None]) -> None:
         self._laps, self._advance = laps, advance
@@ -94,9 +73,9 @@ class Watcher:
 
     def row(self, result: RunResult, latencies_ms: tuple[float | None, float | None]) -> dict[str, object]:
         """The figures of a simulated run."""
-        scenes = self.scenes[self._driving_from :] if self._driving_from is not None else []
+        scenes = self._driven()
         offsets = np.abs([scene.truth.offset_m for scene in scenes])
-        outside = np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=bool)
+        outside = self._outside(scenes)
         laps = np.diff(self._lap_times_ns) * 1e-9
         return {
             "laps": max((scene.truth.lap for scene in scenes), default=0),
@@ -109,6 +88,50 @@ class Watcher:
             "latency_p99_ms": latencies_ms[1],
         }
 
+    def ending(self, result: RunResult) -> str:
+        """In words how the run went: what went wrong and where, or what was driven."""
+        wrong = [*self._departures(), *self._stops(result)]
+        if result.end is RunEnd.SIGNAL:
+            wrong.insert(0, f"stopped by {result.events[-1].text}")
+        elif result.end is RunEnd.SOURCE_FAILED:
+            wrong.append(RunEnd.SOURCE_FAILED.value)
+        gave_up = self.gave_up()
+        if gave_up is not None:
+            wrong.append(gave_up)
+        if wrong:
+            return "; ".join(wrong)
+        if not self.scenes:
+            return f"{result.frames} frames, no stop"
+        laps = self.scenes[-1].truth.lap
+        driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{self.scenes[-1].car.distance_m:.1f} m"
+        return f"drove {driven} and stayed in its lane"
+
+    def _departures(self) -> list[str]:
+        """The first place where the body left the lane, and how often it did."""
+        scenes = self._driven()
+        departed = np.flatnonzero(np.diff(self._outside(scenes).astype(np.int8), prepend=0) == 1)
+        if len(departed) == 0:
+            return []
+        first = scenes[departed[0]]
+        often = f" (and {len(departed) - 1} more times)" if len(departed) > 1 else ""
+        return [f"left its lane at t = {first.t_ns * 1e-9:.1f} s, s = {first.truth.s_m:.1f} m{often}"]
+
+    def _stops(self, result: RunResult) -> list[str]:
+        """The first stop that had to be cleared by a person, and how many there were."""
+        stop = next((event for event in result.events if event.kind == "stop"), None)
+        if result.stops == 0 or stop is None:
+            return []
+        often = f" (and {result.stops - 1} more times)" if result.stops > 1 else ""
+        start_ns = self.scenes[0].t_ns if self.scenes else result.events[0].t_ns
+        return [f"stopped at t = {(stop.t_ns - start_ns) * 1e-9:.1f} s: {stop.text}{often}"]
+
+    def _driven(self) -> list[Scene]:
+        return self.scenes[self._driving_from :] if self._driving_from is not None else []
+
+    @staticmethod
+    def _outside(scenes: list[Scene]) -> Bools:
+        return np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=bool)
+
     def write_truth(self, path: Path) -> None:
         """truth.csv: where the car really was, a row a frame; raises ConfigError where it cannot be written."""
         with output_text(path) as file:
@@ -119,31 +142,6 @@ class Watcher:
                 values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
                 numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
                 table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
-
-
-def run_config(car: CarConfig, collector_off: bool) -> RunConfig:
-    """The times of a run with `car`."""
-    return RunConfig(
-        command_validity_s=car.safety.command_validity_s,
-        period_s=1.0 / car.camera.rate_hz,
-        collector_off=collector_off,
-    )
-
-
-def drive(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None) -> RunResult:
-    """Run until the watcher has seen enough, `duration_s` is over or a signal comes."""
-    start_ns = clock.now_ns()
-
-    def finished() -> bool:
-        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
-        return over or watcher.finished()
-
-    result = runner.run(stop=finished)
-    if result.traceback is not None:
-        say(result.traceback.rstrip())
-    if result.end is RunEnd.SIGNAL:
-        say(f"stopped by {result.events[-1].text}")
-    return result
 
 
 class Stopwatch:

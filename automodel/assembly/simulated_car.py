@@ -10,7 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.config import CarConfig
+from automodel.assembly.registry import make_part
+from automodel.config import CarConfig, ConfigError
+from automodel.config.parts import LINKS
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, VirtualClock
@@ -22,8 +24,6 @@ from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import Scene, UltrasonicRanges, World
-from firmware_link.arduino import ArduinoLink
-from firmware_link.autonomos import AutonomosLink
 from firmware_link.emulator.autonomos import EmulatedAutonomos
 from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
@@ -31,6 +31,8 @@ from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 
 STYLES = ("clean", "competition", "varied")
+BOARDS = ("emulated", "avr", "autonomos")
+_SPOKEN = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos"}  # board -> [link] kind
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
 
 
@@ -57,6 +59,19 @@ class SimulatedCar:
     link: VehicleLink
     clock: VirtualClock | MonotonicClock
     close: Callable[[], None]
+
+
+def board_of(car: CarConfig) -> str:
+    """The simulated board for car.toml's [link] kind; raises ConfigError where there is none."""
+    for board, kind in _SPOKEN.items():
+        if kind == car.link.kind:
+            return board
+    raise ConfigError(f"[link] kind {car.link.kind!r}: there is no simulated board for it; give a real [link] port")
+
+
+def has_our_firmware(car: CarConfig) -> bool:
+    """Whether the board tells which pulses it makes and which wheel ticks it counts, as our firmware does."""
+    return car.link.kind == "arduino"
 
 
 def appearance(style: str, seed: int) -> Appearance:
@@ -154,6 +169,5 @@ def _board(
 
 
 def _link(car: CarConfig, simulation: Simulation, transport: Transport) -> VehicleLink:
-    if simulation.link == "autonomos":
-        return AutonomosLink([transport], car.link, car.vehicle)
-    return ArduinoLink(transport, car.link, car.vehicle)
+    link: VehicleLink = make_part(LINKS, _SPOKEN[simulation.link], car, transport)
+    return link

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import CarConfig
 from automodel.console.progress import progress
 from automodel.console.workers import spread
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, LaneEstimate, Motion
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, DrivenPose, Odometer

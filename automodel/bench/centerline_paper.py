@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import renderer
 from automodel.bench.accuracy import AccuracyMeter, TruePose
 from automodel.config import (
@@ -39,7 +40,6 @@ from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.console.workers import spread
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track

@@ -15,15 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.assembly.parts import make_loop
-from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, run_config
+from automodel.assembly.parts import build_run, make_loop, run_config
+from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource
 from automodel.assembly.simulated_car import Simulation, lock_step
 from automodel.config import CarConfig
 from automodel.console.progress import progress
-from automodel.estimation.ego_motion import MotionEstimator
-from automodel.runtime.run_types import RunParts
 from automodel.runtime.runner import Runner
-from automodel.runtime.safety import Safety
 from automodel.signals import Command
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.avr import AvrBoard, build_avr
@@ -70,14 +67,12 @@ def _frame_to_write(car: CarConfig, frames: int) -> list[int]:
     watch = Stopwatch()
     simulated = lock_step(car, Simulation(track="oval"), lambda scene: None)
     with contextlib.closing(simulated):
-        parts = RunParts(
+        parts = build_run(
+            car,
             source=TimedSource(simulated.source, watch),
             link=TimedLink(simulated.link, watch),
-            recorder=None,
-            motion=MotionEstimator(car.vehicle),
-            loop=make_loop(car),
-            safety=Safety(car.safety, auto_arm=True),
             clock=simulated.clock,
+            loop=make_loop(car),
         )
         Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
     return watch.latencies_ns

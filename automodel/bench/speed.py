@@ -8,9 +8,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import CarConfig
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, Odometer

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from automodel.assembly.parts import make_pipeline
 from automodel.config import CameraConfig, CarConfig, ConfigError, Extrinsics, Intrinsics
 from automodel.config.toml_reader import read_text
 from automodel.console.messages import say
@@ -28,7 +29,6 @@ from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.curves.base import Curve
 from automodel.geometry import CameraModel, GroundCamera
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.files import natural_key
 from automodel.sources.images import read_picture

@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from automodel.assembly.parts import make_pipeline
 from automodel.bench.accuracy import Case, watch
 from automodel.bench.speed import WARM_UP
 from automodel.config import CarConfig
@@ -39,7 +40,6 @@ from automodel.console.workers import spread
 from automodel.curves import GraphCurve
 from automodel.estimation.polynomial.regression import evaluate_polynomial
 from automodel.geometry import SE2, View
-from automodel.pipelines import make_pipeline
 from automodel.pipelines.windows import Windows
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, Motion
 from automodel.sim.paint import Paint

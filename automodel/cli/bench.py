@@ -11,7 +11,7 @@ from click.core import ParameterSource
 
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
-from automodel.config import PIPELINES, CarConfig, ConfigError
+from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.console.tables import show
 from automodel.sim.trajectory import STYLES
 
@@ -30,7 +30,7 @@ def command() -> None:
 
 @command.command("accuracy")
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
-@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINE_NAMES), help="Default: all.")
 @click.option("--track", "tracks", multiple=True, help=f"Name or file.  [default: {', '.join(TRACKS)}]")
 @click.option("--style", "styles", multiple=True, type=click.Choice(STYLES), help="Driving style.  [default: all]")
 @click.option(
@@ -84,7 +84,7 @@ def accuracy(
         return 0
     cases = [
         Case(pipeline=pipeline, track=track, style=style, seed=seed, **more)
-        for pipeline in pipelines or PIPELINES
+        for pipeline in pipelines or PIPELINE_NAMES
         for track in tracks or TRACKS
         for style in styles or STYLES
         for seed in range(first_seed, first_seed + seeds)
@@ -143,7 +143,7 @@ def _paper_tables(car: CarConfig, seed: int, drive: dict[str, Any], jobs: int | 
 
 @command.command("speed")
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
-@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINE_NAMES), help="Default: all.")
 @click.option("--frames", type=click.IntRange(10), default=300, show_default=True)
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads that OpenCV may use.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
@@ -152,14 +152,14 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
     from automodel.bench.speed import measure_speed
 
     car = car_of(car_file)
-    rows = [row for name in pipelines or PIPELINES for row in measure_speed(car, name, frames, threads)]
+    rows = [row for name in pipelines or PIPELINE_NAMES for row in measure_speed(car, name, frames, threads)]
     show("bench speed", rows, as_json)
     return 0
 
 
 @command.command("latency")
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
-@click.option("--pipeline", type=click.Choice(PIPELINES), help="Which paper sees the lane.")
+@click.option("--pipeline", type=click.Choice(PIPELINE_NAMES), help="Which paper sees the lane.")
 @click.option(
     "--link",
     type=click.Choice(["emulated", "avr"]),
@@ -184,7 +184,7 @@ def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int,
 @command.command("tusimple")
 @click.option("--root", type=FILE, required=True, help="Folder with label_data.json and clips/.")
 @click.option("--car", "car_file", type=FILE, help="car.toml of the camera.  [default: found in the pictures]")
-@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="Default: all.")
+@click.option("--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINE_NAMES), help="Default: all.")
 @click.option("--predictions", type=FILE, help="Write what was found here, in TuSimple's form (per pipeline).")
 @click.option(
     "--figures", type=FILE, help="Write the pictures with labels and predictions here, as PNG (per pipeline)."
@@ -204,7 +204,7 @@ def tusimple(
     inputs = {"--car": car_file, "the labels": root / LABELS}
     check_outputs({"--predictions": predictions, "--figures": figures}, inputs)
     car = car_of(car_file) if car_file is not None else None
-    names = tuple(dict.fromkeys(pipelines)) or PIPELINES
+    names = tuple(dict.fromkeys(pipelines)) or PIPELINE_NAMES
     bench(root, car, names, (predictions, figures), as_json)
     return 0
 
@@ -248,7 +248,7 @@ def contour_paper(
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option(
     "--pipeline",
-    type=click.Choice([*PIPELINES, "truth"]),
+    type=click.Choice([*PIPELINE_NAMES, "truth"]),
     default="windows",
     show_default=True,
     help="What sees the lane; truth reads it from the simulator, without pictures.",

@@ -125,8 +125,7 @@ def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> Devices:
         leaving.callback(simulated.close)
         open_camera, link, clock = (lambda: simulated.source), simulated.link, simulated.clock
     else:
-        from automodel.assembly.links import make_link
-        from automodel.assembly.parts import make_camera
+        from automodel.assembly.parts import make_camera, make_link
 
         open_camera, link, clock = (lambda: make_camera(car)), make_link(car), MonotonicClock()
     assert isinstance(link, Board)

@@ -10,15 +10,40 @@ from pathlib import Path
 import click
 
 from automodel.config import ConfigError
+from automodel.config.parts import PIPELINES, PartKind
 
 FILE = click.Path(path_type=Path)
 ABOVE_ZERO = click.FloatRange(0, min_open=True)  # together with `finite`: NaN and infinity pass every range
 
 
+class PartName(click.ParamType):  # type: ignore[type-arg]
+    """The name of a part: one of ours, of an installed package, or package.module:Class."""
+
+    name = "part"
+
+    def __init__(self, kind: PartKind) -> None:
+        self._kind = kind
+
+    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """Our own names, for --help."""
+        return f"[{'|'.join(self._kind.names)}|module:Class]"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The name itself, or a usage error that lists what there is."""
+        try:
+            self._kind.check(self._kind.kind, value)
+        except ValueError as error:
+            self.fail(str(error), param, ctx)
+        return value
+
+
+PIPELINE = PartName(PIPELINES)
+
+
 def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
     """A callback that refuses NaN and infinity, which float() takes for numbers."""
     if value is not None and not math.isfinite(value):
-        raise click.BadParameter(f"{value} where a finite number is wanted", ctx, param)
+        raise click.BadParameter(f"expected a finite number, got {value}", ctx, param)
     return value
 
 

@@ -12,10 +12,9 @@ from pathlib import Path
 import click
 import numpy as np
 
-from automodel.assembly.parts import car_of, make_loop
-from automodel.assembly.recordings import open_source
+from automodel.assembly.parts import car_of, make_loop, open_source
 from automodel.cli.options import FILE, check_outputs, finite
-from automodel.config import PIPELINES, CarConfig, parse_car
+from automodel.config import PIPELINE_NAMES, CarConfig, parse_car
 from automodel.console.progress import progress
 from automodel.console.tables import show
 from automodel.geometry import GroundCamera
@@ -39,7 +38,7 @@ AnyFrame = Frame | StereoFrame
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the recording's own).")
 @click.option("--motion", "motion_file", type=FILE, help="motion.csv: t_s,speed_mps,yaw_rate_radps.")
 @click.option(
-    "--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINES), help="May be given several times."
+    "--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINE_NAMES), help="May be given several times."
 )
 @click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
 @click.option("--video", "video_file", type=FILE, help="Write an MP4 with the overlay here.")

@@ -5,16 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
-from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
-from automodel.config import PIPELINES, ConfigError
+from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
+from automodel.config import ConfigError
 
-SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "link", "realtime", "truth")
+SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "board", "realtime", "truth")
+REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms")  # the others need the truth
 
 
 @click.command("run")
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
-@click.option("--pipeline", type=click.Choice(PIPELINES), help="Which paper sees the lane.")
+@click.option("--pipeline", type=PIPELINE, help="Which paper sees the lane.")
 @click.option(
     "--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, help="Wanted speed [m/s] (default: that of car.toml)."
 )
@@ -38,7 +40,8 @@ SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "link", "realti
 )
 @click.option(
     "--link",
-    type=click.Choice(["emulated", "avr", "autonomos"]),
+    "board",
+    type=click.Choice(("emulated", "avr", "autonomos")),
     help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr), autonomos "
     "that of an AutoNOMOS car.  [default: emulated, or autonomos where [link] kind says so]",
 )
@@ -51,28 +54,37 @@ SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "link", "realti
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
 def command(
-    ctx: click.Context, /, car_file: Path | None, pipeline: str | None, speed_mps: float | None, **rest: object
+    ctx: click.Context,
+    /,
+    car_file: Path | None,
+    pipeline: str | None,
+    speed_mps: float | None,
+    as_json: bool,
+    **rest: object,
 ) -> int:
     """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime)."""
-    from automodel.assembly.parts import read_car
-    from automodel.assembly.run_watcher import Options
+    from automodel.assembly.drive import RunOptions, drive_real, drive_simulated
+    from automodel.assembly.parts import is_live_camera, read_car
+    from automodel.console.messages import say
+    from automodel.console.tables import show
 
     car, text = read_car(car_file, pipeline, speed_mps)
-    options = Options(**rest)  # type: ignore[arg-type]
+    options = RunOptions(**rest)  # type: ignore[arg-type]
     check_outputs({"--truth": options.truth}, {"--car": car_file, "--record": options.record})
     name = str(car_file)
     simulated = car.camera.source == "sim"
     if simulated != (car.link.port == "sim"):
         raise ConfigError(f'{name}: [camera] source and [link] port: either both are "sim" or neither is')
-    if simulated:
-        from automodel.assembly.drive_simulated import drive_simulated
-
-        return drive_simulated(car, text, options)
-    given = [key for key in SIMULATED_ONLY if ctx.get_parameter_source(key) is click.core.ParameterSource.COMMANDLINE]
-    if given:
-        raise ConfigError(f"--{given[0]}: is for the simulated car, and {name} names a real one")
-    if car.camera.source not in ("csi", "usb"):
-        raise ConfigError(f"{name}: [camera] source {car.camera.source!r}: a car is driven by csi or usb; see replay")
-    from automodel.assembly.drive_real import drive_real
-
-    return drive_real(car, text, options)
+    if not simulated:
+        given = [key for key in SIMULATED_ONLY if ctx.get_parameter_source(key) is ParameterSource.COMMANDLINE]
+        if given:
+            option = next(p.opts[0] for p in ctx.command.params if p.name == given[0])
+            raise ConfigError(f"{option}: is for the simulated car, and {name} names a real one")
+        if not is_live_camera(car):
+            raise ConfigError(
+                f"{name}: [camera] source {car.camera.source!r}: a car drives with csi or usb; see replay"
+            )
+    report = (drive_simulated if simulated else drive_real)(car, text, options)
+    show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
+    say(report.ended)
+    return 1 if report.failed else 0

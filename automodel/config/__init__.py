@@ -12,8 +12,9 @@ from pathlib import Path
 
 from automodel.config.calibration import CalibrationRecord, CalibrationRecords
 from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
-from automodel.config.link import LINKS, AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
-from automodel.config.pipelines import PIPELINES, CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
+from automodel.config.link import AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
+from automodel.config.parts import CONTROLLERS, PIPELINES
+from automodel.config.pipelines import CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
 from automodel.config.toml_reader import (
     ConfigError,
     not_negative,
@@ -25,8 +26,7 @@ from automodel.config.toml_reader import (
 )
 
 __all__ = [
-    "LINKS",
-    "PIPELINES",
+    "PIPELINE_NAMES",
     "AutonomosConfig",
     "CalibrationRecord",
     "CalibrationRecords",
@@ -51,6 +51,9 @@ __all__ = [
     "load_car",
     "parse_car",
 ]
+
+
+PIPELINE_NAMES = PIPELINES.names  # those that come with automodel, the default first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +108,7 @@ class ControlConfig:
     coasting_speed: float = 0.7  # share of the speed while coasting
 
     def __post_init__(self) -> None:
-        one_of("controller", self.controller, ("stanley", "pure_pursuit"))
+        CONTROLLERS.check("controller", self.controller)
         positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
         positive(self, "stanley_gain_per_s", "stanley_softening_mps", "one_line_speed", "coasting_speed")
         not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
@@ -146,7 +149,7 @@ class RecordingConfig:
     def __post_init__(self) -> None:
         one_of("image", self.image, ("png", "jpeg"))
         if not 1 <= self.jpeg_quality <= 100:
-            raise ValueError(f"jpeg_quality: {self.jpeg_quality} where 1 .. 100 is wanted")
+            raise ValueError(f"jpeg_quality: expected 1 .. 100, got {self.jpeg_quality}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

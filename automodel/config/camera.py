@@ -20,7 +20,7 @@ class Intrinsics:
     def __post_init__(self) -> None:
         positive(self, "fx_px", "fy_px")
         if len(self.distortion) != 5:
-            raise ValueError(f"distortion: {len(self.distortion)} numbers where k1 k2 p1 p2 k3 are wanted")
+            raise ValueError(f"distortion: expected k1 k2 p1 p2 k3, got {len(self.distortion)} numbers")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class Extrinsics:
     def __post_init__(self) -> None:
         positive(self, "z_m")
         if not -1.5 < self.pitch_rad < 1.5:
-            raise ValueError(f"pitch_rad: {self.pitch_rad} where -1.5 .. 1.5 is wanted (radians, positive looks down)")
+            raise ValueError(f"pitch_rad: expected -1.5 .. 1.5 (radians, positive looks down), got {self.pitch_rad}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
-from automodel.config.toml_reader import one_of, positive
+from automodel.config.parts import LINKS
+from automodel.config.toml_reader import positive
 
 
 def _check_pulses(name: str, pulses_us: tuple[float, ...]) -> None:
@@ -17,7 +18,9 @@ def _check_pulses(name: str, pulses_us: tuple[float, ...]) -> None:
 
 def _check_table(name: str, pulses_us: tuple[float, ...], values: tuple[float, ...]) -> None:
     if len(pulses_us) != len(values) or len(pulses_us) < 2:
-        raise ValueError(f"{name}: {len(values)} values for {len(pulses_us)} pulses; as many are wanted, two at least")
+        raise ValueError(
+            f"{name}: expected a value for each of at least two pulses, got {len(values)} for {len(pulses_us)}"
+        )
     _check_pulses("pulse_us", pulses_us)
     steps = [b - a for a, b in itertools.pairwise(values)]
     if not (all(d > 0 for d in steps) or all(d < 0 for d in steps)):
@@ -62,13 +65,10 @@ class AutonomosConfig:
 
     def __post_init__(self) -> None:
         if len(self.servo_us) != 2:
-            raise ValueError(f"servo_us: {len(self.servo_us)} pulses where two are wanted, of 0 and of 180")
+            raise ValueError(f"servo_us: expected two pulses, of 0 and of 180, got {len(self.servo_us)}")
         _check_pulses("servo_us", self.servo_us)
         if self.at_1000_mps == 0:
-            raise ValueError("at_1000_mps: 0 where a speed is wanted")
-
-
-LINKS = ("arduino", "autonomos")
+            raise ValueError("at_1000_mps: expected a speed, got 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,5 +83,5 @@ class LinkConfig:
     autonomos: AutonomosConfig = field(default_factory=AutonomosConfig)
 
     def __post_init__(self) -> None:
-        one_of("kind", self.kind, LINKS)
+        LINKS.check("kind", self.kind)
         positive(self, "baud")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from automodel.config.parts import PIPELINES
 from automodel.config.toml_reader import not_negative, one_of, positive
-
-PIPELINES = ("centerline", "windows", "contour")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,7 +48,7 @@ class CenterlineConfig:
         positive(self, "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")
         not_negative(self, "threads", "coast_lanes", "coast_s")
         if self.threshold >= 1.0:
-            raise ValueError(f"threshold: {self.threshold} where a probability below 1 is wanted")
+            raise ValueError(f"threshold: expected a probability below 1, got {self.threshold}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +73,7 @@ class ContourConfig:
         positive(self, "look_ahead_lanes", "piece_lanes", "radius_lanes", "contrast")
         not_negative(self, "coast_lanes", "coast_s")
         if not 4 <= self.nodes <= 100:
-            raise ValueError(f"nodes: {self.nodes} where 4 .. 100 are wanted")
+            raise ValueError(f"nodes: expected 4 .. 100, got {self.nodes}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,4 +86,4 @@ class PipelineConfig:
     windows: WindowsConfig = field(default_factory=WindowsConfig)
 
     def __post_init__(self) -> None:
-        one_of("name", self.name, PIPELINES)
+        PIPELINES.check("name", self.name)

@@ -33,7 +33,7 @@ def positive(section: object, *names: str) -> None:
     for name in names:
         value = getattr(section, name)
         if not value > 0:
-            raise ValueError(f"{name}: {value} where a positive number is wanted")
+            raise ValueError(f"{name}: expected a positive number, got {value}")
 
 
 def not_negative(section: object, *names: str) -> None:
@@ -41,7 +41,7 @@ def not_negative(section: object, *names: str) -> None:
     for name in names:
         value = getattr(section, name)
         if not value >= 0:
-            raise ValueError(f"{name}: {value} where a number >= 0 is wanted")
+            raise ValueError(f"{name}: expected a number >= 0, got {value}")
 
 
 def read_text(path: str | Path) -> str:
@@ -97,8 +97,8 @@ def read_section(cls: type[T], table: dict[str, Any], text: str, file: str, path
 
 
 def _value(hint: Any, raw: Any, text: str, file: str, path: tuple[str, ...]) -> Any:
-    def wrong(wanted: str) -> ConfigError:
-        return ConfigError(f"{where(text, file, path[:-1], path[-1])}: {raw!r} where {wanted} is wanted")
+    def wrong(expected: str) -> ConfigError:
+        return ConfigError(f"{where(text, file, path[:-1], path[-1])}: expected {expected}, got {raw!r}")
 
     origin = typing.get_origin(hint)
     if origin is types.UnionType or origin is typing.Union:
@@ -169,4 +169,4 @@ def one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
     if value not in choices:
         close = difflib.get_close_matches(value, choices, 1)
         hint = f"; did you mean {close[0]!r}?" if close else ""
-        raise ValueError(f"{name}: {value!r} is none of {', '.join(choices)}{hint}")
+        raise ValueError(f"{name}: expected one of {', '.join(choices)}, got {value!r}{hint}")

@@ -106,7 +106,7 @@ class Loop:
         checks: Checks | None = None,
     ) -> None:
         if not validity_s > 0:
-            raise ValueError(f"validity_s: {validity_s} where a positive number is wanted")
+            raise ValueError(f"validity_s: expected a positive number, got {validity_s}")
         self._pipeline = pipeline
         self._controller = controller
         self._limits = limits

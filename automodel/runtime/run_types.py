@@ -53,7 +53,7 @@ class RunConfig:
     def __post_init__(self) -> None:
         for name in ("command_validity_s", "period_s"):
             if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: {getattr(self, name)} where a positive number is wanted")
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

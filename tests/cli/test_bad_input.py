@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from automodel.config import PIPELINES
+from automodel.config import PIPELINE_NAMES
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 TEXTS = {
@@ -39,15 +39,15 @@ TEXTS = {
 CASES = {  # arguments -> the line on stderr
     "run --car missing.toml": "automodel: missing.toml: no such file",
     "run --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
-    "run --car type.toml": "automodel: type.toml:2: [camera] width_px: '640' where a whole number is wanted",
-    "run --car nan.toml": "automodel: nan.toml:2: [camera.intrinsics] fx_px: nan where a finite number is wanted",
+    "run --car type.toml": "automodel: type.toml:2: [camera] width_px: expected a whole number, got '640'",
+    "run --car nan.toml": "automodel: nan.toml:2: [camera.intrinsics] fx_px: expected a finite number, got nan",
     "run --car cut.toml": "automodel: cut.toml:3: not TOML: Expected ']' at the end of a table declaration",
     "run --car binary.toml": "automodel: binary.toml: cannot be read: not a text file in UTF-8",
     "run --car folder": "automodel: folder: cannot be read: Is a directory",
-    "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: 'window' is none of "
-    f"{', '.join(PIPELINES)}; did you mean 'windows'?",
+    "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: expected one of "
+    f"{', '.join(PIPELINE_NAMES)}, or package.module:Class, got 'window'; did you mean 'windows'?",
     "run --car half.toml": 'automodel: half.toml: [camera] source and [link] port: either both are "sim" or neither is',
-    "run --car tub.toml": "automodel: tub.toml: [camera] source 'a/tub': a car is driven by csi or usb; see replay",
+    "run --car tub.toml": "automodel: tub.toml: [camera] source 'a/tub': a car drives with csi or usb; see replay",
     "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",
     "run --car usb.toml --laps 3": "automodel: --laps: is for the simulated car, and usb.toml names a real one",
     "run --car usb.toml --seed 0": "automodel: --seed: is for the simulated car, and usb.toml names a real one",
@@ -199,4 +199,4 @@ def test_a_group_without_a_command_shows_its_help(cli) -> None:
 
 def test_the_examples_of_cars_do_not_drive(cli) -> None:
     for path in CARS.glob("*.toml"):
-        assert cli("run", "--car", path).line().endswith("a car is driven by csi or usb; see replay")
+        assert cli("run", "--car", path).line().endswith("a car drives with csi or usb; see replay")

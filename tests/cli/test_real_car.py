@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from automodel.assembly import drive_real
+from automodel.assembly import drive
 from automodel.console.messages import EventTeller
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event
@@ -32,7 +32,7 @@ def port() -> Iterator[PtyBoard]:
 @pytest.fixture
 def camera(monkeypatch: pytest.MonkeyPatch) -> None:
     image = road()
-    monkeypatch.setattr(drive_real, "make_camera", lambda car: StillCamera(image))
+    monkeypatch.setattr(drive, "make_camera", lambda car: StillCamera(image))
 
 
 class Person:
@@ -58,7 +58,7 @@ class Person:
             person.events.append(event)
             tell(teller, event)
 
-        monkeypatch.setattr(drive_real, "ArmKey", Key)
+        monkeypatch.setattr(drive, "ArmKey", Key)
         monkeypatch.setattr(EventTeller, "__call__", note)
 
     def pressed(self, *_: object) -> bool:
@@ -155,7 +155,7 @@ def test_a_camera_that_is_lost_is_opened_again_and_the_car_stays_disarmed(
             return False
         return kinds[-1:] != ["driving"] and "source-failed" not in kinds and again()
 
-    monkeypatch.setattr(drive_real, "make_camera", make_camera)
+    monkeypatch.setattr(drive, "make_camera", make_camera)
     person = Person(monkeypatch, script)
     said = cli("run", "--car", car_toml(tmp_path, port.path), "--json")
     assert back, said.err

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -31,7 +32,7 @@ def commands(recording: Path) -> list[bytes]:
 @pytest.mark.parametrize("direction", ["forward", "reverse"])
 def test_a_lap_of_the_oval_in_lock_step(direction: str, cli) -> None:
     said = cli("run", "--laps", "1", "--track", "oval", "--direction", direction, "--json")
-    assert (said.code, said.err) == (0, "")
+    assert (said.code, said.line()) == (0, "drove 1 lap and stayed in its lane")
     (row,) = said.rows
     assert list(row) == RUN_KEYS
     assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
@@ -44,7 +45,7 @@ def test_a_lap_of_the_oval_in_lock_step(direction: str, cli) -> None:
 def test_the_table_is_for_people_and_json_for_programs(cli) -> None:
     said = cli("run", "--track", "oval", "--duration", "0.1")
     assert said.out.split()[: len(RUN_KEYS)] == RUN_KEYS
-    assert said.err == ""
+    assert said.line() == "drove 0.0 m and stayed in its lane"
     assert list(cli("run", "--track", "oval", "--duration", "0.1", "--json").rows[0]) == RUN_KEYS
 
 
@@ -104,7 +105,8 @@ def test_a_recorded_run_says_what_it_wrote_and_with_what_it_drove(tmp_path: Path
     said = cli(*arguments, "--duration", "0.2", "--json")
     assert said.code == 0
     recording = Recording(path)
-    assert said.line() == f"{path}: {recording.counts['frames']} frames, {recording.counts['messages']} messages"
+    counts = recording.counts
+    assert said.err.splitlines()[0] == f"{path}: {counts['frames']} frames, {counts['messages']} messages"
     driven_with = parse_car(recording.car_text, "recorded")
     assert (driven_with.control.speed_mps, driven_with.pipeline.windows.contrast) == (0.5, 13.0)
     assert "# my car" in recording.car_text
@@ -121,8 +123,9 @@ def test_a_car_that_loses_the_lane_stops_says_so_and_fails(tmp_path: Path, cli) 
     assert said.code == 1
     assert said.rows[0]["stops"] == 1
     lines = said.err.splitlines()
-    assert [line.split(": ")[1] for line in lines] == ["hold", "stop"]
+    assert [line.split(": ")[1] for line in lines[:2]] == ["hold", "stop"]
     assert lines[1].endswith("the lane is lost")
+    assert re.fullmatch(r"stopped at t = \d\.\d s: held for [\d.]+ s: the lane is lost", lines[2])
 
 
 def test_a_stage_that_fails_is_told_with_its_traceback(cli, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +155,7 @@ def test_a_recorder_that_fails_is_told_and_the_car_drives_on(tmp_path: Path, cli
     monkeypatch.setattr(McapRecorder, "estimate", full)
     said = cli("run", "--track", "oval", "--duration", "1", "--record", tmp_path / "run.mcap", "--json")
     assert (said.code, said.rows[0]["stops"]) == (0, 0)
-    told, summary = said.err.splitlines()
+    told, summary, _ = said.err.splitlines()
     assert told.endswith(" s: recorder-failed: recording has ended: no space left")
     assert summary.startswith(f"{tmp_path}/run.mcap: 1 frames")
 

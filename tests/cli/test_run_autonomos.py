@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from automodel.assembly import drive_real
+from automodel.assembly import drive
 from automodel.recording.reader import Recording
 from automodel.signals import VehicleState
 from firmware_link import autonomos
@@ -90,7 +90,7 @@ def test_a_real_car_drives_and_is_stopped_at_the_end(
     boards: Board2017 | Board2015, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli
 ) -> None:
     image = road()
-    monkeypatch.setattr(drive_real, "make_camera", lambda car: StillCamera(image))
+    monkeypatch.setattr(drive, "make_camera", lambda car: StillCamera(image))
     peripherals = boards.peripherals
     for _ in range(3):  # a machine that does something else for a while stops the car, rightly
         arguments = ("--pipeline", "windows", "--arm", "--duration", "5", "--record", tmp_path / "run.mcap")
@@ -106,7 +106,7 @@ def test_a_real_car_drives_and_is_stopped_at_the_end(
 
 def test_a_car_that_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli) -> None:
     monkeypatch.setattr(autonomos, "_HELLO_TIMEOUT_NS", 100_000_000)
-    monkeypatch.setattr(drive_real, "make_camera", lambda car: StillCamera(road()))
+    monkeypatch.setattr(drive, "make_camera", lambda car: StillCamera(road()))
     boards = Board2017()
     try:
         said = cli("run", "--car", car_file(tmp_path, boards))

@@ -7,63 +7,65 @@ from typing import Any
 import pytest
 import tomlkit
 
-from automodel.config import PIPELINES, CarConfig, ConfigError, load_car, parse_car
+from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError, load_car, parse_car
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 
 # text | the error, file and line first
 REFUSED = {
-    '[camera]\nwidth_px = "640"': "car.toml:2: [camera] width_px: '640' where a whole number is wanted",
-    "[camera]\nwidth_px = 640.5": "car.toml:2: [camera] width_px: 640.5 where a whole number is wanted",
-    "[camera]\nwidth_px = true": "car.toml:2: [camera] width_px: True where a whole number is wanted",
-    "[camera]\n\nwidth_px = 0": "car.toml:3: [camera] width_px: 0 where a positive number is wanted",
-    "[camera]\nrate_hz = inf": "car.toml:2: [camera] rate_hz: inf where a finite number is wanted",
-    "[camera]\nrate_hz = -1": "car.toml:2: [camera] rate_hz: -1.0 where a positive number is wanted",
-    "[camera]\ndevice = -1": "car.toml:2: [camera] device: -1 where a number >= 0 is wanted",
-    "[camera]\nsource = 3": "car.toml:2: [camera] source: 3 where a string is wanted",
-    "[camera]\ncolour = 1": "car.toml:2: [camera] colour: 1 where true or false is wanted",
+    '[camera]\nwidth_px = "640"': "car.toml:2: [camera] width_px: expected a whole number, got '640'",
+    "[camera]\nwidth_px = 640.5": "car.toml:2: [camera] width_px: expected a whole number, got 640.5",
+    "[camera]\nwidth_px = true": "car.toml:2: [camera] width_px: expected a whole number, got True",
+    "[camera]\n\nwidth_px = 0": "car.toml:3: [camera] width_px: expected a positive number, got 0",
+    "[camera]\nrate_hz = inf": "car.toml:2: [camera] rate_hz: expected a finite number, got inf",
+    "[camera]\nrate_hz = -1": "car.toml:2: [camera] rate_hz: expected a positive number, got -1.0",
+    "[camera]\ndevice = -1": "car.toml:2: [camera] device: expected a number >= 0, got -1",
+    "[camera]\nsource = 3": "car.toml:2: [camera] source: expected a string, got 3",
+    "[camera]\ncolour = 1": "car.toml:2: [camera] colour: expected true or false, got 1",
     "[camera]\nwidht_px = 640": "car.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
-    "camera = 3": "car.toml:1: camera: 3 where a table is wanted",
+    "camera = 3": "car.toml:1: camera: expected a table, got 3",
     "[cammera]\nwidth_px = 640": "car.toml:1: cammera: unknown key; did you mean camera?",
-    "[camera.intrinsics]\nfx_px = nan": "car.toml:2: [camera.intrinsics] fx_px: nan where a finite number is wanted",
-    "[camera.intrinsics]\nfy_px = 0.0": "car.toml:2: [camera.intrinsics] fy_px: 0.0 where a positive number is wanted",
-    "[camera.intrinsics]\ndistortion = [0.1]": "car.toml:2: [camera.intrinsics] distortion: 1 numbers where "
-    "k1 k2 p1 p2 k3 are wanted",
-    "[camera.intrinsics]\ndistortion = 0.1": "car.toml:2: [camera.intrinsics] distortion: 0.1 where a list is wanted",
-    '[camera.intrinsics]\ndistortion = ["a"]': "car.toml:2: [camera.intrinsics] distortion: 'a' where a finite number "
-    "is wanted",
-    "[camera.extrinsics]\nz_m = 0": "car.toml:2: [camera.extrinsics] z_m: 0.0 where a positive number is wanted",
-    "[camera.extrinsics]\npitch_rad = 15": "car.toml:2: [camera.extrinsics] pitch_rad: 15.0 where -1.5 .. 1.5 is "
-    "wanted (radians, positive looks down)",
-    "[camera.right.extrinsics]\nz_m = -1": "car.toml:2: [camera.right.extrinsics] z_m: -1.0 where a positive number "
-    "is wanted",
-    "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: 0.0 where a positive number is wanted",
-    "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: -0.1 where a number >= 0 is wanted",
+    "[camera.intrinsics]\nfx_px = nan": "car.toml:2: [camera.intrinsics] fx_px: expected a finite number, got nan",
+    "[camera.intrinsics]\nfy_px = 0.0": "car.toml:2: [camera.intrinsics] fy_px: expected a positive number, got 0.0",
+    "[camera.intrinsics]\ndistortion = [0.1]": "car.toml:2: [camera.intrinsics] distortion: expected "
+    "k1 k2 p1 p2 k3, got 1 numbers",
+    "[camera.intrinsics]\ndistortion = 0.1": "car.toml:2: [camera.intrinsics] distortion: expected a list, got 0.1",
+    '[camera.intrinsics]\ndistortion = ["a"]': "car.toml:2: [camera.intrinsics] distortion: expected a finite "
+    "number, got 'a'",
+    "[camera.extrinsics]\nz_m = 0": "car.toml:2: [camera.extrinsics] z_m: expected a positive number, got 0.0",
+    "[camera.extrinsics]\npitch_rad = 15": "car.toml:2: [camera.extrinsics] pitch_rad: expected -1.5 .. 1.5 "
+    "(radians, positive looks down), got 15.0",
+    "[camera.right.extrinsics]\nz_m = -1": "car.toml:2: [camera.right.extrinsics] z_m: expected a positive number, "
+    "got -1.0",
+    "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: expected a positive number, got 0.0",
+    "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: expected a number >= 0, got -0.1",
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
     '[pipeline]\nname = "window"': (
-        f"car.toml:2: [pipeline] name: 'window' is none of {', '.join(PIPELINES)}; did you mean 'windows'?"
+        f"car.toml:2: [pipeline] name: expected one of {', '.join(PIPELINE_NAMES)}, "
+        "or package.module:Class, got 'window'; did you mean 'windows'?"
     ),
-    "[pipeline.windows]\nmarking_px = 0": "car.toml:2: [pipeline.windows] marking_px: 0.0 where a positive number "
-    "is wanted",
-    '[control]\ncontroller = "pid"': "car.toml:2: [control] controller: 'pid' is none of stanley, pure_pursuit",
-    "[control]\nspeed_mps = -1": "car.toml:2: [control] speed_mps: -1.0 where a number >= 0 is wanted",
+    "[pipeline.windows]\nmarking_px = 0": "car.toml:2: [pipeline.windows] marking_px: expected a positive "
+    "number, got 0.0",
+    '[control]\ncontroller = "pid"': "car.toml:2: [control] controller: expected one of stanley, pure_pursuit, "
+    "or package.module:Class, got 'pid'",
+    "[control]\nspeed_mps = -1": "car.toml:2: [control] speed_mps: expected a number >= 0, got -1.0",
     "[control]\nobstacle_stop_m = 0.4\nobstacle_go_m = 0.3": "car.toml:3: [control] obstacle_go_m: 0.3 is less than "
     "obstacle_stop_m",
-    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: 'ardiuno' is none of arduino, autonomos; "
-    "did you mean 'arduino'?",
-    "[link]\nbaud = 0": "car.toml:2: [link] baud: 0 where a positive number is wanted",
+    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: expected one of arduino, autonomos, or "
+    "package.module:Class, got 'ardiuno'; did you mean 'arduino'?",
+    "[link]\nbaud = 0": "car.toml:2: [link] baud: expected a positive number, got 0",
     "[link.servo]\npulse_us = [1500, 1400, 1300]": "car.toml:2: [link.servo] pulse_us: must rise from entry to entry",
     "[link.servo]\npulse_us = [100, 1500, 2000]": "car.toml:2: [link.servo] pulse_us: servo pulses lie between "
     "500 and 2500 us",
-    "[link.servo]\nsteering_rad = [0.4, 0.0]": "car.toml:2: [link.servo] steering_rad: 2 values for 3 pulses; "
-    "as many are wanted, two at least",
+    "[link.servo]\nsteering_rad = [0.4, 0.0]": "car.toml:2: [link.servo] steering_rad: expected a value for "
+    "each of at least two pulses, got 2 for 3",
     "[link.servo]\nsteering_rad = [0.4, 0.1, 0.2]": "car.toml:2: [link.servo] steering_rad: must rise throughout or "
     "fall throughout",
     "[link.motor]\nspeed_mps = [1.0, 2.0, 3.0]": "car.toml:2: [link.motor] speed_mps: must span 0, "
     "the neutral position",
-    "[safety]\nhold_s = 0": "car.toml:2: [safety] hold_s: 0.0 where a positive number is wanted",
-    '[recording]\nimage = "gif"': "car.toml:2: [recording] image: 'gif' is none of png, jpeg",
-    "[recording]\njpeg_quality = 101": "car.toml:2: [recording] jpeg_quality: 101 where 1 .. 100 is wanted",
+    "[safety]\nhold_s = 0": "car.toml:2: [safety] hold_s: expected a positive number, got 0.0",
+    '[recording]\nimage = "gif"': "car.toml:2: [recording] image: expected one of png, jpeg, got 'gif'",
+    "[recording]\njpeg_quality = 101": "car.toml:2: [recording] jpeg_quality: expected 1 .. 100, got 101",
 }
 
 
@@ -159,4 +161,4 @@ def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
     path.write_text("[lane]\nwidth_m = -1")
     with pytest.raises(ConfigError) as caught:
         load_car(path)
-    assert str(caught.value) == f"{path}:2: [lane] width_m: -1.0 where a positive number is wanted"
+    assert str(caught.value) == f"{path}:2: [lane] width_m: expected a positive number, got -1.0"

@@ -17,7 +17,7 @@ class Inner:
 
     def __post_init__(self) -> None:
         if self.depth_m <= 0:
-            raise ValueError(f"depth_m: {self.depth_m} where a positive number is wanted")
+            raise ValueError(f"depth_m: expected a positive number, got {self.depth_m}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,15 +55,15 @@ def test_defaults_nesting_and_types() -> None:
     ("text", "error"),
     [
         ("", "f.toml: title is missing"),
-        ("title = 3", "f.toml:1: title: 3 where a string is wanted"),
+        ("title = 3", "f.toml:1: title: expected a string, got 3"),
         ('title = "a"\ntile = 3', "f.toml:2: tile: unknown key; did you mean title?"),
         ('title = "a"\nzzz = 3', "f.toml:2: zzz: unknown key; known here: title, count, on, inner, other"),
-        ('title = "a"\ninner.depth_m = -1', "f.toml:2: [inner] depth_m: -1.0 where a positive number is wanted"),
-        ('title = "a"\ninner = {depth_m = -1}', "f.toml:2: [inner] depth_m: -1.0 where a positive number is wanted"),
-        ('title = "a"\n[inner]\n# no\n\ndepth_m = nan', "f.toml:5: [inner] depth_m: nan where a finite number is wanted"),  # noqa: E501
-        ('title = "a"\n[ inner ]\nnames = [1]', "f.toml:3: [inner] names: 1 where a string is wanted"),
-        ('title = "a"\n[other]\ndepth_m = 0', "f.toml:3: [other] depth_m: 0.0 where a positive number is wanted"),
-        ('title = "a"\n[inner]\n[other]\nnames = 1', "f.toml:4: [other] names: 1 where a list is wanted"),
+        ('title = "a"\ninner.depth_m = -1', "f.toml:2: [inner] depth_m: expected a positive number, got -1.0"),
+        ('title = "a"\ninner = {depth_m = -1}', "f.toml:2: [inner] depth_m: expected a positive number, got -1.0"),
+        ('title = "a"\n[inner]\n# no\n\ndepth_m = nan', "f.toml:5: [inner] depth_m: expected a finite number, got nan"),
+        ('title = "a"\n[ inner ]\nnames = [1]', "f.toml:3: [inner] names: expected a string, got 1"),
+        ('title = "a"\n[other]\ndepth_m = 0', "f.toml:3: [other] depth_m: expected a positive number, got 0.0"),
+        ('title = "a"\n[inner]\n[other]\nnames = 1', "f.toml:4: [other] names: expected a list, got 1"),
         ('count = 6\non = true\ntitle = "a"', "f.toml: too many while on"),
     ],
 )  # fmt: skip

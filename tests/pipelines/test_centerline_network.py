@@ -12,10 +12,10 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from automodel.assembly.parts import make_pipeline
 from automodel.config import CarConfig, CenterlineConfig, ConfigError, parse_car
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
-from automodel.pipelines import make_pipeline
 from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneStatus, Motion
 from automodel.sim.appearance import Appearance

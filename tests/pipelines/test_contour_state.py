@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from automodel.assembly.parts import make_pipeline
 from automodel.config import ConfigError, ContourConfig
 from automodel.interfaces import Pipeline
-from automodel.pipelines import make_pipeline
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from tests.support.masked_drives import arc, bits, line, road

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from automodel.assembly.parts import make_pipeline
 from automodel.config import ConfigError
 from automodel.interfaces import Pipeline
-from automodel.pipelines import make_pipeline
 from automodel.pipelines.windows import Windows
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.track_files import load_track

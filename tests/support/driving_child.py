@@ -13,10 +13,9 @@ from unittest import mock
 
 import numpy as np
 
-from automodel.assembly import drive_real
-from automodel.assembly.parts import make_loop
+from automodel.assembly import drive
+from automodel.assembly.parts import make_loop, make_pipeline
 from automodel.cli import main
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame
 from tests.support.board_time import BoardTime
 
@@ -100,7 +99,7 @@ class DisturbedPipeline:
 
 def disturb(picture, clock, how):
     mock.patch.multiple(
-        drive_real,
+        drive,
         make_camera=lambda car: StillCamera(clock, picture),
         MonotonicClock=lambda: clock,
         ArmKey=Key,

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from automodel.assembly.parts import make_pipeline
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
 from automodel.geometry import SE2, GroundCamera
 from automodel.interfaces import Pipeline
-from automodel.pipelines import make_pipeline
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.renderer import Renderer

@@ -22,8 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.assembly.parts import make_loop
-from automodel.assembly.run_watcher import run_config
+from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.faults.fault import Fault
 from automodel.bench.faults.hooks import At, Disk, Hooks, Moment
@@ -31,16 +30,13 @@ from automodel.bench.faults.judge import Observed, Verdict, judge
 from automodel.bench.faults.plan import PICTURES_NS, Plan, draw_plan
 from automodel.bench.faults.wrappers import FaultyPeripherals, FaultyPipeline, FaultySource, RaisingRecorder, Staller
 from automodel.config import CameraConfig, CarConfig, RecordingConfig
-from automodel.estimation.ego_motion import MotionEstimator
 from automodel.interfaces import Recorder
-from automodel.pipelines import make_pipeline
 from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.run_types import RunParts, TickRecord
+from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
-from automodel.runtime.safety import Safety
 from automodel.signals import Event, Frame, StereoFrame
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
@@ -238,14 +234,13 @@ class FaultRig:
 
     def _runner(self, recorder: Recorder | None) -> Runner:
         car = self._car
-        parts = RunParts(
+        parts = build_run(
+            car,
             source=self._source,
             link=ArduinoLink(self._transport, car.link, car.vehicle),
-            recorder=recorder,
-            motion=MotionEstimator(car.vehicle),
-            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car)),
-            safety=Safety(car.safety, auto_arm=True),
             clock=self._clock,
+            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car)),
+            recorder=recorder,
         )
         config = run_config(car, collector_off=False)
         return Runner(parts, config, observer=self, arm_requested=self._pressed, reopen=self._reopen)

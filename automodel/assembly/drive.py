@@ -1,0 +1,183 @@
+"""A run from start to end: the car of car.toml, or the simulated one in lock-step or real time."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from automodel.assembly.parts import build_run, make_camera, make_link, make_loop, make_recorder, run_config
+from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher
+from automodel.assembly.simulated_car import Simulation, board_of, lock_step, real_time
+from automodel.config import CarConfig, ConfigError
+from automodel.console.keys import ArmKey
+from automodel.console.messages import EventTeller, say
+from automodel.console.progress import progress
+from automodel.interfaces import Clock
+from automodel.recording.writer import McapRecorder
+from automodel.runtime.clocks import MonotonicClock
+from automodel.runtime.input_checks import InputChecks
+from automodel.runtime.run_types import RunEnd, RunResult
+from automodel.runtime.runner import Runner
+from automodel.sim.track_files import load_track
+from automodel.sources.cameras import CaptureThread
+from firmware_link.errors import LinkError, PortNotFound
+from firmware_link.transport import likely_ports
+
+_QUIET_REAL = frozenset({"end"})
+_QUIET_SIMULATED = frozenset({"arming", "driving", "end"})
+_TRUTH_ONLY = ("laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOptions:
+    """What a run is asked for beyond car.toml; `board` is the simulated one (None: that of [link] kind)."""
+
+    laps: int | None = None
+    duration_s: float | None = None
+    track: str = "tmr"
+    direction: str = "forward"
+    seed: int = 0
+    style: str = "competition"
+    board: str | None = None
+    realtime: bool = False
+    arm: bool = False
+    record: Path | None = None
+    truth: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunReport:
+    """The results of a run: `row` holds its metrics, `ended` says in words how it went, `failed` whether it failed."""
+
+    row: dict[str, Any]
+    ended: str
+    failed: bool
+
+
+def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport:
+    """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
+    lane = load_track(options.track).lane(options.direction)
+    laps = 1 if options.laps is None and options.duration_s is None else options.laps
+    if laps is not None and not lane.centerline.closed:
+        raise ConfigError(f"{options.track}: the road is not closed, there are no laps; give --duration")
+    simulation = Simulation(
+        track=options.track,
+        direction=options.direction,
+        seed=options.seed,
+        style=options.style,
+        link=options.board or board_of(car),
+    )
+    checks = InputChecks(car, noiseless=options.style == "clean")
+    total_m = laps * lane.centerline.length_m if laps else None
+    watch = Stopwatch()
+    with contextlib.ExitStack() as leaving:
+        watcher = Watcher(laps, leaving.enter_context(progress(f"run {options.track}", total_m)))
+        simulated = (real_time if options.realtime else lock_step)(car, simulation, watcher.on_scene)
+        leaving.callback(simulated.close)
+        recorder = make_recorder(options.record, text, car) if options.record else None
+        parts = build_run(
+            car,
+            source=simulated.source if options.realtime else TimedSource(simulated.source, watch),
+            link=simulated.link if options.realtime else TimedLink(simulated.link, watch),
+            clock=simulated.clock,
+            loop=make_loop(car, checks=checks),
+            recorder=recorder,
+        )
+        teller = EventTeller(simulated.clock, _QUIET_SIMULATED)
+        config = run_config(car, collector_off=options.realtime)
+        runner = Runner(parts, config, observer=watcher, on_event=teller)
+        result = _run(runner, watcher, simulated.clock, options.duration_s)
+    if recorder is not None:
+        say(recorder.summary())
+    if options.truth is not None:
+        watcher.write_truth(options.truth)
+    latencies_ms = (result.latency_ms(50), result.latency_ms(99)) if options.realtime else watch.percentiles_ms()
+    row = watcher.row(result, latencies_ms)
+    missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
+    return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
+
+
+def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
+    """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
+    with contextlib.ExitStack() as leaving:
+        camera = CaptureThread(make_camera(car))
+        leaving.callback(camera.close)
+        recorder = make_recorder(options.record or _recording_name(car), text, car)
+        leaving.callback(recorder.close)
+        key = leaving.enter_context(ArmKey())
+        watcher = Watcher(None, leaving.enter_context(progress("run", None)))
+        parts = build_run(
+            car,
+            source=camera,
+            link=make_link(car),
+            clock=MonotonicClock(),
+            loop=make_loop(car, checks=InputChecks(car)),
+            recorder=recorder,
+            auto_arm=options.arm,
+        )
+        runner = Runner(
+            parts,
+            run_config(car, collector_off=True),
+            observer=watcher,
+            arm_requested=key.pressed,
+            reopen=lambda: CaptureThread(make_camera(car)),
+            on_event=EventTeller(parts.clock, _QUIET_REAL),
+        )
+        try:
+            result = _run(runner, watcher, parts.clock, options.duration_s)
+        except LinkError as error:  # only before the board's first hello: the run has not begun
+            _discard(recorder)
+            if isinstance(error, PortNotFound):
+                raise
+            raise LinkError(f"{error}; {likely_ports()}") from None
+    say(recorder.summary())
+    return RunReport(row=_row(result), ended=watcher.ending(result), failed=_broken(result))
+
+
+def _run(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None) -> RunResult:
+    """Run until the watcher has seen enough, `duration_s` is over or a signal comes."""
+    start_ns = clock.now_ns()
+
+    def finished() -> bool:
+        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
+        return over or watcher.finished()
+
+    result = runner.run(stop=finished)
+    if result.traceback is not None:
+        say(result.traceback.rstrip())
+    return result
+
+
+def _broken(result: RunResult) -> bool:
+    return result.stops > 0 or result.traceback is not None or result.end is RunEnd.SOURCE_FAILED
+
+
+def _row(result: RunResult) -> dict[str, object]:
+    """The metrics of a simulated run, with None for those that need its truth; and the frames."""
+    measured = {
+        "frames": result.frames,
+        "skipped": result.skipped,
+        "stops": result.stops,
+        "latency_p50_ms": result.latency_ms(50),
+        "latency_p99_ms": result.latency_ms(99),
+    }
+    return {**dict.fromkeys(_TRUTH_ONLY), **measured}
+
+
+def _discard(recorder: McapRecorder) -> None:
+    """A run that never began leaves no file in the way of the next one."""
+    recorder.close()
+    with contextlib.suppress(OSError):
+        recorder.path.unlink()
+
+
+def _recording_name(car: CarConfig) -> Path:
+    folder = Path(car.recording.directory)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be made: {error.strerror}; see [recording] directory") from None
+    return folder / f"{datetime.datetime.now():%Y%m%d-%H%M%S}.mcap"
