@@ -29,12 +29,16 @@ FOLDER_RATE_HZ = 20.0  # frames a second of images in a folder, which carry no t
 
 
 def car_of(path: Path | None, pipeline: str | None = None) -> CarConfig:
-    """car.toml, or the defaults (the simulated car) without one; `pipeline` overrides the file's."""
-    car = CarConfig() if path is None else load_car(path)
-    if pipeline is None:
+    """car.toml, or the defaults (the simulated car) without one; `pipeline` replaces the file's."""
+    return with_pipeline(CarConfig() if path is None else load_car(path), pipeline)
+
+
+def with_pipeline(car: CarConfig, name: str | None) -> CarConfig:
+    """The same car with the pipeline `name`, unless that is None; raises ConfigError for one that there is not."""
+    if name is None:
         return car
     try:
-        return dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, name=pipeline))
+        return dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, name=name))
     except ValueError as error:
         raise ConfigError(f"--pipeline {error}") from None
 

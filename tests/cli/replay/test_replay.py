@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.assembly import replay
 from automodel.assembly.parts import make_loop
-from automodel.cli import replay
 from automodel.recording.codec import encode
 from automodel.recording.reader import Recording
 from automodel.runtime.loop import Tick

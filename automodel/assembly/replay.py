@@ -1,0 +1,153 @@
+"""Something recorded through the loop that drives, with recorded time and motion: lane poses, a CSV, a video.
+
+No vehicle link is imported, let alone opened. The same input gives the same estimates to the bit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
+from automodel.config import CarConfig, parse_car
+from automodel.console.messages import say
+from automodel.console.progress import progress
+from automodel.geometry import GroundCamera
+from automodel.interfaces import Source
+from automodel.recording.export import PosesCsv
+from automodel.recording.reader import RecordingSource
+from automodel.runtime.loop import Tick
+from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.sources.errors import EndOfSource, SourceError
+from automodel.sources.files import MotionTable, read_motion_csv
+from automodel.sources.images import check_size
+from automodel.viewer.overlay import draw
+from automodel.viewer.video import VideoWriter
+
+AnyFrame = Frame | StereoFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayOptions:
+    """What a replay is asked for; `rate_hz` is that of frames that carry no time."""
+
+    source: Path
+    car_file: Path | None = None
+    motion_file: Path | None = None
+    pipelines: tuple[str, ...] = ()
+    csv_file: Path | None = None
+    video_file: Path | None = None
+    rate_hz: float | None = None
+
+
+def replay(options: ReplayOptions) -> list[dict[str, object]]:
+    """A row of metrics for each pipeline; CSV and video are written meanwhile, one for each pipeline.
+
+    Raises ConfigError and SourceError for a file that is wrong, before or while it is read.
+    """
+    motion = read_motion_csv(options.motion_file) if options.motion_file is not None else None
+    car_text = None
+    if options.car_file is None and options.source.suffix.lower() == ".mcap":
+        car_text = RecordingSource(options.source).recording.car_text
+    rows = []
+    for name in options.pipelines or (None,):
+        base = car_of(options.car_file) if car_text is None else parse_car(car_text, f"{options.source} (car.toml)")
+        car = with_pipeline(base, name)
+        several = len(options.pipelines) > 1
+        csv_file, video_file = (
+            _named(path, car.pipeline.name) if several and path else path
+            for path in (options.csv_file, options.video_file)
+        )
+        rows.append(_replay(options, car, motion, csv_file, video_file))
+    return rows
+
+
+def frames_of(source: Source, motion: MotionTable | None) -> Iterator[tuple[AnyFrame, Motion, VehicleState | None]]:
+    """What the loop is given: each frame, the motion that belongs to it, and the vehicle's state where recorded."""
+    with contextlib.suppress(EndOfSource):
+        while True:
+            frame = source.read(1.0)
+            if frame is None:
+                continue
+            if motion is not None:
+                yield frame, motion.at(frame.t_ns), None
+            elif isinstance(source, RecordingSource):
+                assert source.step is not None
+                yield frame, source.step.motion, source.step.state
+            else:
+                unknown = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+                yield frame, unknown, None
+
+
+def _named(path: Path, pipeline: str) -> Path:
+    return path.with_name(f"{path.stem}.{pipeline.replace(':', '.')}{path.suffix}")
+
+
+def _replay(
+    options: ReplayOptions, car: CarConfig, motion: MotionTable | None, csv_file: Path | None, video_file: Path | None
+) -> dict[str, object]:
+    path = options.source
+    source = open_source(path, car, options.rate_hz)
+    rate_hz = options.rate_hz or getattr(source, "rate_hz", 0.0) or car.camera.rate_hz
+    loop = make_loop(car)
+    statuses: Counter[LaneStatus] = Counter()
+    times_ms: list[float] = []
+    with contextlib.ExitStack() as files:
+        files.callback(source.close)
+        csv = files.enter_context(PosesCsv(csv_file)) if csv_file else None
+        paint = _painter(files, video_file, car, rate_hz)
+        bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
+        for frame, moved, state in frames_of(source, motion):
+            if isinstance(frame, Frame):
+                _check_size(path, frame, car)
+            start = time.perf_counter()
+            tick = loop.tick(frame, moved, state, frame.t_ns)
+            times_ms.append(1e3 * (time.perf_counter() - start))
+            statuses[tick.estimate.status] += 1
+            if csv is not None:
+                csv.row(frame, tick.estimate, tick.command, times_ms[-1])
+            paint(frame, tick)
+            bar()
+    return _row(path, car, statuses, times_ms)
+
+
+def _check_size(path: Path, frame: Frame, car: CarConfig) -> None:
+    try:
+        check_size(frame, car.camera)
+    except SourceError as error:
+        raise SourceError(f"{path}: {error}, and give it with --car") from None
+
+
+def _painter(
+    files: contextlib.ExitStack, path: Path | None, car: CarConfig, rate_hz: float
+) -> Callable[[AnyFrame, Tick], None]:
+    if path is None:
+        return lambda frame, tick: None
+    video = files.enter_context(VideoWriter(path, rate_hz))
+    camera = GroundCamera.from_config(car.camera)
+
+    def paint(frame: AnyFrame, tick: Tick) -> None:
+        image = frame.left if isinstance(frame, StereoFrame) else frame.image
+        note = f"{frame.t_ns * 1e-9:.2f} s"
+        video.write(draw(image, tick.estimate, camera, tick.command, car.vehicle.reference_x_m, note))
+
+    return paint
+
+
+def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: list[float]) -> dict[str, object]:
+    frames = sum(statuses.values())
+    if frames == 0:
+        say(f"{path}: no frames")
+    row: dict[str, object] = {"pipeline": car.pipeline.name, "source": str(path), "frames": frames}
+    row.update({status.value.lower(): statuses[status] for status in LaneStatus})
+    valid = frames - statuses[LaneStatus.LOST]
+    row["availability_pct"] = 100.0 * valid / frames if frames else 0.0
+    row["p50_ms"] = float(np.median(times_ms)) if times_ms else None
+    row["p99_ms"] = float(np.quantile(times_ms, 0.99)) if times_ms else None
+    return row
