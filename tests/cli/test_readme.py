@@ -10,9 +10,11 @@ from pathlib import Path
 import click
 import pytest
 
+from automodel.assembly.simulated_car import appearance, renderer
 from automodel.cli.main import cli as commands
 from automodel.config import CarConfig, parse_car
 from automodel.recording.export import COLUMNS
+from automodel.sim.track_files import load_track
 from automodel.sources.files import read_motion_csv
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -31,6 +33,20 @@ CHAIN = [line for line in blocks("sh")[2].splitlines() if not line.startswith("a
 def test_there_is_something_to_test() -> None:
     assert len(AUTOMODEL) > 10
     assert {line.split()[0] for line in LINES} == {"python3", "pip", "automodel", "bash"}
+
+
+def test_the_program_runs_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    car = CarConfig()
+    view = renderer(load_track("oval"), car, appearance("clean", 0))
+    pose = load_track("oval").lane().pose(1.0)
+    monkeypatch.chdir(tmp_path)
+    Path("car.toml").write_text('[pipeline]\nname = "windows"\n')
+    (program,) = blocks("python")
+    exec(program, {"image": view.render(pose.x_m, pose.y_m, pose.yaw_rad, 0.0, 0.0, 0), "t_s": 0.0})
+    status, offset_m, heading_rad = capsys.readouterr().out.split()
+    assert status == "LaneStatus.TRACKING"
+    assert abs(float(offset_m)) < 0.01
+    assert abs(float(heading_rad)) < 0.02
 
 
 @pytest.mark.parametrize("line", AUTOMODEL)
