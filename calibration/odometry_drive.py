@@ -18,7 +18,7 @@ from automodel.console.keys import ArmKey, has_terminal
 from automodel.console.messages import say
 from automodel.console.tables import show
 from automodel.sim.plant import PlantConfig
-from automodel.sim.randomised_plant import hidden_motor
+from automodel.sim.randomised_plant import randomised_motor
 from calibration.calibration_drive import PlanFollower, follow_plan, nobody, run_chain
 from calibration.calibration_output import picture_folder, write_pictures, write_values
 from calibration.drive_plan import straight_plan
@@ -69,7 +69,7 @@ def calibrate_odometry(options: OdometryOptions) -> int:
     car, simulated = car_to_calibrate(options.car_file, options.simulated, options.dry_run, by_board=by_board)
     if options.push and simulated:
         raise ConfigError("--push: nobody can push a simulated car")
-    truth = hidden_motor(options.seed, plant_of(car, options.seed)) if simulated and not options.counted else None
+    truth = randomised_motor(options.seed, plant_of(car, options.seed)) if simulated and not options.counted else None
     if truth is None and not options.counted and not has_terminal():
         raise ConfigError("no terminal: distances are typed in; run it in one (ssh -t), or give --ticks")
     fast = max(options.speeds)

@@ -24,7 +24,7 @@ from automodel.runtime.run_types import TickRecord
 from automodel.runtime.safety import SafetyMode
 from automodel.signals import Command, LaneEstimate, Motion, VehicleState
 from automodel.sim.plant import Plant
-from automodel.sim.randomised_plant import hidden_servo
+from automodel.sim.randomised_plant import randomised_servo
 from calibration.calibration_drive import DriveEnded, Rig, Ticks, Watch, run_chain
 from calibration.calibration_output import write_values
 from firmware_link.arduino import ArduinoLink
@@ -254,7 +254,7 @@ def _straight_us(car: CarConfig, span_us: float) -> float:
 def _transport(car: CarConfig, simulated: bool) -> Transport:
     if not simulated:
         return SerialTransport(car.link.port, car.link.baud)
-    plant = Plant(hidden_servo(0, plant_of(car, 0)))
+    plant = Plant(randomised_servo(0, plant_of(car, 0)))
     return MemoryTransport(EmulatedArduino(plant, car.link.baud), MonotonicClock())
 
 

@@ -19,7 +19,7 @@ from automodel.console.tables import show
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, VehicleState
 from automodel.sim.plant import PlantConfig
-from automodel.sim.randomised_plant import hidden_servo
+from automodel.sim.randomised_plant import randomised_servo
 from automodel.types import Image
 from calibration.actuator import Actuator, fit_actuator
 from calibration.calibration_drive import PlanFollower, follow_plan, nobody
@@ -61,7 +61,7 @@ def calibrate_by_driving(options: AutoOptions) -> int:
         folder = picture_folder(options.out, options.car_file or Path("car.toml"))
     if options.speed_mps > car.safety.speed_max_mps:
         raise ConfigError(f"--speed {options.speed_mps}: above [safety] speed_max_mps = {car.safety.speed_max_mps}")
-    truth = hidden_servo(options.seed, plant_of(car, options.seed, gyro=not options.camera)) if simulated else None
+    truth = randomised_servo(options.seed, plant_of(car, options.seed, gyro=not options.camera)) if simulated else None
     with contextlib.ExitStack() as leaving:
         if truth is not None:
             rig = simulated_rig(car, truth, options.seed, options.camera)

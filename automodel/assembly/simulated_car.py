@@ -76,7 +76,7 @@ def has_our_firmware(car: CarConfig) -> bool:
 
 def appearance(style: str, seed: int) -> Appearance:
     """The look of the world."""
-    return Appearance.clean() if style == "clean" else Appearance.random(seed, style=style)
+    return Appearance() if style == "clean" else Appearance.random(seed, style=style)
 
 
 def renderer(track: Track, car: CarConfig, look: Appearance) -> Renderer:

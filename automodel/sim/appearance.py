@@ -1,7 +1,4 @@
-"""How the world looks to the camera: seeded knobs, each of which can be turned alone.
-
-From what ranges the knobs of a random appearance are drawn, one table a style.
-"""
+"""The appearance of the simulated world: ground, light, camera and background; styles with random parameters."""
 
 from __future__ import annotations
 
@@ -15,11 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from automodel.config.toml_reader import one_of
+
 Draw = Callable[[Generator], Any]
 
 
 def key_of(name: str) -> int:
-    """A number that stands for a knob in seeds: the same everywhere and at all times."""
+    """A number that stands for a parameter in seeds, the same on every machine."""
     return zlib.crc32(name.encode())
 
 
@@ -28,7 +27,7 @@ def _within(low: float, high: float) -> Draw:
 
 
 def _sometimes(chance: float, low: float, high: float) -> Draw:
-    """0 except with the given chance."""
+    """A value in low .. high with the given probability, else 0."""
 
     def draw(rng: Generator) -> float:
         wanted, value = rng.random() < chance, float(rng.uniform(low, high))
@@ -42,7 +41,7 @@ def _choice(*values: Any) -> Draw:
 
 
 def _tint(spread: float) -> Draw:
-    """Blue and red move against each other: colder or warmer."""
+    """A colder or warmer tint: blue and red change in opposite directions."""
 
     def draw(rng: Generator) -> tuple[float, float, float]:
         warmth = float(rng.uniform(-spread, spread))
@@ -52,7 +51,7 @@ def _tint(spread: float) -> Draw:
 
 
 def _lamps(most: int, strongest: float) -> Draw:
-    """Round lamps and tubes at the ceiling, tall windows in the walls."""
+    """Lamps and tubes at the ceiling, windows in the walls."""
 
     def draw(rng: Generator) -> tuple[dict[str, float], ...]:
         lamps = []
@@ -157,7 +156,7 @@ STYLES: dict[str, dict[str, Draw]] = {
         "background_grey": _within(40.0, 220.0),
         "clutter": _within(0.0, 1.0),
     },
-    "dry": {  # a circuit in the sun: hard shadows, tyre marks and dust on the lines
+    "dry": {  # a circuit in the sun: hard shadows, dust on the lines
         "floor_grey": _within(72.0, 105.0),
         "floor_tint": _tint(0.03),
         "floor_texture": _choice("asphalt"),
@@ -223,9 +222,9 @@ BACKGROUNDS = ("plain", "hall", "outdoor")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lamp:
-    """A lamp or window far away, as a shiny floor mirrors it: its direction in the world, its size, its brightness.
+    """A distant lamp or window that is reflected in a shiny floor: direction in the world, size and brightness.
 
-    `strength` is in grey levels at the reflection's middle under neutral light.
+    `strength` is the brightness of the reflection's centre under neutral light [grey levels].
     """
 
     azimuth_rad: float
@@ -237,72 +236,67 @@ class Lamp:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Appearance:
-    """What a picture shows beyond geometry; the defaults are neutral: flat colours, even light, a perfect camera.
+    """The look of a scene; the defaults are neutral: flat colours, even light, a perfect camera.
 
-    Lengths that have no unit are in the unit of the scene: 1 m for a camera 0.18 m above the ground, more in proportion
-    for a higher one, so that one appearance suits a scale car and a real one. Grey levels are 0 .. 255; a tint is a
-    factor for each of blue, green and red. Seeds choose among patterns of one kind.
+    Lengths without a unit are in scene units: 1 m for a camera 0.18 m above the ground, in proportion to its height, so
+    that one appearance suits a scale car and a real one. Grey levels are 0 .. 255; a tint has a factor for blue, green
+    and red.
     """
 
     floor_grey: float = 40.0
     floor_tint: Bgr = (1.0, 1.0, 1.0)
     floor_texture: str = "plain"  # one of FLOORS
-    floor_contrast: float = 0.0  # how much the texture shows, 0 .. 1
+    floor_contrast: float = 0.0  # contrast of the texture, 0 .. 1
     floor_seed: int = 0
-    surround_grey: float | None = None  # the ground beyond the floor's edge; None: the floor goes on
+    surround_grey: float | None = None  # the ground beyond the floor's edge; None: as the floor
     marking_grey: float = 230.0
     marking_tint: Bgr = (1.0, 1.0, 1.0)
     yellow_bgr: Bgr = (60.0, 190.0, 225.0)
     wear: float = 0.0  # share of the markings that has flaked off, 0 .. 1
-    dirt: float = 0.0  # how much dirt darkens the markings, 0 .. 1
+    dirt: float = 0.0  # darkening of the markings by dirt, 0 .. 1
     wear_seed: int = 0
     light: float = 1.0  # factor on everything
     light_tint: Bgr = (1.0, 1.0, 1.0)
     gradient: float = 0.0  # relative change of the ground's light from the car to a unit away
-    gradient_direction_rad: float = 0.0  # where it grows brighter, in the world
+    gradient_direction_rad: float = 0.0  # the direction of increasing light in the world
     lamps: tuple[Lamp, ...] = ()
-    shine: float = 0.0  # how much the floor mirrors the background at grazing view, 0 .. 1
-    shadow: float = 0.0  # share of the light that shadows take, 0 .. 1
+    shine: float = 0.0  # reflectance of the floor at grazing view, 0 .. 1
+    shadow: float = 0.0  # share of the light that shadows block, 0 .. 1
     shadow_seed: int = 0
     exposure_step: float = 0.0  # relative size of the sudden changes of exposure
     exposure_hold_frames: int = 40  # frames between them
     exposure_seed: int = 0
-    vignetting: float = 0.0  # share of the light lost in the picture's corners
+    vignetting: float = 0.0  # share of the light lost in the image corners
     defocus_px: float = 0.0  # standard deviation of the blur
-    exposure_s: float = 0.0  # motion blurs the picture over this time
-    read_noise: float = 0.0  # standard deviation in grey levels, the same everywhere
+    exposure_s: float = 0.0  # the duration of motion blur
+    read_noise: float = 0.0  # standard deviation in grey levels, the same for all pixels
     shot_noise: float = 0.0  # variance in grey levels squared per grey level
     noise_seed: int = 0
     background: str = "plain"  # one of BACKGROUNDS
     background_grey: float = 130.0
-    clutter: float = 0.5  # how much stands around, 0 .. 1
+    clutter: float = 0.5  # density of background objects, 0 .. 1
     background_seed: int = 0
 
     def __post_init__(self) -> None:
-        _one_of("floor_texture", self.floor_texture, FLOORS)
-        _one_of("background", self.background, BACKGROUNDS)
+        one_of("floor_texture", self.floor_texture, FLOORS)
+        one_of("background", self.background, BACKGROUNDS)
         for name in ("floor_contrast", "wear", "dirt", "shine", "shadow", "exposure_step", "vignetting", "clutter"):
             if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name}: {getattr(self, name)} where 0 .. 1 is wanted")
+                raise ValueError(f"{name}: expected 0 .. 1, got {getattr(self, name)}")
         for name in ("light", "defocus_px", "exposure_s", "read_noise", "shot_noise", "floor_grey", "marking_grey"):
             if not (getattr(self, name) >= 0.0 and math.isfinite(getattr(self, name))):
-                raise ValueError(f"{name}: {getattr(self, name)} where a number >= 0 is wanted")
+                raise ValueError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
         if self.exposure_hold_frames < 1:
-            raise ValueError(f"exposure_hold_frames: {self.exposure_hold_frames} where 1 or more is wanted")
-
-    @classmethod
-    def clean(cls) -> Appearance:
-        """The neutral appearance."""
-        return cls()
+            raise ValueError(f"exposure_hold_frames: expected 1 or more, got {self.exposure_hold_frames}")
 
     @classmethod
     def random(cls, seed: int, style: str = "competition") -> Appearance:
-        """A plausible appearance of a style, each knob drawn from a seed of its own; ValueError for other styles.
+        """A random appearance of a style, each parameter from a seed of its own; ValueError for an unknown style.
 
-        "competition" is a black shiny floor under indoor lamps, "road" a real road outdoors, "varied" anything,
-        "dry" and "wet" a circuit in the sun and in the rain.
+        "competition" is a black shiny floor under indoor lamps, "road" a real road outdoors, "varied" a wide range of
+        both, "dry" and "wet" a circuit in the sun and in the rain.
         """
-        _one_of("style", style, tuple(STYLES))
+        one_of("style", style, tuple(STYLES))
         drawn = {}
         for name, draw in STYLES[style].items():
             drawn[name] = draw(np.random.default_rng((seed, key_of(name))))
@@ -311,8 +305,3 @@ class Appearance:
             if field.name.endswith("_seed"):
                 drawn[field.name] = int(np.random.default_rng((seed, key_of(field.name))).integers(1 << 31))
         return cls(**drawn)
-
-
-def _one_of(name: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name}: {value!r} is none of {', '.join(choices)}")

@@ -1,4 +1,4 @@
-"""What stands around the floor: a panorama at infinity, so that it moves with the car's heading."""
+"""The surroundings of the floor: a panorama at infinity that moves with the car's heading."""
 
 from __future__ import annotations
 
@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
-from automodel.types import FloatArray, Image
-
-Float32Array = NDArray[np.float32]
+from automodel.types import Bools, FloatArray, Image
 
 TURN = 2.0 * math.pi
 
@@ -26,24 +23,24 @@ def directions(camera: GroundCamera, pixels: FloatArray) -> tuple[FloatArray, Fl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Canvas:
-    """A panorama to draw on: `per_rad` pixels a radian, row 0 at elevation `top_rad`, columns by azimuth from 0."""
+    """A panorama to draw on: `per_rad` pixels per radian, row 0 at elevation `top_rad`, column 0 at azimuth 0."""
 
     image: Image
     per_rad: float
     top_rad: float
 
     def fill(self, azimuth_rad: float, low_rad: float, size_rad: tuple[float, float], bgr: FloatArray) -> None:
-        """A rectangle (breadth, height) whose foot's middle is at an azimuth and elevation."""
-        breadth, height = size_rad
-        left = (azimuth_rad - 0.5 * breadth) * self.per_rad
+        """A rectangle (width, height) whose lower edge is centred at an azimuth and elevation."""
+        width, height = size_rad
+        left = (azimuth_rad - 0.5 * width) * self.per_rad
         top, foot = (self.top_rad - low_rad - height) * self.per_rad, (self.top_rad - low_rad) * self.per_rad
         for lap in (0.0, -TURN * self.per_rad):
-            corners = np.array([(left + lap, top), (left + lap + breadth * self.per_rad, foot)])
+            corners = np.array([(left + lap, top), (left + lap + width * self.per_rad, foot)])
             (x0, y0), (x1, y1) = np.round(corners - 0.5).astype(int).tolist()
             cv2.rectangle(self.image, (x0, y0), (x1, y1), bgr.tolist(), -1)
 
     def disc(self, azimuth_rad: float, elevation_rad: float, size_rad: tuple[float, float], bgr: FloatArray) -> None:
-        """An ellipse of a breadth and height."""
+        """An ellipse (width, height) centred at an azimuth and elevation."""
         axes = tuple(max(round(0.5 * size * self.per_rad), 1) for size in size_rad)
         y = round((self.top_rad - elevation_rad) * self.per_rad)
         for lap in (0.0, -TURN):
@@ -70,27 +67,27 @@ def _colour(rng: np.random.Generator, grey: float, spread: float) -> FloatArray:
 
 
 def _hall(canvas: Canvas, rng: np.random.Generator, look: Appearance) -> None:
-    """Walls with skirting, windows, doors and posters, boards round the floor, tables, people; lamps above."""
+    """Walls with skirting, windows, doors and posters, boards around the floor, tables, people; lamps above."""
     wall, count = look.background_grey, look.clutter
     rows = np.linspace(canvas.top_rad, 0.0, canvas.image.shape[0])
     shade = 0.75 + 0.5 * np.clip(rows, 0.0, 0.5)
     canvas.image[:] = np.clip(wall * shade, 0, 255)[:, None, None].astype(np.uint8)
     for _ in range(rng.poisson(9 * count + 1)):
-        breadth, low = rng.uniform(0.08, 0.35), rng.uniform(0.05, 0.12)
+        width, low = rng.uniform(0.08, 0.35), rng.uniform(0.05, 0.12)
         azimuth, height = rng.uniform(0.0, TURN), rng.uniform(0.1, 0.3)
-        canvas.fill(azimuth, low - 0.008, (breadth + 0.016, height + 0.016), _colour(rng, 0.5 * wall, 0.1))
-        canvas.fill(azimuth, low, (breadth, height), np.array([250.0, 245.0, 235.0]))
+        canvas.fill(azimuth, low - 0.008, (width + 0.016, height + 0.016), _colour(rng, 0.5 * wall, 0.1))
+        canvas.fill(azimuth, low, (width, height), np.array([250.0, 245.0, 235.0]))
         canvas.fill(azimuth, low, (0.008, height), _colour(rng, 0.5 * wall, 0.1))
     for _ in range(rng.poisson(14 * count)):  # doors, cupboards, posters
         foot = rng.choice((0.0, 0.0, 0.05))
         size = (rng.uniform(0.03, 0.12), rng.uniform(0.06, 0.2))
         canvas.fill(rng.uniform(0.0, TURN), foot, size, _colour(rng, rng.uniform(20.0, 200.0), 0.4))
     for _ in range(rng.poisson(25 * count)):  # tables and chairs: a board on legs
-        azimuth, breadth, height = rng.uniform(0.0, TURN), rng.uniform(0.04, 0.2), rng.uniform(0.02, 0.05)
+        azimuth, width, height = rng.uniform(0.0, TURN), rng.uniform(0.04, 0.2), rng.uniform(0.02, 0.05)
         colour = _colour(rng, rng.uniform(20.0, 160.0), 0.3)
-        canvas.fill(azimuth, height, (breadth, 0.008), colour)
+        canvas.fill(azimuth, height, (width, 0.008), colour)
         for side in (-0.45, 0.45):
-            canvas.fill(azimuth + side * breadth, 0.0, (0.006, height), 0.5 * colour)
+            canvas.fill(azimuth + side * width, 0.0, (0.006, height), 0.5 * colour)
     for _ in range(rng.poisson(22 * count)):
         _person(canvas, rng)
     for _ in range(rng.poisson(12 * count)):
@@ -134,12 +131,12 @@ def _outdoor(canvas: Canvas, rng: np.random.Generator, look: Appearance) -> None
 
 
 class Background:
-    """Looks the panorama up for every pixel that shows no ground.
+    """Looks up the panorama for every pixel that shows no ground.
 
-    `end_row` is the row below the last such pixel, `mask` (end_row, w) is 255 at them.
+    `end_row` is the row below the last such pixel; `mask` (end_row, w) is 255 at these pixels.
     """
 
-    def __init__(self, camera: GroundCamera, ground_seen: NDArray[np.bool_], look: Appearance) -> None:
+    def __init__(self, camera: GroundCamera, ground_seen: Bools, look: Appearance) -> None:
         rows = np.flatnonzero(~ground_seen.all(axis=1))
         self.end_row = int(rows[-1]) + 1 if len(rows) else 0
         self.mask: Image = np.where(ground_seen[: self.end_row], 0, 255).astype(np.uint8)
@@ -162,7 +159,7 @@ class Background:
         self._grey = cv2.cvtColor(self._laid_out, cv2.COLOR_BGR2GRAY)
 
     def look_up(self, yaw_rad: float, colour: bool) -> Image | None:
-        """The rows above `end_row` (end_row, w[, 3]) for a car heading `yaw_rad`; only those of the mask have meaning.
+        """The rows above `end_row` (end_row, w[, 3]) for a car with heading `yaw_rad`, valid where `mask` is set.
 
         None where every pixel shows ground.
         """

@@ -1,9 +1,8 @@
-"""How much of each pixel flat polygons on the ground cover: exact areas, so that far lines fade instead of flickering.
+"""The share of each pixel that polygons on the ground cover: exact areas, so that far lines fade and do not flicker.
 
-Every polygon's border is carried to the picture as directed edges, and each edge adds the area below it to the pixels
-that it crosses. A sum down the columns then gives the area of every pixel that lies inside. This is the scan
-conversion of anti-aliased type (signed area accumulation, Levien's font-rs), turned by 90 deg.
-
+The border of every polygon is projected into the image as directed edges. Each edge adds the area below it to the
+pixels that it crosses; the cumulative sum down the columns gives the covered area of every pixel. This is the scan
+conversion of anti-aliased fonts (signed area accumulation, as in font-rs by R. Levien), turned by 90 deg.
 Which share of each pixel markings cover, as a moving camera sees them.
 """
 
@@ -11,17 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from automodel.config.toml_reader import one_of
 from automodel.geometry import SE2
 from automodel.sim.ground_projection import GroundProjection
-from automodel.types import FloatArray
-
-Float32Array = NDArray[np.float32]
+from automodel.sim.paint import Paint
+from automodel.types import Bools, Float32Array, FloatArray, Ints
 
 BLOCK_ROWS = 16
 FLAT_PX = 1e-6  # level edges are tilted by this much
@@ -44,18 +41,18 @@ class PolygonSet:
         )
 
     def circles(self, body_from_world: SE2) -> tuple[FloatArray, FloatArray]:
-        """Middles (p, 2) [m] in the body frame and radii (p,) [m] of circles around the polygons."""
+        """Centres (p, 2) [m] in the body frame and radii (p,) [m] of circles around the polygons."""
         return body_from_world.apply(self._middle_m), self._radius_m
 
-    def edges(self, picked: NDArray[np.bool_], body_from_world: SE2) -> tuple[FloatArray, FloatArray]:
-        """Begins and ends (n, 2) [m] in the body frame of the edges of the picked polygons (p,)."""
+    def edges(self, picked: Bools, body_from_world: SE2) -> tuple[FloatArray, FloatArray]:
+        """Start and end points (n, 2) [m] in the body frame of the edges of the picked polygons (p,)."""
         chosen = np.flatnonzero(picked[self._owner])
         return body_from_world.apply(self._begin[chosen]), body_from_world.apply(self._end[chosen])
 
 
 def _anticlockwise(ring: FloatArray) -> FloatArray:
     if ring.ndim != 2 or ring.shape[0] < 3 or ring.shape[1] != 2 or not np.isfinite(ring).all():
-        raise ValueError(f"polygon: shape {ring.shape} where (n >= 3, 2) finite numbers are wanted")
+        raise ValueError(f"polygon: expected (n >= 3, 2) finite numbers, got shape {ring.shape}")
     x, y = ring[:, 0], ring[:, 1]
     return ring if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) >= 0.0 else ring[::-1]
 
@@ -63,8 +60,9 @@ def _anticlockwise(ring: FloatArray) -> FloatArray:
 def covered(edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, shape: tuple[int, int]) -> Float32Array:
     """The covered share (h, w) of every pixel, 0 .. 1.
 
-    `edges_px` are begins and ends (n, 2) as (u, v) with pixel (i, j) spanning j .. j + 1 and i .. i + 1, of closed
-    rings that are anticlockwise as seen in the picture. `weight` (n,) is what one ring adds. Rings may lie outside.
+    `edges_px` are the start and end points (n, 2) as (u, v), where pixel (i, j) spans j .. j + 1 and i .. i + 1, of
+    closed rings that are anticlockwise as seen in the image. `weight` (n,) is the share that a ring adds to the pixels
+    inside it. Rings may lie outside the image.
     """
     height, width = shape
     cells, amounts = _areas(edges_px, weight, shape)
@@ -85,7 +83,7 @@ def _sum_down(rows: Float32Array) -> None:
 
 
 def covered_softly(edges_px: tuple[FloatArray, FloatArray], shape: tuple[int, int]) -> Float32Array:
-    """As `covered`, worked out at half the resolution: fast, and its borders are two pixels wide."""
+    """As `covered`, computed at half the resolution: faster, with borders that are two pixels wide."""
     half = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
     share = covered((0.5 * edges_px[0], 0.5 * edges_px[1]), np.ones(len(edges_px[0])), half)
     large = cv2.resize(share, (2 * half[1], 2 * half[0]), interpolation=cv2.INTER_LINEAR)
@@ -94,8 +92,8 @@ def covered_softly(edges_px: tuple[FloatArray, FloatArray], shape: tuple[int, in
 
 def _areas(
     edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, shape: tuple[int, int]
-) -> tuple[NDArray[np.intp], FloatArray]:
-    """Flat cells and what each gains; row 0 of the cells gathers what lies above the picture."""
+) -> tuple[Ints, FloatArray]:
+    """Flat indices of cells and the area that each gains; row 0 of the cells collects what lies above the image."""
     height, width = shape
     u0, u1, v_left, slope, sign = _left_to_right(edges_px, weight, width)
     first = np.floor(u0).astype(np.intp)
@@ -109,7 +107,7 @@ def _areas(
     top = np.minimum(va, vb)
     bottom = np.maximum(np.maximum(va, vb), top + FLAT_PX)
     density = (b - a) * sign[owner] / (bottom - top)
-    # within one column: split at the rows; row -1 stands for everything above, row `height` is not looked at
+    # within one column: split at the rows; row -1 stands for everything above, row `height` is not used
     first = np.clip(np.floor(top), -1, height).astype(np.intp)
     last = np.clip(np.ceil(bottom) - 1.0, first, height).astype(np.intp)
     piece, step = _runs(last - first + 1)
@@ -127,7 +125,7 @@ def _areas(
 def _left_to_right(
     edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, width: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Edges that have some breadth inside the columns: left and right u, v at the left, slope, signed weight."""
+    """Edges with a width inside the columns: left and right u, v at the left end, slope, signed weight."""
     begin, end = edges_px
     du = end[:, 0] - begin[:, 0]
     kept = np.flatnonzero(
@@ -140,44 +138,29 @@ def _left_to_right(
     slope = (right[:, 1] - left[:, 1]) / (right[:, 0] - left[:, 0])
     u0 = np.maximum(left[:, 0], 0.0)
     v0 = left[:, 1] + (u0 - left[:, 0]) * slope
-    # anticlockwise in the picture: the upper border runs to the left, and the inside lies below it
+    # anticlockwise in the image: the upper border runs to the left, and the inside lies below it
     return u0, right[:, 0], v0, slope, np.where(rightward, -weight[kept], weight[kept])
 
 
-def _runs(counts: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _runs(counts: Ints) -> tuple[Ints, Ints]:
     """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
     owner = np.repeat(np.arange(len(counts)), counts)
     begins = np.cumsum(counts) - counts
     return owner, np.arange(len(owner)) - begins[owner]
 
 
-COLOURS = ("white", "yellow", "red", "asphalt")  # asphalt: bare ground, on which nothing is painted
-FAR_ROWS = 1.0  # markings are drawn as far as this many rows below the horizon
-STEP_PX = 2.0  # motion blur is an average over poses so far apart
-MOST_STEPS = 4
-
-
-class Painted(Protocol):
-    """A painted polygon (n, 2) [m] of the world frame; `colour` is one of COLOURS."""
-
-    @property
-    def polygon_m(self) -> FloatArray:
-        """Outline."""
-        ...
-
-    @property
-    def colour(self) -> str:
-        """Colour."""
-        ...
+COLOURS = ("white", "yellow", "red", "asphalt")  # asphalt: bare ground without paint
+FAR_ROWS = 1.0  # markings are drawn up to this many rows below the horizon
+STEP_PX = 2.0  # motion blur is the mean over poses this far apart
+MAX_STEPS = 4
 
 
 class PaintView:
-    """Markings, seen through a `GroundProjection`; raises ValueError for a colour that is not known."""
+    """Markings as seen through a `GroundProjection`; raises ValueError for an unknown colour."""
 
-    def __init__(self, projection: GroundProjection, paint: Sequence[Painted]) -> None:
+    def __init__(self, projection: GroundProjection, paint: Sequence[Paint]) -> None:
         for p in paint:
-            if p.colour not in COLOURS:
-                raise ValueError(f"colour: {p.colour!r} is none of {', '.join(COLOURS)}")
+            one_of("colour", p.colour, COLOURS)
         self._projection = projection
         self._polygons = {
             colour: PolygonSet([p.polygon_m for p in paint if p.colour == colour])
@@ -194,36 +177,36 @@ class PaintView:
         azimuth = np.arctan2(ground[:, 1], ground[:, 0]) if len(ground) else np.zeros(1)
         self._wedge = float(azimuth.min()) - 0.02, float(azimuth.max()) + 0.02
 
-    def shares(self, pose: SE2, way_m: float = 0.0) -> dict[str, Float32Array]:
+    def shares(self, pose: SE2, travel_m: float = 0.0) -> dict[str, Float32Array]:
         """The covered share (h, w) by colour where any is in view, rows from the projection's `row0` on.
 
-        `pose` is world from body, `way_m` how far the car goes ahead during the exposure, which blurs.
+        `pose` is world from body, `travel_m` the distance that the car drives during the exposure (motion blur).
         """
         body_from_world = pose.inverse()
         seen = {}
         for colour, polygons in self._polygons.items():
             picked, distance_m = self._picked(polygons, body_from_world)
             if picked.any():
-                seen[colour] = self._blurred(polygons, body_from_world, (picked, distance_m), way_m)
+                seen[colour] = self._blurred(polygons, body_from_world, (picked, distance_m), travel_m)
         return seen
 
     def _blurred(
         self,
         polygons: PolygonSet,
         body_from_world: SE2,
-        picked: tuple[NDArray[np.bool_], FloatArray],
-        way_m: float,
+        picked: tuple[Bools, FloatArray],
+        travel_m: float,
     ) -> Float32Array:
-        """Near polygons averaged over several poses; far ones, which hardly move, drawn once."""
-        shift_px_m2 = self._lift_px_m * abs(way_m)
-        steps = min(max(math.ceil(shift_px_m2 / self._nearest_m**2 / STEP_PX), 1), MOST_STEPS)
+        """Near polygons averaged over several poses; far ones, which hardly move, are drawn once."""
+        shift_px_m2 = self._lift_px_m * abs(travel_m)
+        steps = min(max(math.ceil(shift_px_m2 / self._nearest_m**2 / STEP_PX), 1), MAX_STEPS)
         near = picked[1] <= math.sqrt(shift_px_m2 / 0.7)
         begins, ends, weights = [], [], []
         for chosen, count in ((picked[0] & ~near, 1), (picked[0] & near, steps)):
             if not chosen.any():
                 continue
             begin, end = polygons.edges(chosen, body_from_world)
-            ahead_m = np.repeat(way_m * ((np.arange(count) + 0.5) / count - 0.5), len(begin))
+            ahead_m = np.repeat(travel_m * ((np.arange(count) + 0.5) / count - 0.5), len(begin))
             many = np.tile(begin, (count, 1)), np.tile(end, (count, 1))
             begin, end = self._projection.edges_px(many, ahead_m)
             begins.append(begin)
@@ -232,7 +215,7 @@ class PaintView:
         edges_px = np.concatenate(begins), np.concatenate(ends)
         return covered(edges_px, np.concatenate(weights), self._projection.shape)
 
-    def _picked(self, polygons: PolygonSet, body_from_world: SE2) -> tuple[NDArray[np.bool_], FloatArray]:
+    def _picked(self, polygons: PolygonSet, body_from_world: SE2) -> tuple[Bools, FloatArray]:
         """Which polygons the camera may see, and their distances [m] from it."""
         middles, radii = polygons.circles(body_from_world)
         middles = middles - self._eye_m

@@ -1,7 +1,4 @@
-"""The light on the ground: a gradient across the room, hard shadows, reflections in a shiny floor.
-
-The grain of the floor and the wear of its markings: patterns that repeat in the world, in mip levels.
-"""
+"""Light and texture of the ground: gradient, shadows and reflections; floor grain and wear as periodic patterns."""
 
 from __future__ import annotations
 
@@ -23,14 +20,14 @@ from automodel.types import Float32Array, FloatArray, Image
 
 SIDE_PX = 1024  # texels of a pattern's period
 LEVELS = 7
-NO_MAP: Any = None  # both coordinates are in the first map
+NO_MAP: Any = None  # both coordinates are in the first map of cv2.remap
 NEUTRAL = 128.0  # texture value that leaves the floor's grey as it is
 
 
 def periodic_noise(rng: np.random.Generator, size_px: float, power: float = 0.0) -> FloatArray:
-    """Smooth noise (SIDE_PX, SIDE_PX) of unit variance that repeats seamlessly.
+    """Smooth periodic noise (SIDE_PX, SIDE_PX) of unit variance.
 
-    Features are about `size_px` texels large; `power` > 0 adds larger ones, as clouds have them.
+    Features are about `size_px` texels large; `power` > 0 adds larger ones, as in clouds.
     """
     spectrum = np.fft.rfft2(rng.standard_normal((SIDE_PX, SIDE_PX)))
     fy, fx = np.fft.fftfreq(SIDE_PX)[:, None], np.fft.rfftfreq(SIDE_PX)[None, :]
@@ -42,7 +39,7 @@ def periodic_noise(rng: np.random.Generator, size_px: float, power: float = 0.0)
 
 
 def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
-    """One period of a floor, `NEUTRAL` on average; see FLOORS of the appearance for the kinds, and "grass"."""
+    """One period of a floor, `NEUTRAL` on average; the kinds are `appearance.FLOORS` and "grass"."""
     rng = np.random.default_rng(seed)
     relief = {
         "plain": lambda: 0.05 * periodic_noise(rng, 2.0, 0.6),
@@ -58,7 +55,7 @@ def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
 
 
 def wear_pattern(wear: float, dirt: float, seed: int) -> Image:
-    """One period of the share 0 .. 255 of the paint that is left; `wear` is the share that has flaked off."""
+    """One period of the share of the paint that is left, 0 .. 255; `wear` is the share that has flaked off."""
     rng = np.random.default_rng(seed)
     flakes = periodic_noise(rng, 3.0, 0.8) + 0.35 * periodic_noise(rng, 30.0)
     edge = np.quantile(flakes, wear) if wear > 0.0 else flakes.min() - 1.0
@@ -102,7 +99,7 @@ def _scratches(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 class MipPattern:
-    """A periodic pattern (SIDE_PX, SIDE_PX) in halving resolutions, each repeated to fill a square twice a view's."""
+    """A periodic pattern (SIDE_PX, SIDE_PX) as a mip pyramid, each level tiled to SIDE_PX or two periods."""
 
     def __init__(self, pattern: Image) -> None:
         self.levels: list[Image] = []
@@ -114,9 +111,9 @@ class MipPattern:
 
 
 class GroundSampler:
-    """Looks patterns up at the ground of every pixel; rows are grouped by the mip level that suits their footprint.
+    """Looks up patterns at the ground point of every pixel; rows are grouped by the mip level of their footprint.
 
-    `ground_m` (h, w, 2) [m] in the body frame, NaN where there is no ground; `texel_m` is the finest level's.
+    `ground_m` (h, w, 2) [m] is in the body frame, NaN where there is no ground; `texel_m` is that of the finest level.
     """
 
     def __init__(self, ground_m: FloatArray, texel_m: float) -> None:
@@ -139,7 +136,7 @@ class GroundSampler:
         for first, end, level, ground, middle in self._bands:
             scale = 1.0 / (self.texel_m * (1 << level))
             turn = scale * np.array([[cos, -sin], [sin, cos]])
-            # whole periods are taken off so that the band's middle lies in the middle of the layout
+            # whole periods are subtracted so that the band's centre lies at the centre of the tiled pattern
             period = SIDE_PX >> level
             middle_px = turn @ middle + scale * np.array([pose.x_m, pose.y_m])
             shift = scale * np.array([pose.x_m, pose.y_m]) - 0.5
@@ -153,7 +150,7 @@ class GroundSampler:
 
 
 def _row_levels(ground_m: FloatArray, texel_m: float) -> NDArray[np.intp]:
-    """Mip level of every row, from the geometric mean of a pixel's length and breadth on the ground."""
+    """Mip level of every row, from the geometric mean of a pixel's length and width on the ground."""
     if min(ground_m.shape[:2]) < 2:
         return np.zeros(len(ground_m), np.intp)
     down = np.linalg.norm(np.gradient(ground_m, axis=0), axis=-1)
@@ -165,14 +162,14 @@ def _row_levels(ground_m: FloatArray, texel_m: float) -> NDArray[np.intp]:
     return np.asarray(levels.astype(np.intp))
 
 
-COARSE = 4  # smooth light is computed for one pixel in 4 x 4
+COARSE = 4  # smooth light is computed for one pixel of 4 x 4
 MIRROR_PER_RAD = 1024 / TURN
 MIRROR_TOP_RAD = 1.2
-SHADOW_PERIOD = 18.0  # scene units after which the pattern of shadows repeats
+SHADOW_PERIOD = 18.0  # period of the shadows [scene units]
 
 
 class GroundLight:
-    """Factors and reflections for the rows of a `GroundProjection`, from `row0` on. `unit_m` is the scene's unit."""
+    """Light factors and reflections for the rows of a `GroundProjection` from `row0` on; `unit_m`: the scene unit."""
 
     def __init__(
         self, projection: GroundProjection, look: Appearance, unit_m: float, surroundings: Image | None
@@ -192,7 +189,7 @@ class GroundLight:
         self._shadows = PolygonSet(_shadow_polygons(look, unit_m)) if look.shadow > 0.0 else None
 
     def factor(self, pose: SE2) -> Float32Array | None:
-        """Factor (h, w) on the ground's brightness at `pose` (world from body); None where it is 1 everywhere."""
+        """Factor (h, w) on the ground's brightness at `pose` (world from body); None if it is 1 everywhere."""
         light: Float32Array | None = None
         if self._look.gradient:
             turn = self._look.gradient_direction_rad - pose.yaw_rad
@@ -205,7 +202,7 @@ class GroundLight:
         return light
 
     def reflection(self, yaw_rad: float) -> Float32Array | None:
-        """Grey levels (h, w) that reflections add for a car heading `yaw_rad`; None where there are none."""
+        """Grey levels (h, w) that reflections add for a car with heading `yaw_rad`; None if there are none."""
         if self._mirror is None:
             return None
         columns = self._mirror_u + np.float32((yaw_rad % TURN) * MIRROR_PER_RAD)
@@ -218,7 +215,7 @@ class GroundLight:
         return np.asarray(large[: self.shape[0], : self.shape[1]])
 
     def _lit(self, shadows: PolygonSet, pose: SE2) -> Float32Array:
-        """The light that shadows leave."""
+        """The share of the light that the shadows leave."""
         period_m = SHADOW_PERIOD * self._unit_m
         near = SE2(pose.x_m % period_m, pose.y_m % period_m, pose.yaw_rad).inverse()
         middles, radii = shadows.circles(near)
@@ -231,7 +228,7 @@ class GroundLight:
 def _bounded_ground(
     projection: GroundProjection, pixels: FloatArray, unit_m: float
 ) -> tuple[Float32Array, Float32Array]:
-    """Ground [scene units] ahead and to the left of the car, drawn in to a few units so that light stays finite."""
+    """Ground [scene units] ahead and to the left of the car, compressed to a few units so that light stays finite."""
     ground = np.nan_to_num(projection.camera.px_to_ground(pixels), nan=1e6) / unit_m
     reach = np.maximum(np.linalg.norm(ground, axis=-1, keepdims=True), 1e-9)
     bounded = ground / reach * (6.0 * np.tanh(reach / 6.0))
@@ -239,7 +236,7 @@ def _bounded_ground(
 
 
 def _mirror(look: Appearance, surroundings: Image | None) -> Float32Array | None:
-    """What a floor mirrors, by azimuth from 0 to the right and elevation from 0 down, in grey levels."""
+    """The reflection in the floor [grey levels]: columns by azimuth from 0, rows by elevation from 0."""
     if not look.lamps and not (look.shine and surroundings is not None):
         return None
     columns = round(TURN * MIRROR_PER_RAD)
@@ -247,10 +244,10 @@ def _mirror(look: Appearance, surroundings: Image | None) -> Float32Array | None
     azimuth = (np.arange(columns) + 0.5) / MIRROR_PER_RAD
     mirror = np.zeros((len(elevation), columns))
     for lamp in look.lamps:
-        aside = (azimuth - lamp.azimuth_rad + math.pi) % TURN - math.pi
-        # a floor that is not quite flat draws reflections out towards the viewer
+        lateral = (azimuth - lamp.azimuth_rad + math.pi) % TURN - math.pi
+        # an uneven floor stretches reflections towards the viewer
         profile = (
-            np.exp(-((aside / lamp.width_rad) ** 2)),
+            np.exp(-((lateral / lamp.width_rad) ** 2)),
             np.exp(-(np.abs((elevation - lamp.elevation_rad) / (1.6 * lamp.height_rad)) ** 3)),
         )
         mirror += lamp.strength * np.outer(profile[1], profile[0])
@@ -261,7 +258,7 @@ def _mirror(look: Appearance, surroundings: Image | None) -> Float32Array | None
 
 
 def _blurred(surroundings: Image, shape: tuple[int, int]) -> FloatArray:
-    """The panorama from the horizon upwards at the mirror's resolution, smeared; above its top its top row goes on."""
+    """The blurred panorama from the horizon upwards at the mirror's resolution; its top row is repeated above it."""
     grey = cv2.cvtColor(surroundings, cv2.COLOR_BGR2GRAY)[::-1]
     rows = max(round(grey.shape[0] * shape[1] / grey.shape[1]), 1)
     small = cv2.resize(grey, (shape[1], rows), interpolation=cv2.INTER_AREA)[: shape[0]]
@@ -271,7 +268,7 @@ def _blurred(surroundings: Image, shape: tuple[int, int]) -> FloatArray:
 
 
 def _shadow_polygons(look: Appearance, unit_m: float) -> list[FloatArray]:
-    """Quadrilaterals strewn over one period, and copies of them on all sides."""
+    """Random quadrilaterals over one period, with copies in the adjacent periods."""
     rng = np.random.default_rng(look.shadow_seed)
     period_m = SHADOW_PERIOD * unit_m
     polygons = []

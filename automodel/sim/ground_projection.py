@@ -1,24 +1,23 @@
-"""Edges on the ground to edges in the picture of any calibrated camera."""
+"""Projection of edges on the ground into the image of any calibrated camera."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
-from automodel.types import FloatArray
+from automodel.types import Bools, FloatArray
 
 Edges = tuple[FloatArray, FloatArray]
 
-PIECE_PX = 8.0  # with distortion, the picture of a straight edge is a chain of pieces about this long
+PIECE_PX = 8.0  # with lens distortion, a straight edge is projected in pieces of about this length
 
 
 class GroundProjection:
-    """Carries closed rings of the ground plane to the picture.
+    """Projects closed rings of the ground plane into the image.
 
-    What the camera cannot see is drawn in to the border of what it can, so that rings stay closed. `row0` is the first
-    row that shows any ground, `shape` that of the rows from there on, `ground_m` (h, w, 2) [m] the ground of each pixel
-    in the body frame (NaN above the horizon).
+    Points that the camera cannot see are moved to the border of the visible region, so that rings stay closed. `row0`
+    is the first row that shows ground, `shape` that of the rows from there on, `ground_m` (h, w, 2) [m] the ground
+    point of each pixel in the body frame (NaN above the horizon).
     """
 
     def __init__(self, camera: GroundCamera) -> None:
@@ -27,7 +26,7 @@ class GroundProjection:
         rows, columns = np.mgrid[0 : model.height_px, 0 : model.width_px]
         pixels = np.stack((columns, rows), axis=-1).astype(np.float64)
         self.ground_m: FloatArray = camera.px_to_ground(pixels)
-        self.seen: NDArray[np.bool_] = np.isfinite(self.ground_m[..., 0])
+        self.seen: Bools = np.isfinite(self.ground_m[..., 0])
         seen_rows = np.flatnonzero(self.seen.any(axis=1))
         # the row above may show ground in its lower half
         self.row0 = max(int(seen_rows[0]) - 1, 0) if len(seen_rows) else model.height_px
@@ -44,7 +43,7 @@ class GroundProjection:
         return float((ground @ self._cam_from_ground[2, :2] + self._cam_from_ground[2, 2]).min())
 
     def _seen_box(self) -> tuple[FloatArray, FloatArray, float]:
-        """Corners of the box around the picture's rays, a little larger, and the greatest radius of a ray."""
+        """Corners of the box around the image's rays with a margin, and the largest radius of a ray."""
         height, width = self.seen.shape
         corners = np.stack(np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5), axis=-1)
         rays = self.camera.camera.rays(corners)[..., :2]
@@ -54,9 +53,9 @@ class GroundProjection:
         return low - margin, high + margin, float(np.hypot(rays[:, 0], rays[:, 1]).max())
 
     def edges_px(self, edges_m: Edges, ahead_m: FloatArray | None = None) -> Edges:
-        """Edges (n, 2) [m] of the body frame -> edges as `covered` wants them, rows counted from `row0`.
+        """Edges (n, 2) [m] of the body frame as edges [px] for `covered`, rows counted from `row0`.
 
-        `ahead_m` (n,) is how far ahead of the body frame's origin the car is.
+        `ahead_m` (n,) is the distance that the car has moved ahead of the body frame's origin.
         """
         shift = self._cam_from_ground[:, 2]
         if ahead_m is not None:
@@ -67,11 +66,11 @@ class GroundProjection:
         if self._box is None:
             return self._pinhole_px(begin), self._pinhole_px(end)
         begin, end = _into_box(begin, end, self._box[0], self._box[1])
-        begin, end = _chopped(begin, end, PIECE_PX / float(self.camera.camera.matrix[0, 0]))
+        begin, end = _subdivided(begin, end, PIECE_PX / float(self.camera.camera.matrix[0, 0]))
         return self._lens_px(begin, self._box[2]), self._lens_px(end, self._box[2])
 
     def _in_front(self, begin: FloatArray, end: FloatArray) -> Edges:
-        """Edges in the cam frame, those behind the near line moved onto it along the ground."""
+        """Edges in the camera frame; points behind the near line are moved onto it along the ground."""
         begin, end = _split(begin, end, begin[:, 2] - self._near_m, end[:, 2] - self._near_m)
         normal = self._cam_from_ground[2, :2]
         steepness = float(normal @ normal)
@@ -95,7 +94,7 @@ class GroundProjection:
 
 
 def _split(begin: FloatArray, end: FloatArray, side_begin: FloatArray, side_end: FloatArray) -> Edges:
-    """Edges that change sides are cut in two where the side (n,) is 0."""
+    """Edges, those whose ends lie on different sides cut in two where the side (n,) is 0."""
     crossing = np.flatnonzero(side_begin * side_end < 0.0)
     if not len(crossing):
         return begin, end
@@ -107,20 +106,20 @@ def _split(begin: FloatArray, end: FloatArray, side_begin: FloatArray, side_end:
 
 
 def _into_box(begin: FloatArray, end: FloatArray, low: FloatArray, high: FloatArray) -> Edges:
-    """Edges cut at the sides of a box, the parts outside moved onto it."""
+    """Edges cut at the sides of a box; the parts outside are moved onto it."""
     for axis in (0, 1):
         for bound in (low[axis], high[axis]):
             begin, end = _split(begin, end, begin[:, axis] - bound, end[:, axis] - bound)
     return np.clip(begin, low, high), np.clip(end, low, high)
 
 
-def _chopped(begin: FloatArray, end: FloatArray, length: float) -> Edges:
+def _subdivided(begin: FloatArray, end: FloatArray, length: float) -> Edges:
     """Edges cut into equal pieces no longer than `length`."""
     pieces = np.maximum(np.ceil(np.abs(end - begin).max(axis=1, initial=0.0) / length), 1.0)
     owner = np.repeat(np.arange(len(begin)), pieces.astype(np.intp))
     step = np.arange(len(owner)) - (np.cumsum(pieces) - pieces)[owner]
     along = (end - begin)[owner] / pieces[owner, None]
     start = begin[owner] + step[:, None] * along
-    # the same arithmetic for the end of a piece and the begin of the next: no hairline cracks
+    # the same arithmetic for the end of a piece and the start of the next: no hairline cracks
     stop = np.where((step + 1 == pieces[owner])[:, None], end[owner], begin[owner] + (step[:, None] + 1.0) * along)
     return start, stop

@@ -1,9 +1,4 @@
-"""What is painted on the ground, as polygons.
-
-Where a road crosses itself.
-
-Where the edge lines of a circuit have worn off altogether.
-"""
+"""The paint of a road as polygons: lines and their gaps, crossings, zebra bars, stop lines."""
 
 from __future__ import annotations
 
@@ -18,7 +13,13 @@ from automodel.curves import Curve, OffsetCurve
 from automodel.sim.track_sections import LINES, BrokenLines, Marking, StopLine, TrackFile, ZebraPattern
 from automodel.types import FloatArray
 
+Span = tuple[float, float]  # of arc length [m]
+
 _MAX_SAMPLES = 1000
+# of eight broken stretches three are on the left only, three on the right only, two on both sides
+_SIDES = (("left",), ("left",), ("left",), ("right",), ("right",), ("right",), ("left", "right"), ("left", "right"))
+_LINES_EACH = 5.0 / 8.0  # the share of the stretches that affect one line
+_APART_M = 5.0  # minimum distance between two stretches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +36,7 @@ class RoadCrossing:
 
 
 def find_crossings(road: Curve, step_m: float) -> tuple[RoadCrossing, ...]:
-    """The places where the reference line crosses itself, found on chords of about `step_m`, exact afterwards."""
+    """The places where the reference line crosses itself: searched on chords of about `step_m`, then refined."""
     count = min(max(int(np.ceil(road.length_m / step_m)), 8), _MAX_SAMPLES)
     s = np.linspace(0.0, road.length_m, count + 1)
     points = road.position(s)
@@ -49,7 +50,7 @@ def find_crossings(road: Curve, step_m: float) -> tuple[RoadCrossing, ...]:
 
 
 def _crossing_chords(points: FloatArray, closed: bool) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Index pairs i < j of the chords that cross, neighbours left out."""
+    """Index pairs i < j of the chords that cross, without neighbours."""
     start, along = points[:-1], np.diff(points, axis=0)
     first, second = np.triu_indices(len(start), 2)
     if closed:
@@ -80,10 +81,10 @@ def _refine(road: Curve, s_first: float, s_second: float) -> RoadCrossing:
 
 
 def distance_beside(curve: Curve, points_m: ArrayLike, near_s_m: float) -> FloatArray:
-    """Signed distance d (n,) [m], left positive, of points (n, 2) from the stretch of a curve around `near_s_m`."""
+    """Signed distances (n,) [m], left positive, of points (n, 2) from the part of a curve around `near_s_m`."""
     points = np.asarray(points_m, dtype=np.float64)
     s = np.full(len(points), near_s_m)
-    for _ in range(6):  # Newton for all points at once: they lie within a road's width of the stretch
+    for _ in range(6):  # Newton's method for all points at once: they lie within a road's width of the curve
         theta, away = curve.heading(s), points - curve.position(s)
         ahead = away[:, 0] * np.cos(theta) + away[:, 1] * np.sin(theta)
         left = away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta)
@@ -92,31 +93,23 @@ def distance_beside(curve: Curve, points_m: ArrayLike, near_s_m: float) -> Float
     return np.asarray(away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta))
 
 
-Span = tuple[float, float]
-
-# of eight broken stretches three are on the left alone, three on the right alone, two on both sides
-_SIDES = (("left",), ("left",), ("left",), ("right",), ("right",), ("right",), ("left", "right"), ("left", "right"))
-_LINES_EACH = 5.0 / 8.0  # of the stretches hit one line
-_APART_M = 5.0  # between two stretches, at least
-
-
 def broken_spans(length_m: float, broken: BrokenLines) -> dict[str, list[Span]]:
     """Spans of the reference line over which the "left" and the "right" edge line are missing."""
     rng = np.random.default_rng((broken.seed, 31))
     mean_m = 0.5 * (broken.shortest_m + broken.longest_m)
     count = round(broken.share / _LINES_EACH * length_m / mean_m)
-    # every length as often as every other, and every side: the share that is missing comes out as it was asked for
+    # all lengths and sides are equally frequent, so that the missing share is the requested one
     drawn = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / max(count, 1)
     lengths = broken.shortest_m + (broken.longest_m - broken.shortest_m) * drawn
     free_m = length_m - float((lengths + _APART_M).sum())
     if free_m < 0.0:
         raise ValueError(f"share: {broken.share} in pieces of {mean_m} m does not fit a road of {length_m:.0f} m")
-    begins = np.sort(rng.uniform(0.0, free_m, count)) + np.cumsum(lengths + _APART_M) - lengths
+    starts = np.sort(rng.uniform(0.0, free_m, count)) + np.cumsum(lengths + _APART_M) - lengths
     sides = [_SIDES[k % len(_SIDES)] for k in rng.permutation(count)]
     spans: dict[str, list[Span]] = {"left": [], "right": []}
-    for begin, length, names in zip(begins.tolist(), lengths.tolist(), sides, strict=True):
+    for start, length, names in zip(starts.tolist(), lengths.tolist(), sides, strict=True):
         for name in names:
-            spans[name].append((begin, begin + length))
+            spans[name].append((start, start + length))
     return spans
 
 
@@ -125,8 +118,8 @@ class Paint:
     """One painted polygon (n, 2) [m] of the world frame.
 
     `colour` is "white" or "yellow", `kind` is "line", "dash", "zebra" or "stop"; beside a circuit (roadside.py) also
-    "red" and "asphalt", "kerb" and "ground". No polygon is longer than about five lane widths (2 m at scale, 20 m at
-    most), so that a bounding box says well where it is.
+    "red" and "asphalt", "kerb" and "ground". Polygons are at most about five lane widths long (2 m at scale, 20 m at
+    full scale), so that bounding circles are tight.
     """
 
     polygon_m: FloatArray
@@ -141,19 +134,19 @@ class Paint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grain:
-    """How finely polygons follow the curves: their greatest length, and the distance from the true border [m]."""
+    """The resolution of polygons: their greatest length, and their greatest distance from the exact border [m]."""
 
     length_m: float
     error_m: float
 
     @classmethod
     def of_lane(cls, width_m: float) -> Grain:
-        """2 m and 0.24 mm for a lane of 0.4 m, growing with the width."""
+        """2 m and 0.24 mm for a lane of 0.4 m, in proportion to the width."""
         return cls(length_m=min(max(5.0 * width_m, 2.0), 20.0), error_m=6e-4 * width_m)
 
 
 def strip(curve: Curve, span: Span, between: Span, error_m: float) -> FloatArray:
-    """The polygon (n, 2) between two distances `between` beside a curve, along `span` of its arc length."""
+    """The polygon (n, 2) between the two signed distances `between` from a curve, along `span` of its arc length."""
     bend = float(np.abs(curve.curvature(np.linspace(*span, 33))).max())
     steps = max(int(np.ceil((span[1] - span[0]) * np.sqrt(bend / (8.0 * error_m)))), 1)
     s = np.linspace(*span, steps + 1)
@@ -162,25 +155,25 @@ def strip(curve: Curve, span: Span, between: Span, error_m: float) -> FloatArray
 
 
 def paint_line(line: Curve, marking: Marking, gaps: Sequence[Span], grain: Grain) -> Iterator[Paint]:
-    """A marking along the whole of `line`, not inside `gaps` (of its arc length; they may reach over the ends)."""
+    """A marking along `line` except inside `gaps` (spans of its arc length; they may extend over the ends)."""
     if marking.style == "none":
         return
     half = 0.5 * marking.width_m
     kind = "dash" if marking.style == "dashed" else "line"
-    for begin, end in _without(_spans(line, marking), gaps, line):
-        if kind == "dash" and end - begin < marking.width_m:
+    for start, end in _without(_spans(line, marking), gaps, line):
+        if kind == "dash" and end - start < marking.width_m:
             continue
-        cuts = np.linspace(begin, end, max(int(np.ceil((end - begin) / grain.length_m)), 1) + 1)
+        cuts = np.linspace(start, end, max(int(np.ceil((end - start) / grain.length_m)), 1) + 1)
         for piece in itertools.pairwise(cuts.tolist()):
             yield Paint(polygon_m=strip(line, piece, (-half, half), grain.error_m), colour=marking.colour, kind=kind)
 
 
 def _spans(line: Curve, marking: Marking) -> list[Span]:
-    """The stretches that the marking would cover if nothing interrupted it."""
+    """The stretches of the marking without gaps."""
     if marking.style == "solid":
         return [(0.0, line.length_m)]
     period, dash = marking.dash_m + marking.gap_m, marking.dash_m
-    if line.closed:  # the pattern is stretched a little so that it meets itself
+    if line.closed:  # the pattern is stretched slightly to fit a whole number of periods
         count = max(round(line.length_m / period), 1)
         dash, period = dash * line.length_m / (count * period), line.length_m / count
     else:
@@ -190,14 +183,14 @@ def _spans(line: Curve, marking: Marking) -> list[Span]:
 
 def _without(spans: list[Span], gaps: Sequence[Span], line: Curve) -> list[Span]:
     laps = (-line.length_m, 0.0, line.length_m) if line.closed else (0.0,)
-    for gap_begin, gap_end in [(a + lap, b + lap) for a, b in gaps for lap in laps]:
+    for gap_start, gap_end in [(a + lap, b + lap) for a, b in gaps for lap in laps]:
         left = []
-        for begin, end in spans:
-            if gap_end <= begin or gap_begin >= end:
-                left.append((begin, end))
+        for start, end in spans:
+            if gap_end <= start or gap_start >= end:
+                left.append((start, end))
                 continue
-            if begin < gap_begin:
-                left.append((begin, gap_begin))
+            if start < gap_start:
+                left.append((start, gap_start))
             if gap_end < end:
                 left.append((gap_end, end))
         spans = left
@@ -209,14 +202,11 @@ def on_line(line: Curve, s_road_m: float) -> float:
     return float(line.s_of(s_road_m)) if isinstance(line, OffsetCurve) else s_road_m
 
 
-def passes(crossings: Sequence[RoadCrossing]) -> list[Span]:
-    """Every pass of every crossing: its own arc length and that of the pass it crosses."""
-    both = [((c.s_first_m, c.s_second_m), (c.s_second_m, c.s_first_m)) for c in crossings]
-    return [one for pair in both for one in pair]
-
-
 def inside_crossing(line: Curve, road: Curve, own_and_other_s: Span, half_m: float) -> Span:
-    """The span of `line` that lies within `half_m` of the reference line of the pass that it crosses."""
+    """The span of `line` within `half_m` of the reference line of the pass that it crosses.
+
+    `own_and_other_s` are the arc lengths [m] of the crossing on the pass of `line` and on the other one.
+    """
     own, other = own_and_other_s
     centre = on_line(line, own)
     lean = abs(np.sin(float(road.heading(own)) - float(road.heading(other))))
@@ -229,25 +219,25 @@ def inside_crossing(line: Curve, road: Curve, own_and_other_s: Span, half_m: flo
     if beyond[middle] > 0.0 or not len(before) or not len(after):
         return centre - half_m, centre + half_m
     i, j = int(before[-1]), int(after[0])
-    begin = s[i] + (s[i + 1] - s[i]) * beyond[i] / (beyond[i] - beyond[i + 1])
+    start = s[i] + (s[i + 1] - s[i]) * beyond[i] / (beyond[i] - beyond[i + 1])
     end = s[j] - (s[j] - s[j - 1]) * beyond[j] / (beyond[j] - beyond[j - 1])
-    return float(begin), float(end)
+    return float(start), float(end)
 
 
 def paint_zebra(
-    road: Curve, begin_m: float, pattern: ZebraPattern, half_clear_m: float, grain: Grain
+    road: Curve, start_m: float, pattern: ZebraPattern, half_clear_m: float, grain: Grain
 ) -> Iterator[Paint]:
-    """Bars along the road from arc length `begin_m` on, as many as fit within `half_clear_m` of the reference line."""
+    """Bars along the road from arc length `start_m` on, as many as fit within `half_clear_m` of the reference line."""
     pitch = pattern.bar_width_m + pattern.bar_gap_m
     side = int((half_clear_m - 0.5 * pattern.bar_width_m) // pitch)
-    span = (begin_m, begin_m + pattern.length_m)
+    span = (start_m, start_m + pattern.length_m)
     for d in [k * pitch for k in range(-side, side + 1)]:
         between = (d - 0.5 * pattern.bar_width_m, d + 0.5 * pattern.bar_width_m)
         yield Paint(polygon_m=strip(road, span, between, grain.error_m), colour=pattern.colour, kind="zebra")
 
 
 def paint_stop_line(road: Curve, stop: StopLine, between: Span, grain: Grain) -> Paint:
-    """A bar across the distances `between` beside the reference line."""
+    """A bar between the two signed distances `between` from the reference line."""
     span = (stop.s_m - 0.5 * stop.width_m, stop.s_m + 0.5 * stop.width_m)
     return Paint(polygon_m=strip(road, span, between, grain.error_m), colour=stop.colour, kind="stop")
 
@@ -258,21 +248,22 @@ def paint_road(
     """All paint of a track file; `lines` are the road's left edge, reference line and right edge."""
     road, half_m = lines[1], sections.lanes.half_road_m
     marked = sections.markings
-    # a line ends flush with the inner border of the edge line that it meets at a crossing
+    # at a crossing, a line ends flush with the inner border of the edge line that it meets
     inner_m = half_m - 0.5 * max(_painted_width_m(marked.left), _painted_width_m(marked.right))
     grain = Grain.of_lane(sections.lanes.width_m)
     gaps = _missing(sections, lines)
-    for own_and_other_s in passes(crossings):
+    both = [(c.s_first_m, c.s_second_m) for c in crossings]
+    for own_and_other_s in [one for pair in both for one in (pair, pair[::-1])]:
         if sections.crossings.interrupt_lines:
             for line, mine in zip(lines, gaps, strict=True):
                 mine.append(inside_crossing(line, road, own_and_other_s, inner_m))
         zebra = sections.crossings.zebra
         if zebra is not None:
-            begin, end = _arms(lines, own_and_other_s, half_m + zebra.distance_m)
+            start, end = _arms(lines, own_and_other_s, half_m + zebra.distance_m)
             clear_m = zebra.length_m + zebra.distance_m
-            gaps[1].append((begin - clear_m, end + clear_m))
-            for start in (begin - zebra.length_m, end):
-                yield from paint_zebra(road, start, zebra, inner_m, grain)
+            gaps[1].append((start - clear_m, end + clear_m))
+            for start_m in (start - zebra.length_m, end):
+                yield from paint_zebra(road, start_m, zebra, inner_m, grain)
     for line, marking, mine in zip(lines, (marked.left, marked.centre, marked.right), gaps, strict=True):
         yield from paint_line(line, marking, mine, grain)
     for stop in sections.stop_lines:
@@ -283,22 +274,22 @@ def paint_road(
 
 
 def _missing(sections: TrackFile, lines: tuple[Curve, Curve, Curve]) -> list[list[Span]]:
-    """For each line the spans of its own arc length that the file leaves out."""
+    """For each line, the spans of its own arc length that the track file leaves unpainted."""
     broken = {} if sections.broken is None else broken_spans(lines[1].length_m, sections.broken)
     missing = []
     for name, line in zip(LINES, lines, strict=True):
         spans = [(gap.from_m, gap.to_m) for gap in sections.gaps if name in gap.lines] + broken.get(name, [])
-        missing.append([(on_line(line, begin), on_line(line, end)) for begin, end in spans])
+        missing.append([(on_line(line, start), on_line(line, end)) for start, end in spans])
     return missing
 
 
 def _half_m(lines: tuple[Curve, Curve, Curve], s_m: float) -> float:
-    """From the reference line to the left edge at arc length `s_m` of the reference line."""
+    """The distance from the reference line to the left edge at arc length `s_m` of the reference line."""
     return float(np.hypot(*(lines[0].position(on_line(lines[0], s_m)) - lines[1].position(s_m))))
 
 
 def _arms(lines: tuple[Curve, Curve, Curve], own_and_other_s: Span, half_m: float) -> Span:
-    """The span of the reference line over which any of the lines lies within `half_m` of the crossing pass."""
+    """The span of the reference line over which any of the lines is within `half_m` of the crossing pass."""
     spans = np.array([inside_crossing(line, lines[1], own_and_other_s, half_m) for line in lines])
     on_road = [
         line.base_s(span) if isinstance(line, OffsetCurve) else span for line, span in zip(lines, spans, strict=True)

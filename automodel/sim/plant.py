@@ -1,7 +1,4 @@
-"""The simulated car's dynamics: pulses in, motion and sensor readings out, on time that is passed in.
-
-What actuators do to a command on its way to the wheel: table, lag, rate limit, play. Plain floats, one step each.
-"""
+"""The simulated car's dynamics: pulses in, motion and sensor readings out; time is an argument."""
 
 from __future__ import annotations
 
@@ -14,12 +11,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from automodel.config import MotorConfig, ServoConfig
+from automodel.config.toml_reader import not_negative, positive
 from automodel.geometry.se2 import SE2
 from automodel.signals import BoardSensors
 
 
 def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
-    """Piecewise linear through (xs[i], ys[i]), xs rising; the end values beyond the ends."""
+    """Piecewise linear interpolation through (xs[i], ys[i]), xs rising; constant beyond the ends. For single floats."""
     if x <= xs[0]:
         return ys[0]
     if x >= xs[-1]:
@@ -29,20 +27,15 @@ def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
 
 
 def lagged(value: float, target: float, share: float, step_max: float) -> float:
-    """One step of a first-order lag, exact for a constant target, never moving more than `step_max`.
+    """One step of a first-order lag, exact for a constant target; `share` is 1 - exp(-dt / tau).
 
-    `share` is 1 - exp(-dt / tau).
+    The step is limited to `step_max`.
     """
-    step = (target - value) * share
-    if step > step_max:
-        step = step_max
-    elif step < -step_max:
-        step = -step_max
-    return value + step
+    return value + min(max((target - value) * share, -step_max), step_max)
 
 
 def through_play(driven: float, driver: float, play: float) -> float:
-    """Where a part rests that is driven through a gap of width `play`: it moves only when the driver touches it."""
+    """The position of a part that is driven through a gap of width `play`: it moves only when the driver touches it."""
     half = 0.5 * play
     if driver - driven > half:
         return driver - half
@@ -51,21 +44,20 @@ def through_play(driven: float, driver: float, play: float) -> float:
     return driven
 
 
-STEP_NS = 1_000_000  # the integration grid: states do not depend on how often anybody asks
-KEPT_STEPS = 1002  # the past that `predicted` still knows: a second, and the steps at its ends
+STEP_NS = 1_000_000  # the integration grid: states do not depend on the times of the calls
+KEPT_STEPS = 1002  # the past that `predicted` knows: one second, and the steps at its ends
 _STEP_S = STEP_NS * 1e-9
-_STICTION_MPS = 0.004  # a car without drive that is slower than this stands still
+_STICTION_MPS = 0.004  # without drive, a car slower than this stops
 
 Ranges = tuple[float | None, float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantConfig:
-    """What the simulated car truly is; car.toml says what is believed of it.
+    """The true parameters of the simulated car; car.toml has the assumed ones.
 
-    `servo` and `motor` are the true tables. A pulse takes hold after the dead time, then acts through a first-order lag
-    (lag time 0: at once). The wheels follow the servo through a gap of `servo_play_rad` and stand `servo_bias_rad`
-    to the left of it.
+    `servo` and `motor` are the true tables. A pulse takes effect after the dead time, then through a first-order lag
+    (lag time 0: at once). The wheels follow the servo through a gap of `servo_play_rad`, `servo_bias_rad` to the left.
     """
 
     wheelbase_m: float = 0.26
@@ -86,27 +78,16 @@ class PlantConfig:
     battery_v: float = 7.6
 
     def __post_init__(self) -> None:
-        for name in ("wheelbase_m", "servo_rate_max_radps", "ticks_per_m"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name}: {getattr(self, name)} where a positive number is wanted")
-        for name in (
-            "servo_dead_s",
-            "servo_lag_s",
-            "servo_play_rad",
-            "motor_dead_s",
-            "motor_lag_s",
-            "gyro_noise_radps",
-            "battery_v",
-        ):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name}: {getattr(self, name)} where a number >= 0 is wanted")
+        positive(self, "wheelbase_m", "servo_rate_max_radps", "ticks_per_m")
+        not_negative(self, "servo_dead_s", "servo_lag_s", "servo_play_rad")
+        not_negative(self, "motor_dead_s", "motor_lag_s", "gyro_noise_radps", "battery_v")
         for name in ("servo_bias_rad", "gyro_bias_radps"):
             if not math.isfinite(getattr(self, name)):
-                raise ValueError(f"{name}: {getattr(self, name)} where a finite number is wanted")
+                raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)}")
 
     @property
     def dead_time_ns(self) -> int:
-        """The shorter of the two dead times [ns]: for so long the future is settled."""
+        """The shorter of the two dead times [ns]: the time for which the future is determined."""
         return round(min(self.servo_dead_s, self.motor_dead_s) * 1e9)
 
 
@@ -114,7 +95,7 @@ class PlantConfig:
 class CarState:
     """The car's true state: pose of the rear axle's centre in the world, and motion.
 
-    `steering_rad` is the wheels' true angle; `distance_m` is the way of the rear axle, counted down in reverse.
+    `steering_rad` is the wheels' true angle; `distance_m` is the path length of the rear axle, decreasing in reverse.
     """
 
     x_m: float
@@ -142,20 +123,20 @@ class _Snapshot(NamedTuple):
 
 
 class _Timeline:
-    """The values that take hold at rising steps of the grid."""
+    """Values and the grid steps, rising, at which they take effect."""
 
     def __init__(self, initial: float) -> None:
         self._entries: deque[tuple[int, float]] = deque([(-1, initial)])
 
     def add(self, step: int, value: float) -> None:
-        if self._entries[-1][0] >= step:  # pulses of the same instant: the last counts
+        if self._entries[-1][0] >= step:  # of pulses at the same time the last counts
             step = self._entries[-1][0]
             self._entries.pop()
         self._entries.append((step, value))
 
     def at(self, step: int) -> float:
-        for begin, value in reversed(self._entries):
-            if begin <= step:
+        for first, value in reversed(self._entries):
+            if first <= step:
                 return value
         return self._entries[0][1]
 
@@ -170,12 +151,12 @@ class Plant:
     With L the wheelbase, delta the wheels' angle and v the rear axle's speed: x' = v cos yaw, y' = v sin yaw,
     yaw' = v tan(delta) / L (Rajamani 2012, section 2.2, at the rear axle), along exact arcs on a grid of 1 ms.
 
-    Pulses set at t take hold at the first grid point at or after t + dead time. What happens before that is settled, so
-    that `predicted(t)` up to `now_ns + config.dead_time_ns` is bit for bit what `advance(t)` gives later.
+    Pulses set at t take effect at the first grid point at or after t + dead time. Until then the motion is determined:
+    `predicted(t)` up to `now_ns + config.dead_time_ns` equals a later `advance(t)` to the bit.
 
-    `ranges` are the ultrasonic sensors; `start_ns` is the time of `start_pose`, the first one that is told where None.
-    Before the first pulse the wheels are straight and the motor off. A pulse of 0 is none at all: a servo stays where
-    it is, a motor stops.
+    `ranges` are the ultrasonic sensors; `start_ns` is the time of `start_pose` (None: the first time that is passed
+    in). Before the first pulse the wheels are straight and the motor is off. A pulse of 0 means no pulse: a servo keeps
+    its angle, a motor stops.
     """
 
     def __init__(
@@ -199,7 +180,7 @@ class Plant:
 
     @property
     def now_ns(self) -> int:
-        """The latest time [ns] that was told."""
+        """The latest time [ns] that was passed in."""
         return self._now_ns
 
     @property
@@ -218,7 +199,7 @@ class Plant:
         self._motor.add(self._step_of(self._now_ns + round(config.motor_dead_s * 1e9)), speed)
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
-        """What the sensors read at `t_ns`; the gyro's noise is another with each reading."""
+        """The sensor readings at `t_ns`; each reading has new gyro noise."""
         self.advance(t_ns)
         car = self.state
         config = self.config
@@ -233,7 +214,7 @@ class Plant:
         )
 
     def advance(self, t_ns: int) -> None:
-        """Let time pass up to `t_ns`; a time that has passed already changes nothing."""
+        """Advance to `t_ns`; an earlier time changes nothing."""
         if self._start_ns is None:
             self._start_ns = self._now_ns = t_ns
         if t_ns <= self._now_ns:
@@ -249,16 +230,16 @@ class Plant:
         self._motor.forget_before(self._step - KEPT_STEPS)
 
     def predicted(self, t_ns: int) -> CarState:
-        """The state at `t_ns`; exact up to `now_ns + config.dead_time_ns`, whatever pulses come.
+        """The state at `t_ns`; exact up to `now_ns + config.dead_time_ns`, further ahead if no other pulses are set.
 
-        Further ahead it is what comes if no other pulses are set. Raises ValueError for a time more than a second past.
+        Raises ValueError for a time more than a second in the past.
         """
         if self._start_ns is None:
             return self._car(self._past[-1])
         step, rest_ns = divmod(t_ns - self._start_ns, STEP_NS)
         back = self._step - step
         if back >= len(self._past):
-            raise ValueError(f"t_ns: {t_ns} lies {self._now_ns - t_ns} ns back; the car's states are not kept so long")
+            raise ValueError(f"t_ns: {t_ns} is {self._now_ns - t_ns} ns in the past; the states are kept for a second")
         snapshot = self._past[-1 - max(back, 0)]
         for index in range(self._step, step):
             snapshot = self._whole_step(snapshot, index)
@@ -282,7 +263,7 @@ class Plant:
         return self._moved(now, step, _STEP_S, self._servo_share, self._motor_share)
 
     def _moved(self, now: _Snapshot, step: int, dt: float, servo_share: float, motor_share: float) -> _Snapshot:
-        """`dt` [s] on from the grid point `step`; speed and angle are taken as their means over the way."""
+        """The state `dt` [s] after the grid point `step`, with the mean speed and wheel angle of the interval."""
         config = self.config
         servo = lagged(now.servo, self._servo.at(step), servo_share, config.servo_rate_max_radps * dt)
         wheel = through_play(now.wheel, servo, config.servo_play_rad)
@@ -290,11 +271,11 @@ class Plant:
         speed = lagged(now.speed, drive, motor_share, math.inf)
         if drive == 0.0 and abs(speed) < _STICTION_MPS:
             speed = 0.0
-        way = 0.5 * (now.speed + speed) * dt
-        if way == 0.0:
+        distance = 0.5 * (now.speed + speed) * dt
+        if distance == 0.0:
             return _Snapshot(now.x, now.y, now.yaw, speed, servo, wheel, now.distance)
-        half = 0.5 * way * math.tan(0.5 * (now.wheel + wheel) + config.servo_bias_rad) / config.wheelbase_m
-        chord = way * (math.sin(half) / half) if abs(half) > 1e-9 else way
+        half = 0.5 * distance * math.tan(0.5 * (now.wheel + wheel) + config.servo_bias_rad) / config.wheelbase_m
+        chord = distance * (math.sin(half) / half) if abs(half) > 1e-9 else distance
         middle = now.yaw + half
         return _Snapshot(
             now.x + chord * math.cos(middle),
@@ -303,7 +284,7 @@ class Plant:
             speed,
             servo,
             wheel,
-            now.distance + way,
+            now.distance + distance,
         )
 
     def _car(self, now: _Snapshot) -> CarState:

@@ -1,4 +1,4 @@
-"""A simulated car whose servo and motor nobody knows: drawn from a seed, for calibrations to find out."""
+"""Simulated cars with random servo and motor parameters, for testing calibrations."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ from automodel.sim.plant import PlantConfig
 FULL_US = 400.0  # from the motor's neutral to full speed
 
 
-def hidden_servo(seed: int, plant: PlantConfig) -> PlantConfig:
-    """`plant` with another servo and another gyro bias.
+def randomised_servo(seed: int, plant: PlantConfig) -> PlantConfig:
+    """`plant` with a random servo and gyro bias.
 
-    The centre lies up to 80 us beside 1500 us. Each side has a stop and a gain of its own, and the gain is a little
-    less in its outer half. There are 2 deg of play, a dead time of 40 to 120 ms, a lag and a rate limit; every other
-    servo turns the other way.
+    The centre is within 80 us of 1500 us. Each side has its own stop and gain, with a slightly smaller gain in its
+    outer half. The play is 2 deg, the dead time 40 to 120 ms; lag, rate limit and direction are random too.
     """
     draw = random.Random(f"servo {seed}")
     centre_us = 1500.0 + draw.uniform(-80.0, 80.0)
@@ -38,8 +37,8 @@ def hidden_servo(seed: int, plant: PlantConfig) -> PlantConfig:
     )
 
 
-def hidden_motor(seed: int, plant: PlantConfig) -> PlantConfig:
-    """`plant` with another motor (gain, lag, a band around neutral that moves nothing) and other ticks a metre."""
+def randomised_motor(seed: int, plant: PlantConfig) -> PlantConfig:
+    """`plant` with a random motor (gain, lag, dead band around neutral) and a random number of ticks per metre."""
     draw = random.Random(f"motor {seed}")
     band_us = draw.uniform(5.0, 40.0)
     full_mps = draw.uniform(2.5, 5.0)

@@ -1,15 +1,10 @@
-"""The simulator's camera: pictures of painted ground from any pose.
-
-Obstacles as shaded prisms that hide what lies behind them.
-
-What lens and sensor do to a picture: blur, vignetting, exposure, noise.
-"""
+"""The simulator's camera: images of painted ground and obstacles from any pose, with lens and sensor effects."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,37 +13,20 @@ from numpy.typing import NDArray
 from automodel.geometry import SE2, GroundCamera
 from automodel.sim.appearance import Appearance
 from automodel.sim.background import Background
-from automodel.sim.coverage import Painted, PaintView, PolygonSet, covered_softly
+from automodel.sim.coverage import PaintView, PolygonSet, covered_softly
 from automodel.sim.ground_light import NEUTRAL, GroundLight, GroundSampler, MipPattern, floor_pattern, wear_pattern
 from automodel.sim.ground_projection import GroundProjection
-from automodel.types import FloatArray, Image
+from automodel.sim.paint import Paint
+from automodel.sim.track import Obstacle
+from automodel.types import Float32Array, FloatArray, Image
 
 FRACTION_BITS = 6
 
 
-class Prism(Protocol):
-    """Something upright on the floor: its outline (n, 2) [m] in the world frame, anticlockwise and convex."""
-
-    @property
-    def polygon_m(self) -> FloatArray:
-        """Outline."""
-        ...
-
-    @property
-    def height_m(self) -> float:
-        """Height of its flat top."""
-        ...
-
-    @property
-    def grey(self) -> int:
-        """Brightness of its lit faces, 0 .. 255."""
-        ...
-
-
 def draw_obstacles(
-    picture: Image, obstacles: Sequence[Prism], camera: GroundCamera, pose: SE2, light: FloatArray
+    image: Image, obstacles: Sequence[Obstacle], camera: GroundCamera, pose: SE2, light: FloatArray
 ) -> None:
-    """Draw obstacles into a picture (h, w[, 3]), the farthest first; `light` is a factor for each channel."""
+    """Draw convex obstacles into an image (h, w[, 3]), the farthest first; `light` is a factor for each channel."""
     body_from_world = pose.inverse()
     near = [
         (float(np.linalg.norm(body_from_world.apply(o.polygon_m).mean(axis=0))), i) for i, o in enumerate(obstacles)
@@ -56,20 +34,20 @@ def draw_obstacles(
     for _, i in sorted(near, reverse=True):
         outline = body_from_world.apply(obstacles[i].polygon_m)
         for face, shade in _faces(outline, obstacles[i].height_m, camera.centre_m, pose.yaw_rad):
-            polygon = _picture_of(face, camera)
+            polygon = _projected(face, camera)
             if len(polygon) >= 3:
                 colour = np.clip(obstacles[i].grey * shade * light, 0.0, 255.0).round().tolist()
                 fixed = np.round(polygon * (1 << FRACTION_BITS)).astype(np.int32)
-                cv2.fillPoly(picture, [fixed], colour, cv2.LINE_AA, FRACTION_BITS)
+                cv2.fillPoly(image, [fixed], colour, cv2.LINE_AA, FRACTION_BITS)
 
 
 def _faces(outline: FloatArray, height_m: float, eye_m: FloatArray, yaw_rad: float) -> list[tuple[FloatArray, float]]:
-    """Faces (n, 3) [m] that the eye can see and their brightness; the light comes from a fixed side of the world."""
+    """Faces (n, 3) [m] visible from `eye_m`, and their brightness; the light's direction is fixed in the world."""
     faces = []
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         along = b - a
         if along[0] * (eye_m[1] - a[1]) - along[1] * (eye_m[0] - a[0]) >= 0.0:
-            continue  # the eye is on the inner side of this wall
+            continue  # this wall faces away
         outwards = math.atan2(-along[0], along[1]) + yaw_rad
         wall = np.array([(*a, 0.0), (*b, 0.0), (*b, height_m), (*a, height_m)])
         faces.append((wall, 0.7 + 0.25 * math.cos(outwards - 0.8)))
@@ -78,8 +56,8 @@ def _faces(outline: FloatArray, height_m: float, eye_m: FloatArray, yaw_rad: flo
     return faces
 
 
-def _picture_of(face: FloatArray, camera: GroundCamera) -> FloatArray:
-    """Pixels (m, 2) of a face (n, 3) of the body frame, without what is behind the camera or beyond its lens."""
+def _projected(face: FloatArray, camera: GroundCamera) -> FloatArray:
+    """Pixels (m, 2) of a face (n, 3) of the body frame, without the parts behind the camera or outside its lens."""
     cam = (face - camera.centre_m) @ camera.cam_from_body.T
     cam = _cut(cam, np.array([0.0, 0.0, 1.0]), 0.02 * float(camera.centre_m[2]))
     if len(cam) < 3:
@@ -92,7 +70,7 @@ def _picture_of(face: FloatArray, camera: GroundCamera) -> FloatArray:
 
 
 def _cut(polygon: FloatArray, normal: FloatArray, level: float) -> FloatArray:
-    """The part of a polygon (n, 3) where `normal @ p >= level` (Sutherland and Hodgman)."""
+    """The part of a polygon (n, 3) where `normal @ p >= level` (Sutherland and Hodgman 1974)."""
     side = polygon @ normal - level
     kept = []
     for i in range(len(polygon)):
@@ -104,13 +82,11 @@ def _cut(polygon: FloatArray, normal: FloatArray, level: float) -> FloatArray:
     return np.array(kept).reshape(-1, 3)
 
 
-Float32Array = NDArray[np.float32]
-
-POOL_MARGIN = (251, 509)  # rows and columns by which noise is shifted from picture to picture
+POOL_MARGIN = (251, 509)  # rows and columns by which the noise is shifted from frame to frame
 
 
 def mixed(*numbers: int) -> int:
-    """A well mixed 64-bit number from others (the finaliser of splitmix64)."""
+    """A 64-bit hash of the numbers (the finaliser of splitmix64)."""
     state = 0
     for number in numbers:
         state = (state + number + 0x9E3779B97F4A7C15) & 0xFFFFFFFFFFFFFFFF
@@ -121,7 +97,7 @@ def mixed(*numbers: int) -> int:
 
 
 def exposure(look: Appearance, index: int) -> float:
-    """Factor on everything in picture `index`: it jumps every `exposure_hold_frames` pictures."""
+    """Brightness factor of frame `index`; it changes every `exposure_hold_frames` frames."""
     if not look.exposure_step:
         return 1.0
     draw = mixed(look.exposure_seed, index // look.exposure_hold_frames) / 2.0**64
@@ -129,7 +105,7 @@ def exposure(look: Appearance, index: int) -> float:
 
 
 def blur_kernel(sigma_px: float, smear_px: float) -> Float32Array:
-    """Gaussian of `sigma_px` convolved with a box `smear_px` long, both sampled over pixels; odd length, sum 1."""
+    """Gaussian of `sigma_px` convolved with a box of length `smear_px`, integrated over pixels; odd length, sum 1."""
     sigma = math.hypot(sigma_px, 0.05)
     reach = math.ceil(3.0 * sigma_px + 0.5 * smear_px)
     borders = np.arange(-reach, reach + 2) - 0.5
@@ -142,14 +118,14 @@ def blur_kernel(sigma_px: float, smear_px: float) -> Float32Array:
 
 
 def _ramp(x: float, sigma: float) -> float:
-    """The integral of the normal distribution's distribution function."""
+    """The integral of the cumulative normal distribution."""
     z = x / sigma
     density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
     return x * 0.5 * (1.0 + math.erf(z / math.sqrt(2.0))) + sigma * density
 
 
 class SensorEffects:
-    """Applies lens and sensor of an appearance to pictures (h, w[, 3]) of one size."""
+    """Applies the lens and the sensor of an appearance to images (h, w[, 3]) of one size."""
 
     def __init__(self, look: Appearance, shape: tuple[int, int], focal_px: float, channels: int) -> None:
         self._look, self._shape, self._focal_px, self._channels = look, shape, focal_px, channels
@@ -162,9 +138,9 @@ class SensorEffects:
         levels = np.arange(256.0)
         self._sigma = np.sqrt(look.read_noise**2 + look.shot_noise * levels).astype(np.float32)
 
-    def apply(self, picture: Image, yaw_rate_radps: float, index: int) -> Image:
-        """The picture as it leaves the sensor."""
-        seen: NDArray[Any] = picture
+    def apply(self, image: Image, yaw_rate_radps: float, index: int) -> Image:
+        """The image as the sensor delivers it."""
+        seen: NDArray[Any] = image
         if self._vignette is not None:
             seen = cv2.multiply(seen, self._vignette, scale=1.0 / 255.0)
         smear_px = abs(yaw_rate_radps) * self._look.exposure_s * self._focal_px
@@ -177,7 +153,7 @@ class SensorEffects:
         return np.asarray(seen, dtype=np.uint8)
 
     def _noise(self, pool: Float32Array, index: int) -> Float32Array:
-        """Normal noise (h, w[, 3]) of unit variance for picture `index`: a part of the pool."""
+        """Normal noise (h, w[, 3]) of unit variance for frame `index`: a part of the pool."""
         draw = mixed(self._look.noise_seed, index)
         row, column = draw % POOL_MARGIN[0], (draw >> 16) % POOL_MARGIN[1]
         part = pool[row : row + self._shape[0], column : column + self._shape[1]]
@@ -193,29 +169,29 @@ class SensorEffects:
 
 
 GREY_OF_BGR = np.array([0.114, 0.587, 0.299])
-SCALE_CAMERA_M = 0.18  # a camera at this height above the ground has a scene unit of 1 m
+SCALE_CAMERA_M = 0.18  # the camera height at which the scene unit is 1 m
 TEXEL_UNITS = 0.002
 KERB_BGR = np.array([45.0, 40.0, 165.0])
 
 
 class Renderer:
-    """Pictures of one scene through one camera.
+    """Renders images of one scene through one camera.
 
-    `paint` lies on a floor (x0, y0, x1, y1) [m] of the world frame; `obstacles` stand on it. Pictures depend on the
-    arguments of `render` alone: the same ones give the same picture bit for bit. Markings are drawn as exact areas of
-    their polygons; floor, wear and light are patterns looked up at each pixel's ground. `roadside` is a circuit's
-    ground: asphalt, which then takes the floor's place, with grass beyond it, and kerbs, which are no markings.
+    `paint` lies on a floor (x0, y0, x1, y1) [m] of the world frame; `obstacles` stand on it. An image depends only on
+    the arguments of `render`, to the bit. Markings are drawn as exact areas of their polygons; floor, wear and light
+    are patterns looked up at the ground point of each pixel. `roadside` is the ground of a circuit: asphalt, which
+    replaces the floor, with grass beyond it, and kerbs, which are no markings.
     """
 
     def __init__(
         self,
-        paint: Sequence[Painted],
+        paint: Sequence[Paint],
         floor: tuple[float, float, float, float],
-        obstacles: Sequence[Prism],
+        obstacles: Sequence[Obstacle],
         camera: GroundCamera,
         appearance: Appearance,
         colour: bool = False,
-        roadside: Sequence[Painted] = (),
+        roadside: Sequence[Paint] = (),
     ) -> None:
         self.camera, self.appearance, self.colour = camera, appearance, colour
         self.obstacles = tuple(obstacles)
@@ -244,19 +220,19 @@ class Renderer:
         yaw_rate_radps: float = 0.0,
         index: int = 0,
     ) -> Image:
-        """The picture (h, w) grey or (h, w, 3) BGR from a pose of the body frame, the middle of the exposure."""
+        """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure."""
         pose = SE2(x_m, y_m, yaw_rad)
         gain = self.appearance.light * exposure(self.appearance, index)
         light = gain * self._channels(np.array(self.appearance.light_tint))
-        picture = np.empty((*self._shape, 3) if self.colour else self._shape, np.uint8)
+        image = np.empty((*self._shape, 3) if self.colour else self._shape, np.uint8)
         if self._row0 < self._shape[0]:
-            picture[self._row0 :] = self._ground(pose, speed_mps * self.appearance.exposure_s, light)
-        self._put_background(picture, yaw_rad, light)
-        draw_obstacles(picture, self.obstacles, self.camera, pose, light)
-        return self._effects.apply(picture, yaw_rate_radps, index)
+            image[self._row0 :] = self._ground(pose, speed_mps * self.appearance.exposure_s, light)
+        self._put_background(image, yaw_rad, light)
+        draw_obstacles(image, self.obstacles, self.camera, pose, light)
+        return self._effects.apply(image, yaw_rate_radps, index)
 
     def render_mask(self, x_m: float, y_m: float, yaw_rad: float) -> Image:
-        """How much of each pixel markings cover (h, w), 0 .. 255: not worn, not blurred, hidden behind obstacles."""
+        """The share of each pixel that markings cover (h, w), 0 .. 255: without wear and blur, hidden by obstacles."""
         pose = SE2(x_m, y_m, yaw_rad)
         share = np.zeros(self._projection.shape, np.float32)
         for seen in self._paint.shares(pose).values():
@@ -267,16 +243,16 @@ class Renderer:
         return mask
 
     def _channels(self, bgr: FloatArray) -> FloatArray:
-        """A colour's channels in the picture: three, or its grey."""
+        """The image channels of a colour: three, or its grey."""
         return bgr if self.colour else np.array([bgr @ GREY_OF_BGR])
 
-    def _ground(self, pose: SE2, way_m: float, light: FloatArray) -> Image:
-        """The rows from `row0` on, lit; `way_m` is how far the car goes during the exposure."""
+    def _ground(self, pose: SE2, travel_m: float, light: FloatArray) -> Image:
+        """The rows from `row0` on with light; `travel_m` is the distance that the car drives during the exposure."""
         sampled = self._sampler.sample(self._patterns, pose)
-        beside = {} if self._roadside is None else self._roadside.shares(pose, way_m)
+        beside = {} if self._roadside is None else self._roadside.shares(pose, travel_m)
         floor = self._floor_grey(pose, sampled, beside)
         layers = []
-        for colour, share in (*beside.items(), *self._paint.shares(pose, way_m).items()):
+        for colour, share in (*beside.items(), *self._paint.shares(pose, travel_m).items()):
             if colour == "asphalt":
                 continue
             if "wear" in sampled:
@@ -299,7 +275,7 @@ class Renderer:
         return np.asarray(cv2.merge(channels) if self.colour else channels[0])
 
     def _floor_grey(self, pose: SE2, sampled: Mapping[str, Image], beside: Mapping[str, Float32Array]) -> Float32Array:
-        """The bare ground, without tint and light."""
+        """The ground without paint, tint and light."""
         look = self.appearance
         floor = self._textured(look.floor_grey, sampled.get("floor"))
         if look.surround_grey is None:
@@ -324,12 +300,12 @@ class Renderer:
             return np.full(self._projection.shape, grey, np.float32)
         return np.asarray(grain * np.float32(grey / NEUTRAL))
 
-    def _put_background(self, picture: Image, yaw_rad: float, light: FloatArray) -> None:
-        """Fill the pixels that show no ground."""
+    def _put_background(self, image: Image, yaw_rad: float, light: FloatArray) -> None:
+        """Fill the pixels without ground."""
         seen = self._background.look_up(yaw_rad, self.colour)
         if seen is not None:
             lit = cv2.multiply(seen, np.array((*light, *[0.0] * (4 - len(light)))))
-            cv2.copyTo(lit, self._background.mask, picture[: len(seen)])
+            cv2.copyTo(lit, self._background.mask, image[: len(seen)])
 
 
 def _patterns(look: Appearance, grass: bool) -> dict[str, MipPattern]:

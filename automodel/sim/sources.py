@@ -1,11 +1,4 @@
-"""A source of simulated frames that moves virtual time: deterministic, as fast as the machine can.
-
-The simulated world in a process of its own, against the real clock: as a camera and a serial port, nothing else.
-
-The parent gets frames through shared memory (a ring of `SLOTS`), each announced over a pipe at its very time of
-capture, and the name of the board's serial port. Pictures are rendered ahead of their time (see `World`), so that they
-arrive when a camera without delay would deliver them.
-"""
+"""Sources of simulated frames: in lock-step on virtual time, or from a separate process in real time."""
 
 from __future__ import annotations
 
@@ -27,11 +20,10 @@ from automodel.sources.errors import SourceError
 
 
 class LockStepSource:
-    """Implements `Source`: each `read` advances the clock to the next capture, plus the loop's own time.
+    """Implements `Source`: each `read` advances the virtual clock to the next capture plus `latency_ns`.
 
-    The clock's `on_advance` moves board and world, so that they follow whoever moves time.
-    `latency_ns` stands for what the loop takes from capture to the byte on the wire: the clock shows it when `read`
-    returns, so that commands reach the wire that much after their frame. `on_scene` is told the truth of each frame.
+    The clock's `on_advance` moves the board and the world. `latency_ns` is the simulated time from the capture to the
+    command on the wire. `on_scene` gets the ground truth of each frame. Deterministic, and as fast as the machine.
     """
 
     def __init__(
@@ -43,9 +35,9 @@ class LockStepSource:
         self._start_ns, self._rate_hz, self._index = clock.now_ns(), rate_hz, 0
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, None when it is not due within `timeout_s` (which then has passed)."""
+        """The next frame; None, with `timeout_s` elapsed, if none is due within it."""
         now_ns = self.clock.now_ns()
-        if self._time_of(self._index + 1) < now_ns:  # somebody waited longer: those frames are lost, as a camera's are
+        if self._time_of(self._index + 1) < now_ns:  # the reader was late: frames are lost as with a camera
             self._index = int((now_ns - self._start_ns) * 1e-9 * self._rate_hz)
         t_ns = self._time_of(self._index + 1)
         deadline_ns = now_ns + round(timeout_s * 1e9)
@@ -63,25 +55,25 @@ class LockStepSource:
         return self._start_ns + round(index * 1e9 / self._rate_hz)
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Nothing to release."""
 
 
 SLOTS = 8
-LEAD_NS = 14_000_000  # time that a picture is rendered ahead
-SETTLED_NS = 3_000_000  # the board's thread is no further behind than this
+LEAD_NS = 14_000_000  # a frame is rendered this much before its capture time
+SETTLED_NS = 3_000_000  # the board's thread is at most this much behind
 
 
 class Port(Protocol):
-    """The board's serial port, served against the real clock."""
+    """The board's serial port, served in real time."""
 
     path: str
 
     def start(self) -> None:
-        """Serve it in a thread."""
+        """Serve the port in a thread."""
         ...
 
     def close(self) -> None:
-        """Stop and remove it."""
+        """Stop and remove the port."""
         ...
 
 
@@ -89,7 +81,12 @@ WorldFactory = Callable[..., tuple[World, Port]]
 
 
 class RealTimeWorld:
-    """Implements `Source`. `port` is the serial port to open; `factory(*arguments)` builds the world in the child."""
+    """Implements `Source`: the simulated world in a separate process, in real time.
+
+    `factory(*arguments)` builds the world in the child process; `port` is the serial port of its board. Frames come
+    through shared memory (a ring of `SLOTS`), announced over a pipe. They are rendered ahead (see `World`) and arrive
+    at their capture time.
+    """
 
     START_TIMEOUT_S = 20.0
     STOP_TIMEOUT_S = 5.0
@@ -116,14 +113,14 @@ class RealTimeWorld:
         theirs.close()
         try:
             self.port = self._await_port()
-        except BaseException:  # an interrupt, too: the process must not outlive this one
+        except BaseException:  # also an interrupt: the child must not outlive this process
             self.close()
             raise
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The newest frame, None when none came in time; raises SourceError when the world's process died.
+        """The newest frame, None if none came in time; raises SourceError when the world's process has died.
 
-        Frames that nobody fetched are gone, as a camera's are: the ring would have been written over under them.
+        Older frames are dropped: the ring may have been overwritten.
         """
         try:
             if not self._pipe.poll(timeout_s):
@@ -143,7 +140,7 @@ class RealTimeWorld:
             self._pipe.send("stop")
         self._process.join(self.STOP_TIMEOUT_S)
         if self._process.is_alive():
-            self._process.kill()  # nothing less gets through
+            self._process.kill()
             self._process.join()
         self._pipe.close()
 
@@ -164,7 +161,7 @@ def _serve(
     rate_hz: float,
     pipe: Connection,
 ) -> None:
-    cv2.setNumThreads(1)  # the other core is the driving process's
+    cv2.setNumThreads(1)  # the driving process needs the other core
     slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
     world, port = factory(*arguments)
     index, start = 0, time.monotonic_ns()
@@ -176,7 +173,7 @@ def _serve(
             t_ns = start + round(index * 1e9 / rate_hz)
             _sleep_until(t_ns - LEAD_NS)
             now = time.monotonic_ns()
-            if now > t_ns:  # the machine was busy: this picture is lost, as a camera would lose it
+            if now > t_ns:  # the machine was busy: the frame is lost as with a camera
                 continue
             world.settle(now - SETTLED_NS)
             image, scene = world.capture(t_ns, index)

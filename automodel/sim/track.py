@@ -1,4 +1,4 @@
-"""The simulated world's ground: a road, its lanes, what is painted on it and what stands on it."""
+"""The simulated ground: a road, its lanes, its paint and the obstacles on it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from automodel.types import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lane:
-    """One lane in the direction in which it is driven; the lines are the middles of the painted markings.
+    """One lane in its driving direction; the lines are the centres of the painted markings.
 
-    `width_m(s)` is the distance between the two lines [m] at arc length s of the centerline (vectorised).
+    `width_m(s)` is the distance [m] between the two lines at arc length s of the centerline (vectorised).
     """
 
     centerline: Curve
@@ -35,7 +35,10 @@ class Lane:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Obstacle:
-    """Something upright on the floor: its outline (n, 2) [m] in the world frame, anticlockwise."""
+    """An upright prism on the floor: its outline (n, 2) [m] in the world frame, anticlockwise and convex.
+
+    `grey` is the brightness of its lit faces, 0 .. 255.
+    """
 
     polygon_m: FloatArray
     height_m: float
@@ -49,11 +52,11 @@ class Obstacle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """A road and what belongs to it, world frame.
+    """A road with its markings and surroundings in the world frame.
 
-    `road` is the reference line, the middle of the road; traffic keeps right, forward is its direction. `floor` is
-    (x0, y0, x1, y1) [m]; `start` is the pose of the car's rear axle at the start, on the lane of `start_direction`.
-    `roadside` is the asphalt and the kerbs of a circuit; empty where the floor is one piece.
+    `road` is the reference line in the middle of the road; forward is its direction, and traffic keeps right. `floor`
+    is (x0, y0, x1, y1) [m]; `start` is the pose of the car's rear axle at the start, on the lane of `start_direction`.
+    `roadside` is the asphalt and the kerbs of a circuit; it is empty for a plain floor.
     """
 
     name: str
@@ -70,11 +73,11 @@ class Track:
 
     @property
     def closed(self) -> bool:
-        """Whether the road comes back to its beginning."""
+        """Whether the road returns to its start."""
         return self.road.closed
 
     def lane(self, direction: str = "forward", index: int = 0) -> Lane:
-        """The lane `index` of a direction, 0 the rightmost; raises ValueError where there is none."""
+        """The lane `index` of a direction, 0 being the rightmost; raises ValueError if it does not exist."""
         lanes = self.lanes(direction)
         if not 0 <= index < len(lanes):
             raise ValueError(f"index: {index}, but {self.name} has {len(lanes)} {direction} lane(s)")
@@ -83,7 +86,7 @@ class Track:
     def lanes(self, direction: str = "forward") -> tuple[Lane, ...]:
         """The lanes of a direction, "forward" or "reverse", the rightmost first."""
         if direction not in ("forward", "reverse"):
-            raise ValueError(f"direction: {direction!r} where forward or reverse is wanted")
+            raise ValueError(f"direction: expected forward or reverse, got {direction!r}")
         return (self.forward,) if direction == "forward" else (self.reverse,)
 
     def paint(self) -> tuple[Paint, ...]:
@@ -92,18 +95,18 @@ class Track:
 
 
 def lane_between(road: Curve, width_m: Callable[[ArrayLike], FloatArray]) -> Lane:
-    """A lane around `road` whose width [m] is a function of the road's arc length; ValueError where it folds back."""
+    """A lane around `road` whose width [m] is a function of the road's arc length; ValueError if an edge folds back."""
     left, right = OffsetCurve(road, lambda s: 0.5 * width_m(s)), OffsetCurve(road, lambda s: -0.5 * width_m(s))
     return Lane(centerline=road, left=left, right=right, width_m=width_m)
 
 
 def constant(width_m: float) -> Callable[[ArrayLike], FloatArray]:
-    """A lane's width that is the same everywhere."""
+    """A constant lane width as a function of arc length."""
     return lambda s_m: np.full(np.shape(s_m), width_m)
 
 
 def reversed_lane(lane: Lane) -> Lane:
-    """The same strip of ground driven the other way."""
+    """The same lane driven in the opposite direction."""
     length_m = lane.centerline.length_m
     return Lane(
         centerline=ReversedCurve(lane.centerline),

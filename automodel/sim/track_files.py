@@ -1,6 +1,6 @@
-"""Reads tracks: track files (TOML) and centrelines of race tracks at full scale (CSV).
+"""Reads tracks: track files (TOML) and centrelines of full-scale race tracks (CSV).
 
-The CSV has the columns of TUM's racetrack database, `x_m,y_m,w_tr_right_m,w_tr_left_m`, and is closed.
+The CSV is a closed line with the columns of TUM's racetrack database: `x_m,y_m,w_tr_right_m,w_tr_left_m`.
 """
 
 from __future__ import annotations
@@ -49,15 +49,15 @@ _LISTS: dict[str, type[StopLine] | type[Gap] | type[Box] | type[WidthAt]] = {
 }
 COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 EDGE = Marking(style="solid", width_m=0.15)
-MARGIN_M = 20.0  # of floor around the track
-_SHARPEST = 0.85  # half a road's width, as a share of the bend's radius, at most
-_TAPER = 3  # points over which a road becomes narrower
+MARGIN_M = 20.0  # floor around the track
+_MAX_HALF_WIDTH = 0.85  # of half a road's width, as a share of the bend's radius
+_TAPER = 3  # points over which a road narrows
 
 
 def load_track(path_or_name: str | Path) -> Track:
-    """A shipped track by its name ("tmr"), a track file (.toml) or a race track's centreline (.csv).
+    """A shipped track by its name ("tmr"), a track file (.toml) or the centreline of a race track (.csv).
 
-    Raises ConfigError with the file, line, key and reason.
+    Raises ConfigError with file, line, key and reason.
     """
     path = Path(path_or_name)
     if path.suffix == ".csv":
@@ -70,21 +70,21 @@ def load_track(path_or_name: str | Path) -> Track:
     entry = shipped.get(str(path_or_name))
     if entry is None:
         raise ConfigError(
-            f"{path_or_name}: no such track; shipped are {', '.join(sorted(shipped))};"
-            " of your own give the path of a .toml or .csv file"
+            f"{path_or_name}: no such track; expected one of {', '.join(sorted(shipped))},"
+            " or the path of a .toml or .csv file"
         )
     return parse_track(entry.read_text(encoding="utf-8"), f"tracks/{entry.name}")
 
 
 def parse_track(text: str, file: str) -> Track:
-    """The track in the text of a track file; `file` is its name in errors. Raises ConfigError."""
+    """The track in the text of a track file; `file` is its name in error messages. Raises ConfigError."""
     sections, road = read_track(text, file)
     try:
         forward, reverse, edges = _lanes(sections, road)
         roadside = _roadside(sections, road, forward)
         crossings = find_crossings(road, 0.25 * sections.lanes.half_road_m)
         painted = tuple(paint_road(sections, (edges[0], road, edges[1]), crossings))
-    except ValueError as error:  # what only the whole road shows
+    except ValueError as error:  # errors that only show on the whole road
         key = "broken" if str(error).startswith("share") else "widths"
         raise ConfigError(f"{where(text, file, (), key)}: {error}") from None
     start = sections.start
@@ -105,7 +105,7 @@ def parse_track(text: str, file: str) -> Track:
 
 
 def _lanes(sections: TrackFile, road: Curve) -> tuple[Lane, Lane, tuple[Curve, Curve]]:
-    """The forward and the reverse lane, and the road's left and right edge; ValueError where an edge folds back."""
+    """The forward and the reverse lane, and the road's left and right edge; ValueError if an edge folds back."""
     width_m, half_m = sections.lanes.width_m, sections.lanes.half_road_m
     if sections.widths:
         width = LaneWidth(sections.widths, road.length_m, road.closed)
@@ -137,19 +137,19 @@ def _obstacle(box: Box) -> Obstacle:
 
 
 def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
-    """The sections of a track file and its road's reference line; `file` is its name in errors.
+    """The sections of a track file and the reference line of its road; `file` is its name in error messages.
 
     Raises ConfigError.
     """
     table = parse_toml(text, file)
     raw = {name: _tables(table.pop(name, []), name, text, file) for name in ("pieces", *_LISTS)}
     if not raw["pieces"]:
-        raise ConfigError(f"{where(text, file, (), 'pieces')}: empty; one [[pieces]] or more is wanted")
+        raise ConfigError(f"{where(text, file, (), 'pieces')}: expected at least one [[pieces]], got none")
     sections = read_section(TrackFile, table, text, file)
     if sections.lanes.count == 1:
         if "centre" in table.get("markings", {}) and sections.markings.centre.style != "none":
             place = where(text, file, ("markings", "centre"), "style")
-            raise ConfigError(f"{place}: a single lane has no centre line; leave it out")
+            raise ConfigError(f"{place}: a single lane has no centre line; remove it")
         none = dataclasses.replace(sections.markings, centre=Marking(style="none"))
         sections = dataclasses.replace(sections, markings=none)
     road = _join([_read_piece(entry, part, file, sections.lanes) for entry, part in raw["pieces"]], sections)
@@ -164,14 +164,14 @@ def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
                 place = where(part, file, (name,), key)
                 raise ConfigError(f"{place}: {getattr(item, key)} is off the road, 0 .. {road.length_m:.3f} m")
     if lists["widths"] and sections.lanes.count != 1:
-        raise ConfigError(f"{where(text, file, (), 'widths')}: a single lane alone has widths; leave them out")
+        raise ConfigError(f"{where(text, file, (), 'widths')}: only a single lane may have widths; remove them")
     return dataclasses.replace(sections, **lists), road
 
 
 def _tables(raw: Any, name: str, text: str, file: str) -> list[tuple[dict[str, Any], str]]:
-    """Each table of an array, with the text in which its line is found: all but its own lines left blank."""
+    """Each table of an array, with the text for finding its lines: all lines but its own are blank."""
     if not isinstance(raw, list) or not all(isinstance(entry, dict) for entry in raw):
-        raise ConfigError(f"{where(text, file, (), name)}: a list of tables is wanted, each under [[{name}]]")
+        raise ConfigError(f"{where(text, file, (), name)}: expected a list of tables, each under [[{name}]]")
     lines = text.splitlines()
     heads = [i for i, row in enumerate(lines) if re.match(rf"\s*\[\[\s*{name}\s*\]\]", row)]
     if len(heads) != len(raw):
@@ -185,13 +185,13 @@ def _read_piece(raw: dict[str, Any], text: str, file: str, lanes: LanesSection) 
     cls = PIECES.get(kind) if isinstance(kind, str) else None
     if cls is None:
         place = where(text, file, ("pieces",), "kind")
-        raise ConfigError(f"{place}: {kind!r} where one of {', '.join(PIECES)} is wanted")
+        raise ConfigError(f"{place}: expected one of {', '.join(PIECES)}, got {kind!r}")
     piece: Piece = read_section(cls, {k: v for k, v in raw.items() if k != "kind"}, text, file, ("pieces",))
     if piece.sharpest_per_m * lanes.half_road_m >= 1.0:
         place = where(text, file, ("pieces",), "radius_m" if isinstance(piece, ArcPiece) else "start_per_m")
         raise ConfigError(
             f"{place}: a bend of radius {1.0 / piece.sharpest_per_m:.3g} m folds the edge of a road that is"
-            f" {2.0 * lanes.half_road_m:.3g} m wide; more than {lanes.half_road_m:.3g} m is wanted"
+            f" {2.0 * lanes.half_road_m:.3g} m wide; expected more than {lanes.half_road_m:.3g} m"
         )
     return piece
 
@@ -213,7 +213,7 @@ def _check_closed(road: JoinedCurve, place: str) -> None:
     turn_rad = abs(math.remainder(float(last.heading(last.length_m)) - float(first.heading(0.0)), 2.0 * math.pi))
     if gap_m > CLOSING_GAP_M or turn_rad > CLOSING_TURN_RAD:
         raise ConfigError(
-            f"{place}: true, but the road's end misses its beginning by {1e3 * gap_m:.2f} mm and"
+            f"{place}: true, but the road's end misses its start by {1e3 * gap_m:.2f} mm and"
             f" {math.degrees(turn_rad):.3f} deg; at most {1e3 * CLOSING_GAP_M:.0f} mm and"
             f" {math.degrees(CLOSING_TURN_RAD):.1f} deg are allowed"
         )
@@ -224,9 +224,9 @@ def read_racetrack(
 ) -> Track:
     """The track in a CSV file; raises ConfigError with file and line.
 
-    The file's line need not be in the middle between its edges; the lane's centerline is. There is one lane, driven
-    in both directions, with a solid white line at each edge. `broken` takes stretches of the lines away, `roadside`
-    lays kerbs; without it the asphalt goes on to the floor's edge.
+    There is one lane, driven in both directions, with a solid white line at each edge. The line of the file need not be
+    in the middle between the edges; the lane's centerline is. `broken` removes stretches of the lines, `roadside` adds
+    kerbs; without `roadside` the asphalt extends to the floor's edge.
     """
     rows, numbers = _read_rows(read_text(path), str(path))
     try:
@@ -235,7 +235,7 @@ def read_racetrack(
         forward = lane_between(road, _periodic_width(road, width_m))
         painted = _painted(forward, float(width_m.mean()), broken)
     except ValueError as error:
-        raise ConfigError(f"{path}:{numbers[0]}: these points and widths make no road: {error}") from None
+        raise ConfigError(f"{path}:{numbers[0]}: these points and widths do not form a road: {error}") from None
     edges = (forward.left, forward.right)
     outline = np.vstack([line.position(np.linspace(0.0, line.length_m, 4 * len(rows))) for line in edges])
     low, high = outline.min(axis=0) - MARGIN_M, outline.max(axis=0) + MARGIN_M
@@ -262,26 +262,26 @@ def _painted(lane: Lane, mean_width_m: float, broken: BrokenLines | None) -> tup
 
 
 def recentred(points_m: FloatArray, left_m: FloatArray, right_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The middle (n, 2) between the edges of a closed line of points (n, 2), and the width (n,) across the middle [m].
+    """The centreline (n, 2) between the edges of a closed line of points (n, 2), and the width (n,) across it [m].
 
-    `left_m`, `right_m` (n,) are the distances of the edges from the line of points, along its normals. Where a hairpin
-    is so tight that an edge would fold back, the road is made narrower.
+    `left_m`, `right_m` (n,) are the distances of the edges from the line of points along its normals. The road is
+    narrowed in hairpins where an edge would fold back.
     """
     line = SplineCurve(points_m, closed=True)
     theta = line.heading(line.knots_m[:-1])
     normal = np.stack((-np.sin(theta), np.cos(theta)), axis=-1)
     middle = points_m + 0.5 * (left_m - right_m)[:, None] * normal
     course = SplineCurve(middle, closed=True)
-    lean = course.heading(course.knots_m[:-1]) - theta  # the middle's normals lean by so much
+    lean = course.heading(course.knots_m[:-1]) - theta  # the angle between the normals
     return middle, _narrowed(course, (left_m + right_m) * np.cos(lean))
 
 
 def _narrowed(course: SplineCurve, width_m: FloatArray) -> FloatArray:
-    """The widths (n,) with those cut that would fold an edge back, changing smoothly along the road."""
+    """The widths (n,), smoothly reduced where an edge would fold back."""
     s = np.linspace(0.0, course.length_m, 8 * len(width_m), endpoint=False)
     bend = np.abs(course.curvature(s)).reshape(len(width_m), 8)
     sharpest = np.maximum(bend.max(axis=1), np.roll(bend, 1, axis=0).max(axis=1))
-    allowed = 2.0 * _SHARPEST / np.maximum(sharpest, 1e-9)
+    allowed = 2.0 * _MAX_HALF_WIDTH / np.maximum(sharpest, 1e-9)
     if (width_m <= allowed).all():
         return width_m
     around = range(-_TAPER, _TAPER + 1)
@@ -299,7 +299,7 @@ def _periodic_width(road: SplineCurve, width_m: FloatArray) -> Callable[[ArrayLi
 
 
 def _read_rows(text: str, file: str) -> tuple[FloatArray, list[int]]:
-    """The numbers (n, 4) and the lines that they stand in; a first line with the columns' names may be there."""
+    """The numbers (n, 4) and their line numbers; a first line with the column names is optional."""
     rows: list[list[float]] = []
     numbers: list[int] = []
     for number, row in enumerate(text.splitlines(), 1):
@@ -313,17 +313,17 @@ def _read_rows(text: str, file: str) -> tuple[FloatArray, list[int]]:
     if len(rows) > 1 and rows[0][:2] == rows[-1][:2]:  # the closing point may be repeated
         del rows[-1], numbers[-1]
     if len(rows) < 4:
-        raise ConfigError(f"{file}: {len(rows)} points; a closed track has 4 or more lines of {','.join(COLUMNS)}")
+        raise ConfigError(f"{file}: expected at least 4 lines of {','.join(COLUMNS)}, got {len(rows)}")
     for previous, current, number in zip(rows, rows[1:], numbers[1:], strict=False):
         if previous[:2] == current[:2]:
-            raise ConfigError(f"{file}:{number}: repeats the point of the line before")
+            raise ConfigError(f"{file}:{number}: repeats the point of the previous line")
     return np.array(rows), numbers
 
 
 def _read_row(row: str, place: str) -> list[float]:
     cells = row.split(",")
     if len(cells) != len(COLUMNS):
-        raise ConfigError(f"{place}: {len(cells)} columns where {','.join(COLUMNS)} are wanted")
+        raise ConfigError(f"{place}: expected the columns {','.join(COLUMNS)}, got {len(cells)}")
     values = []
     for name, cell in zip(COLUMNS, cells, strict=True):
         try:
@@ -331,7 +331,7 @@ def _read_row(row: str, place: str) -> list[float]:
         except ValueError:
             raise ConfigError(f"{place}: {name}: {cell.strip()!r} is not a number") from None
         if not math.isfinite(value):
-            raise ConfigError(f"{place}: {name}: {cell.strip()} where a finite number is wanted")
+            raise ConfigError(f"{place}: {name}: expected a finite number, got {cell.strip()}")
         values.append(value)
     if min(values[2:]) < 0 or values[2] + values[3] <= 0:
         raise ConfigError(f"{place}: w_tr_right_m, w_tr_left_m: the widths must not be negative, nor both be 0")

@@ -1,7 +1,4 @@
-"""The sections of a track file, each value checked on its own (the schema is in tracks/README.md).
-
-The sections of a track file that real circuits need: a width that changes, broken lines, the ground beside.
-"""
+"""The sections of a track file; every value is checked on its own (tracks/README.md describes the schema)."""
 
 from __future__ import annotations
 
@@ -11,14 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.config.toml_reader import not_negative, positive
+from automodel.config.toml_reader import not_negative, one_of, positive
 from automodel.curves import Curve, arc, clothoid, line
 from automodel.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WidthAt:
-    """The width of a single lane at `s_m` of the reference line; in between it changes smoothly."""
+    """The width of a single lane at `s_m` of the reference line; between two places it changes smoothly."""
 
     s_m: float
     width_m: float
@@ -30,9 +27,9 @@ class WidthAt:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BrokenLines:
-    """Stretches over which an edge line has gone, drawn from a seed.
+    """Random stretches without an edge line.
 
-    `share` of either line is missing, in pieces from `shortest_m` to `longest_m` long, at times on both sides at once.
+    `share` of each line is missing, in stretches from `shortest_m` to `longest_m` long, some on both sides at once.
     """
 
     share: float = 0.07
@@ -44,7 +41,7 @@ class BrokenLines:
         positive(self, "share", "shortest_m")
         not_negative(self, "seed")
         if self.share > 0.3:
-            raise ValueError(f"share: {self.share} where 0.3 at most is wanted")
+            raise ValueError(f"share: expected at most 0.3, got {self.share}")
         if self.longest_m < self.shortest_m:
             raise ValueError(f"longest_m: {self.longest_m} is less than shortest_m")
 
@@ -53,9 +50,8 @@ class BrokenLines:
 class RoadsideSection:
     """The ground beside a track.
 
-    `asphalt_m` of asphalt lie outside the edge lines' middles; what is further out has the surroundings' colour. Bends
-    sharper than `kerb_radius_m` have a kerb of red and white blocks, `block_m` long, on their inside, and over
-    `kerb_exit_m` after them on their outside.
+    The asphalt extends `asphalt_m` beyond the centres of the edge lines. Bends sharper than `kerb_radius_m` have a kerb
+    of red and white blocks, `block_m` long, on the inside, and on the outside over `kerb_exit_m` after the bend.
     """
 
     asphalt_m: float = 0.6
@@ -70,10 +66,10 @@ class RoadsideSection:
 
 
 class LaneWidth:
-    """The width [m] at arc length s of a reference line `length_m` long, through given places; constant in slope there.
+    """The width [m] at arc length s of a reference line of length `length_m`, interpolated between given places.
 
-    Between two places it follows a step of the fifth degree, so that the edges' curvature does not jump. On a closed
-    line the last place leads on to the first; on an open one the end values go on.
+    The interpolation is a step of the fifth degree, so that the curvature of the edges is continuous. A closed line is
+    interpolated from the last place to the first; on an open one the end values are constant.
     """
 
     def __init__(self, places: tuple[WidthAt, ...], length_m: float, closed: bool) -> None:
@@ -105,12 +101,6 @@ DIRECTIONS = ("forward", "reverse")
 LINES = ("left", "centre", "right")
 
 
-def _one_of(section: object, name: str, choices: tuple[str, ...]) -> None:
-    value = getattr(section, name)
-    if value not in choices:
-        raise ValueError(f"{name}: {value!r} where one of {', '.join(choices)} is wanted")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FloorSection:
     """The floor's rectangle in the world frame."""
@@ -122,14 +112,14 @@ class FloorSection:
 
     def __post_init__(self) -> None:
         if not self.x1_m > self.x0_m:
-            raise ValueError(f"x1_m: {self.x1_m} where more than x0_m = {self.x0_m} is wanted")
+            raise ValueError(f"x1_m: expected more than x0_m = {self.x0_m}, got {self.x1_m}")
         if not self.y1_m > self.y0_m:
-            raise ValueError(f"y1_m: {self.y1_m} where more than y0_m = {self.y0_m} is wanted")
+            raise ValueError(f"y1_m: expected more than y0_m = {self.y0_m}, got {self.y1_m}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OriginSection:
-    """Where the road's reference line begins, and its direction there."""
+    """The start of the road's reference line, and its direction there."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -145,7 +135,7 @@ class LanesSection:
 
     def __post_init__(self) -> None:
         if self.count not in (1, 2):
-            raise ValueError(f"count: {self.count} where 1 or 2 is wanted")
+            raise ValueError(f"count: expected 1 or 2, got {self.count}")
         positive(self, "width_m")
 
     @property
@@ -156,7 +146,7 @@ class LanesSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marking:
-    """How one line is painted; `dash_m` and `gap_m` count where the style is dashed."""
+    """The paint of one line; `dash_m` and `gap_m` apply to the dashed style."""
 
     style: str
     width_m: float = 0.03
@@ -165,8 +155,8 @@ class Marking:
     colour: str = "white"
 
     def __post_init__(self) -> None:
-        _one_of(self, "style", STYLES)
-        _one_of(self, "colour", COLOURS)
+        one_of("style", self.style, STYLES)
+        one_of("colour", self.colour, COLOURS)
         positive(self, "width_m", "dash_m", "gap_m")
 
 
@@ -181,7 +171,7 @@ class MarkingsSection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ZebraPattern:
-    """Bars along the road, side by side across it; `distance_m` from the crossing road's edge to the bars."""
+    """Bars along the road, side by side across it, at `distance_m` from the edge of the crossing road."""
 
     bar_width_m: float = 0.05
     bar_gap_m: float = 0.05
@@ -192,12 +182,12 @@ class ZebraPattern:
     def __post_init__(self) -> None:
         positive(self, "bar_width_m", "bar_gap_m", "length_m")
         not_negative(self, "distance_m")
-        _one_of(self, "colour", COLOURS)
+        one_of("colour", self.colour, COLOURS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CrossingsSection:
-    """What is painted where the road crosses itself."""
+    """The paint where the road crosses itself."""
 
     interrupt_lines: bool = True
     zebra: ZebraPattern | None = None
@@ -214,8 +204,8 @@ class StopLine:
 
     def __post_init__(self) -> None:
         positive(self, "width_m")
-        _one_of(self, "direction", DIRECTIONS)
-        _one_of(self, "colour", COLOURS)
+        one_of("direction", self.direction, DIRECTIONS)
+        one_of("colour", self.colour, COLOURS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,15 +219,15 @@ class Gap:
     def __post_init__(self) -> None:
         not_negative(self, "from_m")
         if not self.to_m > self.from_m:
-            raise ValueError(f"to_m: {self.to_m} where more than from_m = {self.from_m} is wanted")
+            raise ValueError(f"to_m: expected more than from_m = {self.from_m}, got {self.to_m}")
         for name in self.lines:
             if name not in LINES:
-                raise ValueError(f"lines: {name!r} where some of {', '.join(LINES)} are wanted")
+                raise ValueError(f"lines: expected some of {', '.join(LINES)}, got {name!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Box:
-    """A box on the floor: its middle and direction in the world frame."""
+    """A box on the floor; its centre and direction in the world frame."""
 
     x_m: float
     y_m: float
@@ -250,12 +240,12 @@ class Box:
     def __post_init__(self) -> None:
         positive(self, "length_m", "width_m", "height_m")
         if not 0 <= self.grey <= 255:
-            raise ValueError(f"grey: {self.grey} where 0 .. 255 is wanted")
+            raise ValueError(f"grey: expected 0 .. 255, got {self.grey}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StartSection:
-    """Where the car's rear axle starts, on the lane of `direction`: arc length of that lane and offset to the left."""
+    """The start of the car's rear axle on the lane of `direction`: arc length on that lane and offset to the left."""
 
     direction: str = "forward"
     s_m: float = 0.0
@@ -263,7 +253,7 @@ class StartSection:
     heading_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        _one_of(self, "direction", DIRECTIONS)
+        one_of("direction", self.direction, DIRECTIONS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -277,11 +267,11 @@ class LinePiece:
 
     @property
     def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
+        """The largest absolute curvature."""
         return 0.0
 
     def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
+        """The piece from a start pose."""
         return line(x_m, y_m, heading_rad, self.length_m)
 
 
@@ -295,22 +285,22 @@ class ArcPiece:
     def __post_init__(self) -> None:
         positive(self, "radius_m")
         if self.turn_rad == 0:
-            raise ValueError("turn_rad: 0 where a turn is wanted, positive to the left; a straight piece is a line")
+            raise ValueError("turn_rad: expected a turn, positive to the left, got 0; a straight piece is a line")
 
     @property
     def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
+        """The largest absolute curvature."""
         return 1.0 / self.radius_m
 
     def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
+        """The piece from a start pose."""
         curvature = math.copysign(1.0 / self.radius_m, self.turn_rad)
         return arc(x_m, y_m, heading_rad, curvature, abs(self.turn_rad) * self.radius_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClothoidPiece:
-    """A piece whose curvature goes linearly from one value to another, positive to the left."""
+    """A piece whose curvature changes linearly, positive to the left."""
 
     start_per_m: float
     end_per_m: float
@@ -321,11 +311,11 @@ class ClothoidPiece:
 
     @property
     def sharpest_per_m(self) -> float:
-        """The largest curvature, without sign."""
+        """The largest absolute curvature."""
         return max(abs(self.start_per_m), abs(self.end_per_m))
 
     def curve(self, x_m: float, y_m: float, heading_rad: float) -> Curve:
-        """The piece, placed."""
+        """The piece from a start pose."""
         return clothoid(x_m, y_m, heading_rad, self.start_per_m, self.end_per_m, self.length_m)
 
 
@@ -339,7 +329,7 @@ PIECES: dict[str, type[LinePiece] | type[ArcPiece] | type[ClothoidPiece]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrackFile:
-    """A track file as it is written; every value is checked on its own and the road closes where it says so."""
+    """The contents of a track file; every value is checked on its own."""
 
     name: str
     closed: bool

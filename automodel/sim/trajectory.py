@@ -1,7 +1,4 @@
-"""Prescribed drives along a lane: the driving styles of Cudrano et al. 2020, section VI, for benches.
-
-Prescribed laps of a circuit at full scale, at the speed that its bends allow (Cudrano et al. 2020, section VI).
-"""
+"""Prescribed drives along a lane at constant speed and laps of circuits: the styles of Cudrano et al. 2020, sec. VI."""
 
 from __future__ import annotations
 
@@ -12,12 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
+from automodel.config.toml_reader import one_of
 from automodel.curves import Curve, SplineCurve
 from automodel.signals import Motion, MotionSource
 from automodel.sim.track import Lane
 from automodel.types import FloatArray
 
 STYLES = ("centred", "oscillating", "racing")
+MAX_HEADING_RAD = math.radians(40.0)  # of the oscillating style
+_STEP_M = 1.0  # between the knots of a circuit's path
+_SMOOTH_M = 20.0  # the window for smoothing bends and widths of the lane
+_LINE_STEP_M = 4.0  # between the knots of the racing line
+_LINE_ROUNDS = 80  # iterations of the weights that keep the racing line on the track
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,11 +48,9 @@ class Drive:
     car_width_m: float
     seed: int = 0
 
-    MAX_HEADING_RAD = math.radians(40.0)
-
     @cached_property
     def path(self) -> Curve:
-        """The way of the rear axle's centre, in the world frame."""
+        """The path of the rear axle's centre in the world frame."""
         lane = self.lane.centerline
         width = float(self.lane.width_m(0.0))
         count = max(int(lane.length_m / (0.05 * width)), 64)
@@ -79,9 +80,9 @@ class Drive:
             return 0.05 * width * np.sin(math.tau * waves * s / length + phase)
         if self.style == "oscillating":
             amplitude = float(free.min()) + 0.05 * width
-            waves = max(round(length * math.tan(self.MAX_HEADING_RAD) / (math.tau * amplitude)), 1)
-            swell = 0.65 + 0.35 * np.sin(math.tau * max(waves // 8, 1) * s / length)  # headings of 12 to 40 degrees
-            return amplitude * swell * np.sin(math.tau * waves * s / length + phase)
+            waves = max(round(length * math.tan(MAX_HEADING_RAD) / (math.tau * amplitude)), 1)
+            scale = 0.65 + 0.35 * np.sin(math.tau * max(waves // 8, 1) * s / length)  # headings of 12 to 40 degrees
+            return amplitude * scale * np.sin(math.tau * waves * s / length + phase)
         bend = self.lane.centerline.curvature(s) * width
         kernel = np.hanning(2 * int(1.5 / 0.05) + 3)
         smooth = np.convolve(np.tile(bend, 3), kernel / kernel.sum(), mode="same")[len(s) : 2 * len(s)]
@@ -89,7 +90,7 @@ class Drive:
 
 
 class Odometer:
-    """What wheel encoder and gyro would say of a drive: scale error, bias and noise, seeded."""
+    """Simulated wheel encoder and gyro of a drive: scale error, bias and noise, seeded."""
 
     def __init__(self, seed: int) -> None:
         rng = np.random.default_rng([seed, 77])
@@ -110,10 +111,10 @@ class Odometer:
 
 
 class CommandedMotion:
-    """What a car without encoder and gyro believes of a drive: its own command, seeded as `Odometer`.
+    """The odometry of a car without encoder and gyro, from its commands; seeded as `Odometer`.
 
-    The car does what it was told `LAG_S` later, at a speed that is wrong by some percent (battery, slope, load), its
-    wheels a little to one side; the yaw rate is that of the bicycle model on the commanded steering.
+    The car follows a command `LAG_S` later, with a scale error of its speed (battery, slope, load) and a steering
+    offset; the yaw rate is that of the bicycle model with the commanded steering.
     """
 
     LAG_S = 0.2
@@ -125,7 +126,7 @@ class CommandedMotion:
         self._bias_rad = float(rng.normal(0.0, 0.005))
 
     def motion(self, later: DrivenPose, t_ns: int) -> Motion:
-        """The believed motion at `t_ns`; `later` is where the car is `LAG_S` after that, as it is told now."""
+        """The assumed motion at `t_ns`; `later` is the pose `LAG_S` after that, which is commanded now."""
         bend = later.yaw_rate_radps / later.speed_mps if later.speed_mps else 0.0
         steering = math.atan(self._wheelbase_m * bend) - self._bias_rad
         speed = later.speed_mps / self._scale
@@ -133,16 +134,9 @@ class CommandedMotion:
         return Motion(t_ns=t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate, source=MotionSource.COMMAND)
 
 
-MAX_HEADING_RAD = math.radians(40.0)  # of the oscillating style
-_STEP_M = 1.0  # between the path's knots
-_SMOOTH_M = 20.0  # over which the lane's bends and widths are averaged for the swing
-_LINE_STEP_M = 4.0  # between the knots of the racing line
-_LINE_ROUNDS = 80  # of the weights that hold the racing line between the track's sides
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pace:
-    """Speeds and accelerations of a drive; the paper's cars went at 3 to 15 m/s."""
+    """Speeds and accelerations of a drive; the cars of Cudrano et al. 2020 drove at 3 to 15 m/s."""
 
     slowest_mps: float = 3.0
     fastest_mps: float = 15.0
@@ -152,16 +146,14 @@ class Pace:
 
 
 class CircuitDrive:
-    """Laps of the closed lane `lane` in one of `trajectory.STYLES`; the rear axle's centre follows `path`.
+    """Laps of a full-scale circuit in one of `STYLES`, at the speed that its bends allow; the rear axle follows `path`.
 
-    centred: within 5 % of the lane's width. oscillating: from side to side with headings up to 40 degrees, calmer in
-    tight bends. racing: the line of least curvature that keeps the car's sides between the lines, as a racing line
-    close to one side and then the other.
+    centred: within 5 % of the lane's width. oscillating: from side to side with headings up to 40 degrees, less in
+    tight bends. racing: the line of least curvature that keeps the car between the lines.
     """
 
     def __init__(self, lane: Lane, style: str, car_width_m: float, seed: int = 0, pace: Pace | None = None) -> None:
-        if style not in STYLES:
-            raise ValueError(f"style: {style!r} is none of {', '.join(STYLES)}")
+        one_of("style", style, STYLES)
         length_m = lane.centerline.length_m
         count = round(length_m / _STEP_M)
         s: FloatArray = np.linspace(0.0, length_m, count, endpoint=False)
@@ -181,17 +173,17 @@ class CircuitDrive:
         return float(self._time[-1])
 
     def time_at(self, lane_s_m: float) -> float:
-        """When the car is at arc length `lane_s_m` of the lane's centerline [s], in the first lap."""
+        """The time [s] at which the car is at arc length `lane_s_m` of the lane's centerline, in the first lap."""
         return float(np.interp(lane_s_m % self._lane_s[-1], self._lane_s, self._time))
 
     def poses(self, t_s: ArrayLike) -> list[DrivenPose]:
         """The poses at times (n,) [s] after the start; the acceleration is constant from knot to knot."""
         t = np.asarray(t_s, dtype=np.float64) % self.lap_s
         i = np.clip(np.searchsorted(self._time, t, side="right") - 1, 0, len(self._time) - 2)
-        begin, ahead = self._speed[i], t - self._time[i]
-        accel = (self._speed[i + 1] - begin) / (self._time[i + 1] - self._time[i])
-        speed = begin + accel * ahead
-        s = self.path.knots_m[i] + (begin + 0.5 * accel * ahead) * ahead
+        start, ahead = self._speed[i], t - self._time[i]
+        accel = (self._speed[i + 1] - start) / (self._time[i + 1] - self._time[i])
+        speed = start + accel * ahead
+        s = self.path.knots_m[i] + (start + 0.5 * accel * ahead) * ahead
         yaw_rate = self.path.curvature(s) * speed
         columns = (*self.path.position(s).T, self.path.heading(s), speed, yaw_rate)
         return [
@@ -201,9 +193,9 @@ class CircuitDrive:
 
 
 def pick_stretches(lane: Lane, count: int, length_m: float, seed: int) -> list[float]:
-    """Arc lengths [m] of the middles of `count` stretches: half of them the sharpest bends, the others anywhere else.
+    """Arc lengths [m] of the centres of `count` stretches: half of them the sharpest bends, the others random.
 
-    They do not overlap as long as there is room for all.
+    They do not overlap as long as there is room.
     """
     lap_m = lane.centerline.length_m
     s = np.arange(round(lap_m)) * (lap_m / round(lap_m))
@@ -226,24 +218,24 @@ def _centred(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> Float
 
 
 def _oscillating(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatArray:
-    """A sine as high as the lane leaves room for, as short as its steepest headings allow."""
+    """A sine with the largest amplitude that fits the lane and the shortest wavelength that the headings allow."""
     length_m = lane.centerline.length_m
     window = _SMOOTH_M * len(s) / length_m
     room = _smoothed(free, window)
     bend = _smoothed(np.abs(lane.centerline.curvature(s)), window)
     turned = np.cumsum(math.tan(MAX_HEADING_RAD) / room) * (length_m / len(s))
     waves = max(round(float(turned[-1]) / math.tau), 1)
-    swell = 0.65 + 0.35 * np.sin(math.tau * max(waves // 8, 1) * s / length_m)  # headings of 12 to 40 degrees
-    calm = np.maximum(1.0 - 2.0 * bend * room, 0.0)
-    return np.asarray(room * calm * swell * np.sin(turned * (math.tau * waves / turned[-1]) + phase))
+    scale = 0.65 + 0.35 * np.sin(math.tau * max(waves // 8, 1) * s / length_m)  # headings of 12 to 40 degrees
+    in_bends = np.maximum(1.0 - 2.0 * bend * room, 0.0)
+    return np.asarray(room * in_bends * scale * np.sin(turned * (math.tau * waves / turned[-1]) + phase))
 
 
 def _racing(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatArray:
     """The offsets with the least sum of squared curvature between the sides.
 
-    With H the Hessian and g the gradient of that sum at the centerline, (H + diag(l)) d = -g and l_i = 0 or |d_i| =
-    free_i (the conditions of Kuhn and Tucker for d_i^2 <= free_i^2). The weights l are found by repeated multiplication
-    with (d_i / free_i)^2.
+    With the Hessian H and the gradient g of that sum at the centerline, (H + diag(l)) d = -g, where l_i = 0 or |d_i| =
+    free_i (Kuhn-Tucker conditions for d_i^2 <= free_i^2). The weights l are found by repeated multiplication with
+    (d_i / free_i)^2.
     """
     from scipy import sparse
     from scipy.interpolate import CubicSpline
@@ -268,7 +260,7 @@ def _racing(lane: Lane, s: FloatArray, free: FloatArray, phase: float) -> FloatA
 
 
 def _smoothed(values: FloatArray, window: float) -> FloatArray:
-    """A periodic series, averaged with a bell `window` samples broad at half height."""
+    """A periodic series smoothed with a Hann window of `window` samples (full width at half maximum)."""
     half = max(round(window), 1)
     kernel = np.hanning(2 * half + 1)
     padded = np.concatenate((values[-half:], values, values[:half]))
@@ -276,12 +268,12 @@ def _smoothed(values: FloatArray, window: float) -> FloatArray:
 
 
 def _speeds(path: SplineCurve, pace: Pace) -> FloatArray:
-    """The speed [m/s] at each knot, the first again at the end: what the bends, then the accelerations allow."""
+    """The highest speed [m/s] at each knot that bends and accelerations allow; the first is repeated at the end."""
     knots = path.knots_m
     bend = np.abs(path.curvature(knots))
     square = np.clip(pace.lateral_mps2 / np.maximum(bend, 1e-9), pace.slowest_mps**2, pace.fastest_mps**2)
     step = np.diff(knots)
-    for _ in range(2):  # a second lap, for what comes before the first knot
+    for _ in range(2):  # the second lap accounts for what precedes the first knot
         for i in range(len(step)):
             square[i + 1] = min(square[i + 1], square[i] + 2.0 * pace.speeding_up_mps2 * step[i])
         square[0] = square[-1]

@@ -1,45 +1,31 @@
-"""Ground truth: where a car really is in its lane."""
+"""Ground truth: the true pose of a car in its lane."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
 from automodel.config import VehicleConfig
+from automodel.geometry import SE2
+from automodel.sim.plant import CarState
 from automodel.sim.track import Lane
 
 _STEP_M = 1e-3
 _MAX_SAMPLES = 60_000
 
 
-class Pose(Protocol):
-    """Anything that says where the rear axle's centre is in the world: an SE2, a plant's state."""
-
-    @property
-    def x_m(self) -> float:
-        """World x [m]."""
-        ...
-
-    @property
-    def y_m(self) -> float:
-        """World y [m]."""
-        ...
-
-    @property
-    def yaw_rad(self) -> float:
-        """Direction of body x [rad]."""
-        ...
+Pose: TypeAlias = SE2 | CarState  # world from body, body at the rear axle's centre
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Truth:
-    """The car's true pose in its lane, at the reference point; signs as in `automodel.signals.LanePose`.
+    """The car's true pose in its lane at the reference point; signs as in `automodel.signals.LanePose`.
 
-    `s_m` is the arc length on the centerline, within one lap; `lap` counts the whole laps driven since the first step
-    (negative when driven backwards), 0 on an open lane.
+    `s_m` is the arc length on the centerline within one lap; `lap` counts the complete laps since the first step
+    (negative when driven backwards) and is 0 on an open lane.
     """
 
     offset_m: float
@@ -51,14 +37,14 @@ class Truth:
 
 
 class TruthFollower:
-    """Follows a car along a lane; where the road crosses itself, the branch it was on counts.
+    """Follows a car along a lane; where the road crosses itself, it stays on the branch that the car was on.
 
-    The first step looks along the whole lane and prefers, among branches that are about as near, the one that runs in
-    the car's direction. `reference_x_m` is the reported point, ahead of the rear axle.
+    The first step searches the whole lane and prefers, among branches at about the same distance, the one in the car's
+    direction. `reference_x_m` is the distance of the reported point ahead of the rear axle.
 
-    The centerline is tabulated every millimetre (every 60,000th of its length where it is longer), so that a step
-    costs some 10 us; the foot is refined on the osculating circle, which leaves errors below 1e-6 m and 1e-6 rad but
-    within half a step of a jump of curvature (there half a step times the jump: 0.0004 rad at 0.8 1/m).
+    The centerline is tabulated every millimetre (at most 60,000 samples), so that a step takes about 10 us. The foot of
+    the perpendicular is refined on the osculating circle: errors are below 1e-6 m and 1e-6 rad, except within half a
+    step of a curvature jump (there half a step times the jump: 0.0004 rad at 0.8 1/m).
     """
 
     def __init__(self, lane: Lane, reference_x_m: float) -> None:
@@ -72,16 +58,16 @@ class TruthFollower:
         self._heading, self._curvature = line.heading(s), line.curvature(s)
         self._width = lane.width_m(s)
         self._reach = max(math.ceil(0.5 * float(self._width.max()) / self._step_m), 8)
-        if line.closed:  # windows may reach over the seam
+        if line.closed:  # windows may extend over the seam
             self._x, self._y = np.pad(self._points, ((self._reach, self._reach), (0, 0)), mode="wrap").T.copy()
         else:
             self._x, self._y = np.pad(self._points, ((self._reach,) * 2, (0, 0)), constant_values=np.inf).T.copy()
         self.reset()
 
     def reset(self) -> None:
-        """Forget the car: the next step looks along the whole lane, laps count from there."""
+        """Forget the car: the next step searches the whole lane, and laps count from there."""
         self._index: int | None = None
-        self._s_m = self._way_m = 0.0
+        self._s_m = self._distance_m = 0.0
 
     def step(self, x_m: float, y_m: float, yaw_rad: float) -> Truth:
         """The truth for a rear axle at (x, y) [m] in the world frame, turned by yaw [rad]."""
@@ -96,7 +82,7 @@ class TruthFollower:
             s_m %= length_m
         if not first:
             moved = s_m - self._s_m
-            self._way_m += math.remainder(moved, length_m) if self.lane.centerline.closed else moved
+            self._distance_m += math.remainder(moved, length_m) if self.lane.centerline.closed else moved
         self._index, self._s_m = index, s_m
         return Truth(
             offset_m=offset,
@@ -104,41 +90,32 @@ class TruthFollower:
             curvature_per_m=curvature,
             width_m=float(self._width[index]),
             s_m=s_m,
-            lap=int(self._way_m / length_m) if self.lane.centerline.closed else 0,
+            lap=int(self._distance_m / length_m) if self.lane.centerline.closed else 0,
         )
 
     def lateral_reach_m(self, pose: Pose, vehicle: VehicleConfig) -> float:
-        """How far the car's body reaches from the centerline: the largest |d| of its four corners [m]."""
-        return max(abs(d) for d, _ in self._corners(pose, vehicle))
-
-    def body_inside(self, pose: Pose, vehicle: VehicleConfig) -> bool:
-        """Whether all four corners of the car's body are between the lane's lines (the middles of the markings)."""
-        return all(abs(d) <= 0.5 * width for d, width in self._corners(pose, vehicle))
-
-    def _corners(self, pose: Pose, vehicle: VehicleConfig) -> list[tuple[float, float]]:
-        """Distance from the centerline and the lane's width at each corner."""
+        """The largest distance |d| [m] of the body's four corners from the centerline."""
         start = self._locate(pose.x_m, pose.y_m, pose.yaw_rad)
         cos, sin = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
-        found = []
+        reach = 0.0
         for along in (vehicle.wheelbase_m + vehicle.front_overhang_m, -vehicle.rear_overhang_m):
-            for aside in (0.5 * vehicle.width_m, -0.5 * vehicle.width_m):
-                x, y = pose.x_m + along * cos - aside * sin, pose.y_m + along * sin + aside * cos
-                index = self._nearest(x, y, start)
-                found.append((self._foot(x, y, index)[1], float(self._width[index])))
-        return found
+            for lateral in (0.5 * vehicle.width_m, -0.5 * vehicle.width_m):
+                x, y = pose.x_m + along * cos - lateral * sin, pose.y_m + along * sin + lateral * cos
+                reach = max(reach, abs(self._foot(x, y, self._nearest(x, y, start))[1]))
+        return reach
 
     def _locate(self, x: float, y: float, yaw_rad: float) -> int:
-        """A sample on the right branch: that of the last step, or the best on the whole lane."""
+        """A sample on the car's branch: that of the last step, or the best one of the whole lane."""
         if self._index is not None:
             return self._index
         away = np.hypot(self._points[:, 0] - x, self._points[:, 1] - y) / self._width
         return int(np.argmin(away**2 + 2.0 * (1.0 - np.cos(self._heading - yaw_rad))))
 
     def _nearest(self, x: float, y: float, start: int) -> int:
-        """The sample nearest to the point, going downhill from `start`."""
+        """The sample nearest to the point, by descent from `start`."""
         reach, closed = self._reach, self.lane.centerline.closed
         for _ in range(self._size // reach + 1):
-            window = slice(start, start + 2 * reach + 1)  # the padded table begins `reach` before the lane
+            window = slice(start, start + 2 * reach + 1)  # the padded table starts `reach` before the lane
             dx, dy = self._x[window] - x, self._y[window] - y
             found = int(np.argmin(dx * dx + dy * dy))
             start += found - reach
@@ -149,7 +126,7 @@ class TruthFollower:
         return start
 
     def _foot(self, x: float, y: float, index: int) -> tuple[float, float]:
-        """The way [m] from a sample to the foot of the perpendicular, and the signed distance [m] there."""
+        """The distance [m] from a sample to the foot of the perpendicular, and the signed distance [m] there."""
         theta, curvature = float(self._heading[index]), float(self._curvature[index])
         dx, dy = x - float(self._points[index, 0]), y - float(self._points[index, 1])
         cos, sin = math.cos(theta), math.sin(theta)

@@ -1,15 +1,13 @@
-"""The simulated world: a car on a track and its camera, on time that is passed in; a controller board drives it.
+"""The simulated world: a car on a track with camera and ultrasonic sensors, driven by a controller board.
 
-Three HC-SR04 ultrasonic sensors on the front bumper of the simulated car.
-
-Perception without any error: the lane as the simulator knows it.
+Time is an argument. `TrueLane` is a pipeline that reports the ground truth.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Protocol
@@ -34,11 +32,10 @@ Segment = tuple[float, float, float, float]  # x0, y0, x1, y1 [m]
 
 
 class UltrasonicRanges:
-    """Ranges (left, centre, right) [m] to convex obstacles, each (n, 2) [m] in the world; None without an echo.
+    """Three HC-SR04 sensors: ranges (left, centre, right) [m] to convex obstacles (n, 2) [m]; None without an echo.
 
-    A sensor hears the nearest point within its cone, 15 deg to each side. All three sit at `bumper_x_m` ahead of the
-    rear axle, the outer two `spacing_m` to the sides. What is nearer than 0.02 m reads as 0.02 m.
-    Whatever lies behind the nearest point cannot be heard, so that hiding needs no care.
+    A sensor measures the nearest point within its cone of 15 deg to each side, at least 0.02 m. All three sit at
+    `bumper_x_m` ahead of the rear axle, the outer two at `spacing_m` to the sides.
     """
 
     def __init__(self, obstacles_m: Sequence[ArrayLike], bumper_x_m: float, spacing_m: float = 0.06) -> None:
@@ -49,7 +46,7 @@ class UltrasonicRanges:
         )
 
     def __call__(self, car: CarState) -> Ranges:
-        """What the sensors of a car in this state read."""
+        """The readings for a car in this state."""
         left, centre, right = (self._range(car, *mount) for mount in self._mounts)
         return left, centre, right
 
@@ -75,18 +72,18 @@ class UltrasonicRanges:
 
 
 def distance_in_cone(segment: Segment, half_rad: float) -> float:
-    """Distance [m] from the origin to a segment's part in the cone |angle| <= `half_rad` about x; inf where none is."""
+    """Distance [m] from the origin to a segment's part in the cone |angle| <= `half_rad` about x; inf without one."""
     x0, y0, x1, y1 = segment
     cos, sin = math.cos(half_rad), math.sin(half_rad)
     low, high = 0.0, 1.0
     for side in (1.0, -1.0):  # a point is in the cone where x sin -+ y cos >= 0 on both sides
-        begin, end = x0 * sin - side * y0 * cos, x1 * sin - side * y1 * cos
-        if begin < 0 and end < 0:
+        start, end = x0 * sin - side * y0 * cos, x1 * sin - side * y1 * cos
+        if start < 0 and end < 0:
             return math.inf
-        if begin < 0:
-            low = max(low, begin / (begin - end))
+        if start < 0:
+            low = max(low, start / (start - end))
         elif end < 0:
-            high = min(high, begin / (begin - end))
+            high = min(high, start / (start - end))
     if low > high:
         return math.inf
     dx, dy = x1 - x0, y1 - y0
@@ -99,11 +96,11 @@ def distance_in_cone(segment: Segment, half_rad: float) -> float:
 def _closed(obstacle_m: ArrayLike) -> tuple[Segment, ...]:
     corners = np.asarray(obstacle_m, dtype=np.float64)
     if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
-        raise ValueError(f"obstacles_m: shape {corners.shape} where (n >= 3, 2) is wanted")
+        raise ValueError(f"obstacles_m: expected shape (n >= 3, 2), got {corners.shape}")
     if not np.isfinite(corners).all():
         raise ValueError("obstacles_m: must be finite")
     points: list[tuple[float, float]] = [(float(x), float(y)) for x, y in corners]
-    return tuple((*begin, *end) for begin, end in pairwise([*points, points[0]]))
+    return tuple((*start, *end) for start, end in pairwise([*points, points[0]]))
 
 
 def _holds(obstacle: tuple[Segment, ...], x: float, y: float) -> bool:
@@ -113,7 +110,7 @@ def _holds(obstacle: tuple[Segment, ...], x: float, y: float) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
-    """What is true at one capture; `reach_m` is how far the car's body reaches from the lane's middle."""
+    """The ground truth of one capture; `reach_m` is the largest distance of the car's body from the centerline."""
 
     t_ns: int
     index: int
@@ -123,28 +120,30 @@ class Scene:
 
 
 class World:
-    """The plant behind a lock (a served board lives in a thread of its own), and pictures and truth of it.
+    """The plant behind a lock (a served board has its own thread), with its camera and ground truth.
 
-    The plant's actuators have dead times, so that where the car will be that much later is settled already: a picture
-    can be rendered ahead of its time and be exact (`capture` with a time in the near future).
+    The plant's actuators have dead times, during which its motion is already determined: `capture` can render a frame
+    ahead of its time and be exact. `reach` gives `Scene.reach_m`.
     """
 
-    def __init__(self, plant: Plant, renderer: Eye, follower: TruthFollower, reach: Reach) -> None:
+    def __init__(
+        self, plant: Plant, renderer: Eye, follower: TruthFollower, reach: Callable[[CarState], float]
+    ) -> None:
         self.plant, self.renderer, self.follower, self._reach = plant, renderer, follower, reach
         self._lock = threading.Lock()
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """The board's pins."""
+        """The pulses at the board's pins."""
         with self._lock:
             self.plant.set_pulses(t_ns, servo_us, motor_us)
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
-        """The board's sensors."""
+        """The readings of the board's sensors."""
         with self._lock:
             return self.plant.read_sensors(t_ns)
 
     def capture(self, t_ns: int, index: int) -> tuple[Image, Scene]:
-        """Picture and truth at `t_ns`, now or at most the plant's shortest dead time ahead."""
+        """Image and truth at `t_ns`, which is now or at most the plant's shortest dead time ahead."""
         with self._lock:
             car = self.plant.predicted(t_ns)
         image = self.renderer.render(car.x_m, car.y_m, car.yaw_rad, car.speed_mps, car.yaw_rate_radps, index)
@@ -153,39 +152,30 @@ class World:
         return image, scene
 
     def settle(self, t_ns: int) -> None:
-        """Let the plant's time pass up to `t_ns`, beyond what the board made of it."""
+        """Advance the plant to `t_ns`, beyond the board's last step."""
         with self._lock:
             self.plant.advance(t_ns)
 
 
 class Eye(Protocol):
-    """What gives pictures; a `Renderer` is one."""
+    """A camera of the simulated world, such as `Renderer`."""
 
     def render(
         self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
     ) -> Image:
-        """The picture from a pose of the body frame."""
+        """The image from a pose of the body frame."""
         ...
 
 
-class Reach(Protocol):
-    """How far the car's body reaches from the lane's middle [m]."""
-
-    def __call__(self, car: CarState) -> float:
-        """For one state of the car."""
-        ...
-
-
-BEHIND_LANES, AHEAD_LANES = 0.3, 3.5  # of the reference point
-SEEN_LANES = 1.5  # a lane further aside is out of sight
+BEHIND_LANES, AHEAD_LANES = 0.3, 3.5  # extent of the estimate about the reference point, in lane widths
+SEEN_LANES = 1.5  # at a larger offset the lane is out of sight
 _STEP_LANES = 0.1  # between two points
 
 
 class TrueLane:
-    """Implements `Pipeline` on what `on_scene` was told last: it belongs behind a simulated camera's truth.
+    """Implements `Pipeline` with the ground truth from `on_scene` instead of the image: perception without errors.
 
-    No picture is looked at. Lost where the lane is too far aside to be seen. The centerline's points are those of a
-    table of the whole lane, so that a step costs little.
+    The lane is LOST where it is too far to the side. The centerline is cut from a table of the whole lane for speed.
     """
 
     name = "truth"
@@ -201,7 +191,7 @@ class TrueLane:
         self._scenes: dict[int, Scene] = {}
 
     def on_scene(self, scene: Scene) -> None:
-        """The truth of a frame that is about to be delivered."""
+        """Take the truth of the next frame."""
         self._scenes[scene.index] = scene
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
@@ -230,4 +220,4 @@ class TrueLane:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.TRACKING, centerline=centerline, pose=pose)
 
     def reset(self) -> None:
-        """Nothing but the truth is kept."""
+        """No state to reset."""

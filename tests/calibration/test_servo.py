@@ -12,7 +12,7 @@ import pytest
 
 from automodel.config import ServoConfig
 from automodel.sim.plant import PlantConfig
-from automodel.sim.randomised_plant import hidden_servo
+from automodel.sim.randomised_plant import randomised_servo
 from calibration.drive_plan import DrivePlan, Leg, servo_plan
 from calibration.servo import ServoError, ServoTable, fit_table
 from calibration.servo_log import SETTLE_NS, ServoLog, holds_of, without_bias
@@ -35,7 +35,7 @@ def fitted(config: PlantConfig) -> ServoTable:
 
 @functools.cache
 def hidden(seed: int) -> tuple[PlantConfig, ServoTable]:
-    config = hidden_servo(seed, PlantConfig(seed=seed))
+    config = randomised_servo(seed, PlantConfig(seed=seed))
     return config, fitted(config)
 
 
@@ -129,7 +129,7 @@ def test_the_table_ends_where_the_linkage_stops() -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_hidden_servos_are_found_within_half_a_degree(seed: int) -> None:
+def test_randomised_servos_are_found_within_half_a_degree(seed: int) -> None:
     config, table = hidden(seed)
     assert error_deg(table, config) <= 0.5
     assert table.play_rad == pytest.approx(config.servo_play_rad, abs=0.3 * DEG)

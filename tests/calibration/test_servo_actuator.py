@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.sim.plant import Plant, PlantConfig
-from automodel.sim.randomised_plant import hidden_servo
+from automodel.sim.randomised_plant import randomised_servo
 from calibration.actuator import Actuator, fit_actuator, wheel_angles
 from calibration.servo import ServoTable, fit_table
 from calibration.servo_log import ServoLog, without_bias
@@ -59,7 +59,7 @@ def fitted(config: PlantConfig) -> tuple[Actuator, ServoLog, ServoTable]:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_hidden_actuators_are_found(seed: int) -> None:
-    config = hidden_servo(seed, PlantConfig(seed=seed))
+    config = randomised_servo(seed, PlantConfig(seed=seed))
     found, _, _ = fitted(config)
     assert found.delay_s == pytest.approx(config.servo_dead_s, abs=0.003)
     assert found.lag_s == pytest.approx(config.servo_lag_s, abs=0.003)
@@ -77,7 +77,7 @@ def test_a_rate_limit_that_was_never_reached_is_not_told() -> None:
 
 
 def test_readings_that_are_means_over_a_window_are_taken_for_such() -> None:
-    config = hidden_servo(1, PlantConfig(seed=1))
+    config = randomised_servo(1, PlantConfig(seed=1))
     found, log, table = fitted(config)
     window = 5  # readings, 0.1 s
     smooth = np.convolve(log.yaw_rate_radps, np.full(window, 1 / window), mode="same")
@@ -89,7 +89,7 @@ def test_readings_that_are_means_over_a_window_are_taken_for_such() -> None:
 
 
 def test_some_wild_readings_do_no_harm() -> None:
-    config = hidden_servo(2, PlantConfig(seed=2))
+    config = randomised_servo(2, PlantConfig(seed=2))
     _, log, table = fitted(config)
     rates = log.yaw_rate_radps.copy()
     rates[np.random.default_rng(0).choice(len(rates), len(rates) // 50, replace=False)] += 2.0
@@ -98,6 +98,6 @@ def test_some_wild_readings_do_no_harm() -> None:
 
 
 def test_a_car_that_hardly_moved_tells_no_delay() -> None:
-    _, log, table = fitted(hidden_servo(2, PlantConfig(seed=2)))
+    _, log, table = fitted(randomised_servo(2, PlantConfig(seed=2)))
     with pytest.raises(ValueError, match="too few to tell"):
         fit_actuator(changed(log, speed_mps=np.zeros(len(log.t_ns))), table, WHEELBASE_M)

@@ -51,13 +51,13 @@ CASES = {  # arguments -> the line on stderr
     "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",
     "run --car usb.toml --laps 3": "automodel: --laps: is for the simulated car, and usb.toml names a real one",
     "run --car usb.toml --seed 0": "automodel: --seed: is for the simulated car, and usb.toml names a real one",
-    "run --track tmrr": "automodel: tmrr: no such track; shipped are chicane, circuit, oval, tmr; of "
-    "your own give the path of a .toml or .csv file",
+    "run --track tmrr": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, tmr, or "
+    "the path of a .toml or .csv file",
     "run --track missing.toml": "automodel: missing.toml: no such file",
     "run --track track.toml": "automodel: track.toml:2: closed: true, but the road's end misses its "
-    "beginning by 2000.00 mm and 0.000 deg; at most 1 mm and 0.1 deg are allowed",
+    "start by 2000.00 mm and 0.000 deg; at most 1 mm and 0.1 deg are allowed",
     "run --track cut.toml": "automodel: cut.toml:3: not TOML: Expected ']' at the end of a table declaration",
-    "run --track columns.csv": "automodel: columns.csv:1: 2 columns where x_m,y_m,w_tr_right_m,w_tr_left_m are wanted",
+    "run --track columns.csv": "automodel: columns.csv:1: expected the columns x_m,y_m,w_tr_right_m,w_tr_left_m, got 2",
     "run --track open.toml": "automodel: open.toml: the road is not closed, there are no laps; give --duration",
     "run --speed 99": "automodel: --speed 99.0: car.toml allows 2.0 ([safety] speed_max_mps)",
     "run --truth missing/truth.csv": "automodel: --truth missing/truth.csv: there is no folder missing",
@@ -92,8 +92,8 @@ CASES = {  # arguments -> the line on stderr
     "recover text.mcap": "automodel: text.mcap: not an MCAP file",
     "recover run.mcap -o run.mcap": "automodel: run.mcap: is the file to recover; choose another name for the output",
     "recover head.mcap": "automodel: head.mcap: nothing to recover: no complete message before the cut",
-    "bench accuracy --track tmrr --jobs 1": "automodel: tmrr: no such track; shipped are chicane, circuit, oval, tmr; of "
-    "your own give the path of a .toml or .csv file",
+    "bench accuracy --track tmrr --jobs 1": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, tmr, or "
+    "the path of a .toml or .csv file",
     "bench accuracy --plot missing/x.png": "automodel: --plot missing/x.png: there is no folder missing",
 }
 

@@ -74,7 +74,7 @@ def test_a_motor_that_does_not_move_the_car(car: Path, monkeypatch: pytest.Monke
             plant, motor=dataclasses.replace(plant.motor, speed_mps=(-1e-6, 0.0, 1e-6)), ticks_per_m=200.0
         )
 
-    monkeypatch.setattr(odometry_drive, "hidden_motor", stuck)
+    monkeypatch.setattr(odometry_drive, "randomised_motor", stuck)
     said = cli("calibrate", "odometry", "--car", car, "--distance-m", 1)
     assert said.code == 2
     assert untouched(car)

@@ -111,7 +111,7 @@ def test_a_key_ends_the_drive(
 
 def test_a_servo_that_does_not_answer(car: Path, monkeypatch: pytest.MonkeyPatch, cli) -> None:
     dead = ServoConfig(pulse_us=(1000.0, 1500.0, 2000.0), steering_rad=(1e-6, 0.0, -1e-6))
-    monkeypatch.setattr(servo_drive, "hidden_servo", lambda seed, plant: dataclasses.replace(plant, servo=dead))
+    monkeypatch.setattr(servo_drive, "randomised_servo", lambda seed, plant: dataclasses.replace(plant, servo=dead))
     said = cli("calibrate", "servo", "--auto", "--car", car)
     assert said.code == 2
     assert "automodel: the servo does not answer: 1050 .. 1950 us" in said.err.splitlines()[-1]
@@ -119,7 +119,7 @@ def test_a_servo_that_does_not_answer(car: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_board_without_a_gyro(car: Path, short: None, monkeypatch: pytest.MonkeyPatch, cli) -> None:
-    monkeypatch.setattr(servo_drive, "hidden_servo", lambda seed, plant: dataclasses.replace(plant, gyro=False))
+    monkeypatch.setattr(servo_drive, "randomised_servo", lambda seed, plant: dataclasses.replace(plant, gyro=False))
     said = cli("calibrate", "servo", "--auto", "--car", car)
     assert said.code == 1
     assert "no gyro is fitted; give --yaw camera; nothing was written" in said.err.splitlines()[-1]
@@ -127,7 +127,7 @@ def test_a_board_without_a_gyro(car: Path, short: None, monkeypatch: pytest.Monk
 
 def test_wheels_that_nobody_counts(car: Path, short: None, monkeypatch: pytest.MonkeyPatch, cli) -> None:
     blind = lambda seed, plant: dataclasses.replace(plant, ticks_per_m=1e-9)  # noqa: E731
-    monkeypatch.setattr(servo_drive, "hidden_servo", blind)
+    monkeypatch.setattr(servo_drive, "randomised_servo", blind)
     said = cli("calibrate", "servo", "--auto", "--car", car)
     assert said.code == 2
     assert "the wheels did not turn, or nothing counts them" in said.err.splitlines()[-1]

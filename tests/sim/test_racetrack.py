@@ -89,9 +89,9 @@ def test_a_hairpin_too_tight_for_its_width_is_made_narrower(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("1.0,2.0,3.0", r"ring\.csv:5: 3 columns where x_m,y_m,w_tr_right_m,w_tr_left_m"),
+        ("1.0,2.0,3.0", r"ring\.csv:5: expected the columns x_m,y_m,w_tr_right_m,w_tr_left_m, got 3"),
         ("1.0,2.0,wide,3.0", r"ring\.csv:5: w_tr_right_m: 'wide' is not a number"),
-        ("1.0,nan,3.0,3.0", r"ring\.csv:5: y_m: nan where a finite number"),
+        ("1.0,nan,3.0,3.0", r"ring\.csv:5: y_m: expected a finite number, got nan"),
         ("1.0,2.0,-3.0,3.0", r"ring\.csv:5: w_tr_right_m, w_tr_left_m: .* negative"),
         ("1.0,2.0,0.0,0.0", r"ring\.csv:5: w_tr_right_m, w_tr_left_m: .* both be 0"),
         ("REPEAT", r"ring\.csv:5: repeats the point"),
@@ -105,7 +105,7 @@ def test_a_wrong_row_is_named(tmp_path: Path, row: str, words: str) -> None:
 
 
 def test_too_few_points(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"ring\.csv: 2 points; a closed track has 4"):
+    with pytest.raises(ConfigError, match=r"ring\.csv: expected at least 4 lines of .*, got 2"):
         load_track(write(tmp_path, "\n".join(ring().splitlines()[:3])))
 
 

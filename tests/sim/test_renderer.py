@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,24 +9,21 @@ import pytest
 from automodel.config import CameraConfig, Extrinsics, Intrinsics
 from automodel.geometry import SE2, GroundCamera
 from automodel.sim.appearance import Appearance
+from automodel.sim.paint import Paint
 from automodel.sim.renderer import Renderer
+from automodel.sim.track import Obstacle
 from automodel.sim.track_files import load_track
 
 FLOOR = (-50.0, -50.0, 50.0, 50.0)
 BARREL = (-0.28, 0.06, 0.001, -0.0015, 0.0)
 
 
-@dataclass(frozen=True)
-class Stroke:
-    polygon_m: np.ndarray
-    colour: str = "white"
+def stroke(polygon_m: np.ndarray, colour: str = "white") -> Paint:
+    return Paint(polygon_m=polygon_m, colour=colour, kind="line")
 
 
-@dataclass(frozen=True)
-class Box:
-    polygon_m: np.ndarray
-    height_m: float = 0.2
-    grey: int = 150
+def obstacle(polygon_m: np.ndarray, height_m: float = 0.2) -> Obstacle:
+    return Obstacle(polygon_m=polygon_m, height_m=height_m, grey=150)
 
 
 def rectangle(x0: float, x1: float, y0: float, y1: float) -> np.ndarray:
@@ -51,14 +48,14 @@ def camera(width: int = 640, distortion: tuple[float, ...] = (0.0,) * 5, **extri
 RING_M, HALF_M = 1.4, 0.015
 
 
-def scene() -> list[Stroke]:
-    strokes = [Stroke(rectangle(-3.0, 40.0, y - HALF_M, y + HALF_M)) for y in (-0.2, 0.6)]
-    strokes += [Stroke(rectangle(x, x + 0.2, 0.2 - HALF_M, 0.2 + HALF_M)) for x in np.arange(-2.0, 12.0, 0.4)]
-    strokes.append(Stroke(rectangle(1.1, 1.14, -0.2, 0.2)[::-1]))  # a stop line, drawn the other way round
+def scene() -> list[Paint]:
+    strokes = [stroke(rectangle(-3.0, 40.0, y - HALF_M, y + HALF_M)) for y in (-0.2, 0.6)]
+    strokes += [stroke(rectangle(x, x + 0.2, 0.2 - HALF_M, 0.2 + HALF_M)) for x in np.arange(-2.0, 12.0, 0.4)]
+    strokes.append(stroke(rectangle(1.1, 1.14, -0.2, 0.2)[::-1]))  # a stop line, drawn the other way round
     turn = np.linspace(0.0, 2.0 * math.pi, 401)[:-1]
     for a, b in zip(turn, np.roll(turn, -1), strict=True):
         corners = [(RING_M - HALF_M, a), (RING_M + HALF_M, a), (RING_M + HALF_M, b), (RING_M - HALF_M, b)]
-        strokes.append(Stroke(np.array([(3.0 + r * math.cos(t), -2.0 + r * math.sin(t)) for r, t in corners])))
+        strokes.append(stroke(np.array([(3.0 + r * math.cos(t), -2.0 + r * math.sin(t)) for r, t in corners])))
     return strokes
 
 
@@ -112,8 +109,8 @@ def test_mask_equals_the_brute_force_reference(eye: GroundCamera, pose: SE2) -> 
 def test_lines_lie_where_they_are(distortion: tuple[float, ...]) -> None:
     eye = camera(distortion=distortion)
     for y_m in (-0.21, 0.003, 0.2):
-        stroke = Stroke(rectangle(-1.0, 60.0, y_m - 0.015, y_m + 0.015))
-        mask = Renderer([stroke], FLOOR, (), eye, Appearance()).render_mask(0.0, 0.0, 0.0).astype(float)
+        line = stroke(rectangle(-1.0, 60.0, y_m - 0.015, y_m + 0.015))
+        mask = Renderer([line], FLOOR, (), eye, Appearance()).render_mask(0.0, 0.0, 0.0).astype(float)
         rows, u = np.arange(75, 345, 15), np.arange(-0.5, 639.5, 0.05)  # 0.3 m to 4 m ahead
         on_row = eye.px_to_ground(np.stack(np.meshgrid(u, rows), axis=-1))[..., 1]
         inside = np.abs(on_row - y_m) < 0.015
@@ -133,8 +130,8 @@ def test_lines_lie_where_they_are(distortion: tuple[float, ...]) -> None:
 def test_a_rendered_line_lies_where_it_is_with_all_blurs_on() -> None:
     look = Appearance(defocus_px=0.8, exposure_s=0.01, wear=0.0, floor_grey=30.0, marking_grey=200.0)
     eye = camera()
-    lines = [Stroke(rectangle(-1.0, 9.0, y - 0.015, y + 0.015)) for y in (-0.06, 0.05)]
-    lines.append(Stroke(rectangle(0.685, 0.715, -0.3, 0.3)))
+    lines = [stroke(rectangle(-1.0, 9.0, y - 0.015, y + 0.015)) for y in (-0.06, 0.05)]
+    lines.append(stroke(rectangle(0.685, 0.715, -0.3, 0.3)))
     picture = Renderer(lines, FLOOR, (), eye, look).render(0.0, 0.0, 0.0, speed_mps=1.5).astype(float) - 30.0
     u, v = eye.ground_to_px([(0.5, -0.06), (0.7, 0.0)]).round().astype(int).T
     columns = np.arange(u[0] - 40, u[0] + 41)
@@ -143,13 +140,13 @@ def test_a_rendered_line_lies_where_it_is_with_all_blurs_on() -> None:
     rows = np.arange(v[1] - 25, v[1] + 26)
     weight = picture[rows, u[1]]
     ground_x = eye.px_to_ground(np.column_stack((np.full(len(rows), u[1]), rows)))[:, 0]
-    breadth = np.gradient(ground_x)
-    assert (weight * breadth) @ ground_x / (weight @ breadth) == pytest.approx(0.7, abs=0.001)
+    width_m = np.gradient(ground_x)
+    assert (weight * width_m) @ ground_x / (weight @ width_m) == pytest.approx(0.7, abs=0.001)
 
 
 def test_motion_blurs_along_the_way_and_not_across() -> None:
     eye = camera()
-    lines = [Stroke(rectangle(0.55, 0.58, -0.3, 0.3)), Stroke(rectangle(0.65, 3.0, -0.015, 0.015))]
+    lines = [stroke(rectangle(0.55, 0.58, -0.3, 0.3)), stroke(rectangle(0.65, 3.0, -0.015, 0.015))]
     renderer = Renderer(lines, FLOOR, (), eye, Appearance(exposure_s=0.02))
     still, moving = (renderer.render(0.0, 0.0, 0.0, speed_mps=v)[60:] - 40.0 for v in (0.0, 1.0))
     column = int(eye.ground_to_px((0.565, 0.1))[0])
@@ -160,7 +157,7 @@ def test_motion_blurs_along_the_way_and_not_across() -> None:
 
 
 def test_turning_smears_by_the_angle_turned() -> None:
-    line = [Stroke(rectangle(0.3, 9.0, -0.015, 0.015))]
+    line = [stroke(rectangle(0.3, 9.0, -0.015, 0.015))]
     renderer = Renderer(line, FLOOR, (), camera(), Appearance(exposure_s=0.02))
     still, turning = (renderer.render(0.0, 0.0, 0.0, 0.0, w).astype(float)[150] - 40.0 for w in (0.0, 1.5))
     columns = np.arange(640)
@@ -193,7 +190,7 @@ def test_the_clean_picture_is_the_mask_in_grey_levels() -> None:
 
 def test_a_scene_far_from_the_origin_looks_the_same() -> None:
     there, here = np.array([51234.0, -80321.0]), Renderer(scene(), FLOOR, (), camera(), Appearance())
-    moved = [Stroke(s.polygon_m + there) for s in scene()]
+    moved = [stroke(s.polygon_m + there) for s in scene()]
     mask = Renderer(moved, FLOOR, (), camera(), Appearance()).render_mask(there[0] + 0.2, there[1], 0.3)
     assert np.abs(mask.astype(int) - here.render_mask(0.2, 0.0, 0.3)).max() <= 1
 
@@ -202,8 +199,8 @@ def test_full_scale_lines_run_to_the_horizon() -> None:
     lens = Intrinsics(fx_px=1150, fy_px=1150, cx_px=639.5, cy_px=359.5)
     extrinsics = Extrinsics(x_m=1.5, z_m=1.2, pitch_rad=0.02)
     eye = GroundCamera.from_config(CameraConfig(width_px=1280, height_px=720, intrinsics=lens, extrinsics=extrinsics))
-    dashes = [Stroke(rectangle(x, x + 6.0, -1.825, -1.675)) for x in np.arange(0.0, 3000.0, 18.0)]
-    edge = [Stroke(rectangle(x, x + 20.0, 1.6, 1.9)) for x in np.arange(-100.0, 3000.0, 20.0)]
+    dashes = [stroke(rectangle(x, x + 6.0, -1.825, -1.675)) for x in np.arange(0.0, 3000.0, 18.0)]
+    edge = [stroke(rectangle(x, x + 20.0, 1.6, 1.9)) for x in np.arange(-100.0, 3000.0, 20.0)]
     mask = Renderer(dashes + edge, (0.0, -9.0, 3000.0, 9.0), (), eye, Appearance()).render_mask(1000.0, 0.0, 0.0)
     for distance in (20.0, 80.0, 200.0):
         v = round(eye.ground_to_px((distance, 1.75))[1])
@@ -226,8 +223,8 @@ def test_the_same_arguments_give_the_same_picture() -> None:
 
 def test_obstacles_hide_what_is_behind_them() -> None:
     eye = camera()
-    line = [Stroke(rectangle(0.3, 6.0, -0.015, 0.015))]
-    box = Box(rectangle(0.9, 1.1, -0.1, 0.1), height_m=0.08)
+    line = [stroke(rectangle(0.3, 6.0, -0.015, 0.015))]
+    box = obstacle(rectangle(0.9, 1.1, -0.1, 0.1), height_m=0.08)
     look = Appearance(floor_grey=40.0)
     with_box, without = (Renderer(line, FLOOR, boxes, eye, look) for boxes in ((box,), ()))
     picture, mask = with_box.render(0.0, 0.0, 0.0), with_box.render_mask(0.0, 0.0, 0.0)
@@ -247,7 +244,7 @@ def test_obstacles_hide_what_is_behind_them() -> None:
 
 
 def test_obstacles_behind_or_around_the_camera_do_no_harm() -> None:
-    boxes = (Box(rectangle(-1.0, -0.5, -0.1, 0.1)), Box(rectangle(0.1, 0.35, 0.05, 0.3), height_m=0.4))
+    boxes = (obstacle(rectangle(-1.0, -0.5, -0.1, 0.1)), obstacle(rectangle(0.1, 0.35, 0.05, 0.3), height_m=0.4))
     for distortion in ((0.0,) * 5, BARREL):
         renderer = Renderer([], FLOOR, boxes[:1], camera(distortion=distortion), Appearance())
         assert np.array_equal(
@@ -260,7 +257,7 @@ def test_obstacles_behind_or_around_the_camera_do_no_harm() -> None:
 
 
 def test_colour() -> None:
-    paint = [Stroke(rectangle(0.3, 6.0, 0.1, 0.13), "yellow"), Stroke(rectangle(0.3, 6.0, -0.13, -0.1))]
+    paint = [stroke(rectangle(0.3, 6.0, 0.1, 0.13), "yellow"), stroke(rectangle(0.3, 6.0, -0.13, -0.1))]
     look = Appearance(marking_grey=200.0, floor_grey=40.0, yellow_bgr=(60.0, 190.0, 225.0))
     colour, grey = (Renderer(paint, FLOOR, (), camera(), look, colour=c).render(0.0, 0.0, 0.0) for c in (True, False))
     assert colour.shape == (360, 640, 3)
@@ -269,7 +266,7 @@ def test_colour() -> None:
         assert tuple(colour[v, u].tolist()) == expected
         assert grey[v, u] == pytest.approx(np.dot(expected, (0.114, 0.587, 0.299)), abs=1)
     with pytest.raises(ValueError, match="'green' is none of white, yellow"):
-        Renderer([Stroke(rectangle(0, 1, 0, 1), "green")], FLOOR, (), camera(), look)
+        Renderer([stroke(rectangle(0, 1, 0, 1), "green")], FLOOR, (), camera(), look)
 
 
 def test_cameras_without_ground_or_without_sky() -> None:

@@ -107,8 +107,8 @@ def test_a_missing_key_is_named() -> None:
 
 
 def test_no_pieces() -> None:
-    refused(GOOD[: GOOD.index("[[pieces]]")], None, "pieces", "empty")
-    refused("pieces = []\n" + GOOD[: GOOD.index("[[pieces]]")], 1, "pieces", "empty")
+    refused(GOOD[: GOOD.index("[[pieces]]")], None, "pieces", "expected at least one")
+    refused("pieces = []\n" + GOOD[: GOOD.index("[[pieces]]")], 1, "pieces", "expected at least one")
     refused("pieces = 3\n" + GOOD[: GOOD.index("[[pieces]]")], 1, "pieces", "[[pieces]]")
 
 
@@ -146,7 +146,7 @@ def test_not_toml() -> None:
 
 
 def test_no_such_track_names_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"^tnr: no such track; shipped are chicane, circuit, oval, tmr"):
+    with pytest.raises(ConfigError, match=r"^tnr: no such track; expected one of chicane, circuit, oval, tmr"):
         load_track("tnr")
 
 

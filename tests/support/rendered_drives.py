@@ -45,9 +45,7 @@ def camera(
 
 def renderer(track: Track, car: CarConfig, look: Appearance | None = None) -> Renderer:
     eye = GroundCamera.from_config(car.camera)
-    return Renderer(
-        track.paint(), track.floor, track.obstacles, eye, look or Appearance.clean(), colour=car.camera.colour
-    )
+    return Renderer(track.paint(), track.floor, track.obstacles, eye, look or Appearance(), colour=car.camera.colour)
 
 
 @dataclass(frozen=True, kw_only=True)
