@@ -7,10 +7,10 @@ Every key has a default or is demanded by name. An unknown key, a wrong type or 
 from __future__ import annotations
 
 import dataclasses
+import datetime
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from automodel.config.calibration import CalibrationRecord, CalibrationRecords
 from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
 from automodel.config.link import AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
 from automodel.config.parts import CONTROLLERS, PIPELINES
@@ -65,8 +65,8 @@ class VehicleConfig:
     width_m: float = 0.20
     front_overhang_m: float = 0.07  # from the front axle to the bumper
     rear_overhang_m: float = 0.07
-    ticks_per_m: float = 200.0  # wheel ticks a metre of the rear axle's way
-    battery_low_v: float = 6.4  # below this the battery is told to be low; 0: never
+    ticks_per_m: float = 200.0  # wheel ticks per metre that the rear axle travels
+    battery_low_v: float = 6.4  # below this the battery is reported as low; 0: never
 
     def __post_init__(self) -> None:
         positive(self, "wheelbase_m", "width_m", "ticks_per_m")
@@ -75,7 +75,7 @@ class VehicleConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneConfig:
-    """The lane as it is expected: the width is a start value, the pipelines estimate it."""
+    """The expected lane. The width is where the estimate starts; the pipelines follow the real one."""
 
     width_m: float = 0.40
     marking_width_m: float = 0.03
@@ -150,6 +150,26 @@ class RecordingConfig:
         one_of("image", self.image, ("png", "jpeg"))
         if not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality: expected 1 .. 100, got {self.jpeg_quality}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationRecord:
+    """What vouches for a calibrated section: when, how, and how large its error was (a text with units)."""
+
+    date: datetime.date
+    method: str
+    residual: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CalibrationRecords:
+    """The records that the calibration commands leave; None: never calibrated."""
+
+    camera: CalibrationRecord | None = None  # [camera.intrinsics]
+    ground: CalibrationRecord | None = None  # [camera.extrinsics]
+    servo: CalibrationRecord | None = None  # [link.servo]
+    odometry: CalibrationRecord | None = None  # [vehicle] ticks_per_m, [link.motor]
+    stereo: CalibrationRecord | None = None  # [camera.right]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,13 +10,13 @@ from automodel.config.toml_reader import not_negative, one_of, positive
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WindowsConfig:
-    """`windows` (seed 003). Lengths are multiples of the lane's width, so that they hold at any scale."""
+    """`windows` (Balbuena Palma et al. 2020). Lengths in lane widths hold at any scale."""
 
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
-    view_half_lanes: float = 1.6  # half the bird's-eye view's breadth
+    view_half_lanes: float = 1.6  # half the bird's-eye view's width
     marking_px: float = 5.0  # pixels that the marking is wide in the bird's-eye view
     contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
-    coast_m: float = 1.6  # way [m] that the lane is carried on without any line, at most
+    coast_m: float = 1.6  # distance [m] that the lane is carried on without any line, at most
     coast_s: float = 2.0  # and for how long at most
 
     def __post_init__(self) -> None:
@@ -26,7 +26,7 @@ class WindowsConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CenterlineConfig:
-    """`centerline` (seed 001). Lengths are multiples of the lane's width, so that they hold at any scale."""
+    """`centerline` (Cudrano et al. 2020). Lengths are multiples of the lane's width, so that they hold at any scale."""
 
     markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
     network: str = "512x256"  # size of the network's picture: 512x256, or 256x128 for a small board
@@ -35,9 +35,9 @@ class CenterlineConfig:
     threads: int = 0  # of the network on the CPU; 0: half of the cores
     threshold: float = 0.5  # probability from which a pixel is a marking
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
-    view_half_lanes: float = 1.8  # half the bird's-eye view's breadth
+    view_half_lanes: float = 1.8  # half the bird's-eye view's width
     marking_px: float = 4.0  # pixels that the marking is wide in the bird's-eye view
-    coast_lanes: float = 5.0  # way that the lane is carried on without any line, at most
+    coast_lanes: float = 5.0  # distance that the lane is carried on without any line, at most
     coast_s: float = 2.5  # and for how long at most
 
     def __post_init__(self) -> None:
@@ -53,7 +53,7 @@ class CenterlineConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ContourConfig:
-    """`contour` (seed 004). Lengths are multiples of the lane's width, so that they hold at any scale."""
+    """`contour` (Smith 2024). Lengths are multiples of the lane's width, so that they hold at any scale."""
 
     look_ahead_lanes: float = 2.5  # how far ahead of the first visible ground the lines are followed
     nodes: int = 18  # places at which a line is looked for
@@ -63,7 +63,7 @@ class ContourConfig:
     colour: str = "grey"  # what is read of a colour picture: "blue", "green", "red", or their weighted sum "grey"
     update: str = "gauss_newton"  # or "gradient_descent", as in the thesis
     precision: str = "double"  # or "single", for boards that have no fast doubles
-    coast_lanes: float = 6.0  # way that the lane is carried on without any line, at most
+    coast_lanes: float = 6.0  # distance that the lane is carried on without any line, at most
     coast_s: float = 2.5  # and for how long at most
 
     def __post_init__(self) -> None:

@@ -1,10 +1,8 @@
-"""All checks of a run's inputs together, as the loop calls them.
+"""Whether what a run is given can be true: images, the lane that a pipeline reports, and how the car turns.
 
-Whether the lane is still the one that was followed: a car cannot jump aside, or turn, from one frame to the next.
-
-Whether a camera's pictures are pictures of the road: right in size, alive, and showing anything at all.
-
-Whether the car turns as it is steered: by the gyro, where there is one.
+- `ImageCheck`: an image has the camera's size, is a new one, and shows anything at all.
+- `LaneJumpCheck`: the lane is still the one that was followed; a car cannot move sideways, or turn, between two frames.
+- `SteeringCheck`: the car turns as it is steered, by the gyro where there is one.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ from automodel.config import CarConfig
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.types import Image
 
-OFFSET_LANES = 0.5  # further aside than half a lane's width, another line was taken for the lane's
+OFFSET_LANES = 0.5  # further to the side than half a lane's width, another line was taken for the lane's
 HEADING_RAD = 0.6  # turned by more than this, a line across the road was
 KEPT_S = 0.5  # a lane that was seen longer ago is no measure any more; longer than a car is held
 
@@ -47,28 +45,28 @@ class LaneJumpCheck:
             return None
         if not 0 <= estimate.t_ns - right.t_ns < KEPT_S * 1e9:
             return None
-        aside_m = pose.offset_m - right.pose.offset_m
-        if abs(aside_m) > OFFSET_LANES * right.pose.width_m:
-            return f"the lane has jumped aside by {abs(aside_m):.2f} m"
+        sideways_m = pose.offset_m - right.pose.offset_m
+        if abs(sideways_m) > OFFSET_LANES * right.pose.width_m:
+            return f"the lane has jumped sideways by {abs(sideways_m):.2f} m"
         turn_rad = math.remainder(pose.heading_rad - right.pose.heading_rad, math.tau)
         if abs(turn_rad) > HEADING_RAD:
             return f"the lane has turned by {abs(turn_rad):.2f} rad at once"
         return None
 
 
-FLAT_LEVELS = 6  # grey levels between the brightest and the darkest part of a picture that shows nothing
+FLAT_LEVELS = 6  # grey levels between the brightest and the darkest part of a image that shows nothing
 _COARSE_PX = (16, 9)  # each of these parts is the mean of many pixels, so that noise makes none of them stand out
 
 
-class PictureCheck:
-    """Counts only pictures that show something new; says what is wrong when the last of those is too old.
+class ImageCheck:
+    """Counts only images that show something new; says what is wrong when the last of those is too old.
 
-    A sensor's noise never comes twice: a picture that is the one before to the last bit was not taken anew, whatever
+    A sensor's noise never comes twice: a image that is the one before to the last bit was not taken anew, whatever
     its time says, and whether the car moves or not. A simulated camera without noise does repeat itself, where the car
     stands or there is nothing to see; `noiseless` allows that. A lens that is covered, blinded or unplugged gives a
-    picture without any contrast.
+    image without any contrast.
 
-    One bad picture is as one that was dropped: only `timeout_s` without a good one is worth a word.
+    One bad image is as one that was dropped: only `timeout_s` without a good one is worth a word.
     """
 
     def __init__(self, width_px: int, height_px: int, timeout_s: float, *, noiseless: bool = False) -> None:
@@ -76,17 +74,17 @@ class PictureCheck:
         self._timeout_ns = round(timeout_s * 1e9)
         self._noiseless = noiseless
         self._before: Image | None = None
-        self._good_ns: int | None = None  # when the newest good picture was taken
+        self._good_ns: int | None = None  # when the newest good image was taken
 
     def misfit(self, image: Image) -> str | None:
-        """Why nothing can be made of the picture, None where its size is the camera's."""
+        """Why nothing can be made of the image, None where its size is the camera's."""
         height, width = image.shape[:2]
         if (height, width) == self._shape:
             return None
-        return f"the picture has {width}x{height} pixels where the camera has {self._shape[1]}x{self._shape[0]}"
+        return f"the image has {width}x{height} pixels; the camera has {self._shape[1]}x{self._shape[0]}"
 
     def step(self, image: Image, t_ns: int) -> str | None:
-        """What is wrong with the pictures up to this one, taken at `t_ns`; None while all is well, or may still be."""
+        """What is wrong with the images up to this one, taken at `t_ns`; None while all is well, or may still be."""
         wrong = self._wrong(image)
         if wrong is None:
             self._good_ns = t_ns
@@ -99,14 +97,14 @@ class PictureCheck:
     def _wrong(self, image: Image) -> str | None:
         before, self._before = self._before, image
         if contrast(image) < FLAT_LEVELS:
-            return "the picture is blank"
+            return "the image is blank"
         if before is not None and not self._noiseless and _same(before, image):
-            return "the camera repeats the same picture"
+            return "the camera repeats the same image"
         return None
 
 
 def contrast(image: Image) -> int:
-    """Grey levels between the brightest and the darkest part of a picture, of the channel with the most."""
+    """Grey levels between the brightest and the darkest part of a image, of the channel with the most."""
     coarse = cv2.resize(image, _COARSE_PX, interpolation=cv2.INTER_AREA).reshape(_COARSE_PX[0] * _COARSE_PX[1], -1)
     return int((coarse.max(axis=0).astype(np.int64) - coarse.min(axis=0)).max())
 
@@ -160,23 +158,23 @@ class SteeringCheck:
 class InputChecks:
     """Implements `Checks`. They outlive a reset of the chain: what they remember is bounded in time.
 
-    `noiseless` is for a simulated camera whose pictures have no noise.
+    `noiseless` is for a simulated camera whose images have no noise.
     """
 
     def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
-        self._pictures = tuple(PictureCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
+        self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
         self._lane_jump = LaneJumpCheck()
         self._steering = SteeringCheck(car.vehicle.wheelbase_m)
 
     def misfit(self, frame: Frame | StereoFrame) -> str | None:
         """Why nothing can be made of the frame, None where it can be looked at."""
-        return next(filter(None, map(PictureCheck.misfit, self._pictures, _images(frame))), None)
+        return next(filter(None, map(ImageCheck.misfit, self._pictures, _images(frame))), None)
 
     def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
         """What is wrong with a frame that fits."""
-        pictures = zip(self._pictures, _images(frame), strict=False)  # a single camera leaves one check idle
-        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in pictures)))
+        images = zip(self._pictures, _images(frame), strict=False)  # a single camera leaves one check idle
+        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in images)))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
         """What is wrong with the lane, or with how the car moves."""

@@ -103,10 +103,10 @@ def no_garbage_collection() -> Iterator[None]:
 
 
 def collect_young() -> None:
-    """Collect what one turn of the loop left in reference cycles.
+    """Collect what one cycle of the loop left in reference cycles.
 
-    Its time is bounded: it looks only at the objects made since the last call, which is one turn's worth when it is
-    called every turn (some ten microseconds), never at the heap.
+    Its time is bounded: it looks only at the objects made since the last call, which is one cycle's worth when it is
+    called every cycle (some ten microseconds), never at the heap.
     """
     gc.collect(0)
 

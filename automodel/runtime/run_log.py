@@ -14,7 +14,7 @@ QUIET_S = 1.0  # a thing that goes wrong in every frame is told so often
 EVENTS_KEPT = 10_000  # in memory, the newest; the recording has them all
 
 
-class Journal:
+class RunLog:
     """Passes a run on to its recorder; a recorder that fails is told of once and left alone, the car drives on."""
 
     def __init__(self, recorder: Recorder | None, on_event: Callable[[Event], None] | None = None) -> None:
@@ -24,14 +24,14 @@ class Journal:
         self._pending: list[Event] = []
         self._news: list[Event] = []
         self._kept: deque[Event] = deque(maxlen=EVENTS_KEPT)
-        self._told_ns: dict[str, int] = {}
+        self._reported_ns: dict[str, int] = {}
 
     @property
     def events(self) -> tuple[Event, ...]:
         """The run's events so far, oldest first."""
         return tuple(self._kept)
 
-    def tell_news(self) -> None:
+    def flush_events(self) -> None:
         """Pass the events since the last call to `on_event`; apart from `note`, so that the wire can go first."""
         news, self._news = self._news, []
         if self._on_event is not None:
@@ -39,21 +39,21 @@ class Journal:
                 self._on_event(event)
 
     def note(self, event: Event) -> None:
-        """Take an event in; the recorder gets it with the next turn."""
+        """Take an event in; the recorder gets it with the next cycle."""
         self._kept.append(event)
         self._news.append(event)
         if self._works:
             self._pending.append(event)
 
-    def tell(self, kind: str, text: str, t_ns: int) -> None:
+    def report(self, kind: str, text: str, t_ns: int) -> None:
         """Take in what may go wrong again and again: the same kind at most once a second."""
-        last_ns = self._told_ns.get(kind)
+        last_ns = self._reported_ns.get(kind)
         if last_ns is None or t_ns - last_ns >= QUIET_S * NS_PER_S:
-            self._told_ns[kind] = t_ns
+            self._reported_ns[kind] = t_ns
             self.note(Event(t_ns=t_ns, kind=kind, text=text))
 
     def write(self, record: TickRecord, heard: VehicleState | None) -> None:
-        """Pass one turn on; `heard` is the vehicle's state where a new one came in this turn."""
+        """Pass one cycle on; `heard` is the vehicle's state where a new one came in this cycle."""
         recorder = self._recorder
         if recorder is None or not self._works:
             return

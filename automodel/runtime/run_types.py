@@ -42,7 +42,7 @@ class RunConfig:
     """Times of a run.
 
     `command_validity_s` is the life of the hold and neutral commands that the runner makes itself, `period_s` the
-    time between two frames, beyond which a turn's work counts as an overrun. `collector_off` keeps the garbage
+    time between two frames, beyond which a cycle's work counts as an overrun. `collector_off` keeps the garbage
     collector out of the loop; in lock-step, where nothing is late, that is time spent for nothing.
     """
 
@@ -58,9 +58,9 @@ class RunConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TickRecord:
-    """One turn of the run at `t_ns`, told after everything was sent.
+    """One cycle of the run at `t_ns`, told after everything was sent.
 
-    `frame` is None in a turn without one; `tick` also where the frame's time was wrong, so that it was not looked at.
+    `frame` is None in a cycle without one; `tick` also where the frame's time was wrong, so that it was not looked at.
     `sent` is the command that went out, None where none did. `latency_ns` is the time from the frame's capture until
     its own command had been handed to the link; None for any other command.
     """
@@ -78,7 +78,7 @@ class RunObserver(Protocol):
     """Who wants to watch: progress, laps, a simulator's truth."""
 
     def on_tick(self, record: TickRecord) -> None:
-        """One turn; it is called in the loop, so it has to be quick."""
+        """One cycle; it is called in the loop, so it has to be quick."""
         ...
 
 
@@ -96,7 +96,7 @@ class RunEnd(enum.Enum):
 class RunResult:
     """What came of a run.
 
-    `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts turns that worked longer
+    `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts cycles that worked longer
     than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`. `traceback` is
     that of the first exception of the chain.
     """

@@ -1,6 +1,6 @@
-"""The run: one turn after the other until someone says stop, and the car in neutral however it ends.
+"""The run: one cycle after the other until someone says stop, and the car in neutral however it ends.
 
-A turn waits for the newest frame, at most 20 ms, so that the vehicle is polled, the safety machine stepped and a
+A cycle waits for the newest frame, at most 20 ms, so that the vehicle is polled, the safety machine stepped and a
 signal answered at that pace whatever the camera does. What goes to the wire goes first; recording, telling and the
 collector come after it. The whole run lives on the clock it is given: with a `VirtualClock` and a source that
 advances it inside `read` the same code runs in lock-step.
@@ -23,7 +23,7 @@ from automodel.interfaces import Source
 from automodel.runtime.clocks import NS_PER_S
 from automodel.runtime.loop import Tick, motion_faults, state_faults
 from automodel.runtime.os_signals import collect_all, collect_young, no_garbage_collection, stop_on_signals
-from automodel.runtime.run_log import Journal
+from automodel.runtime.run_log import RunLog
 from automodel.runtime.run_types import (
     MotionStage,
     RunConfig,
@@ -52,17 +52,17 @@ from automodel.sources.errors import EndOfSource
 
 __all__ = ["MotionStage", "RunConfig", "RunEnd", "RunObserver", "RunParts", "RunResult", "Runner", "TickRecord"]
 
-SLICE_NS = 20_000_000  # the longest wait for a frame in one turn: a signal goes unanswered no longer
+SLICE_NS = 20_000_000  # the longest wait for a frame in one cycle: a signal goes unanswered no longer
 SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual time pass
 
 
 class Runner:
-    """Drives `parts` in turns; one runner makes one run.
+    """Drives `parts` in cycles; one runner makes one run.
 
-    `arm_requested` is asked every turn whether a person has asked to arm since. `reopen` gives a new source in place of
-    one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without it a
-    source that failed ends the run as soon as the car stands. `on_event` is told of every event, after its turn's
-    command has gone out; it has to be quick.
+    `arm_requested` is called every cycle and says whether a person has asked to arm since. `reopen` makes a new source
+    in place of one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without
+    it a source that failed ends the run as soon as the car stands. `on_event` gets every event after the command of its
+    cycle was sent; it must be quick.
     """
 
     def __init__(
@@ -83,9 +83,9 @@ class Runner:
         self._validity_ns = round(config.command_validity_s * NS_PER_S)
         self._observer = observer
         self._arm_requested = arm_requested
-        self._journal = Journal(parts.recorder, on_event)
-        self._source = SupervisedSource(parts.source, parts.clock, self._journal, reopen)
-        self._link = SupervisedLink(parts.link, self._journal.note)
+        self._run_log = RunLog(parts.recorder, on_event)
+        self._source = SupervisedSource(parts.source, parts.clock, self._run_log, reopen)
+        self._link = SupervisedLink(parts.link, self._run_log.note)
         self._on_wire = NEUTRAL
         self._said: VehicleState | None = None  # the vehicle's last word, right or wrong
         self._state: VehicleState | None = None  # the last one that made sense
@@ -108,8 +108,8 @@ class Runner:
                 leaving.enter_context(no_garbage_collection())
             # The last one in is the first to be called, and each is called whatever the ones before it raise.
             leaving.callback(self._source.close)
-            leaving.callback(self._journal.tell_news)
-            leaving.callback(lambda: self._journal.close(self._clock.now_ns()))
+            leaving.callback(self._run_log.flush_events)
+            leaving.callback(lambda: self._run_log.close(self._clock.now_ns()))
             leaving.callback(self._link.close)
             leaving.callback(self._park)
             self._link.open(self._clock.now_ns())
@@ -122,7 +122,7 @@ class Runner:
             overruns=self._overruns,
             stops=self._stops,
             latencies_ns=np.array(self._latencies_ns, dtype=np.int64),
-            events=self._journal.events,
+            events=self._run_log.events,
             traceback=self._traceback,
         )
 
@@ -139,11 +139,11 @@ class Runner:
             if self._source.dead and self._at_rest():
                 return RunEnd.SOURCE_FAILED
             try:
-                self._turn()
+                self._cycle()
             except EndOfSource:
                 return RunEnd.SOURCE
 
-    def _turn(self) -> None:
+    def _cycle(self) -> None:
         frame = self._await_frame()
         taken_ns = self._clock.now_ns()
         heard, faults = self._listen(taken_ns)
@@ -159,7 +159,7 @@ class Runner:
             )
         arm = self._arm_requested is not None and self._arm_requested()
         was_at_rest = self._at_rest()
-        state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next turn
+        state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next cycle
         inputs = SafetyInputs(seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm)
         decision = self._safety.step(inputs, self._clock.now_ns())
         sent, sent_ns = self._send(decision, tick)
@@ -175,10 +175,10 @@ class Runner:
         )
         self._settle(record, faults)
         self._count(record, taken_ns)
-        self._journal.write(record, heard)
+        self._run_log.write(record, heard)
         if self._observer is not None:
             self._observer.on_tick(record)
-        self._journal.tell_news()
+        self._run_log.flush_events()
         self._tidy(record, was_at_rest)
 
     def _await_frame(self) -> Frame | StereoFrame | None:
@@ -202,7 +202,7 @@ class Runner:
             return None, faults
         before = self._state.faults if self._state is not None else ()
         if set(said.faults) - set(before):
-            self._journal.tell("vehicle-fault", f"the vehicle reports {', '.join(said.faults)}", now_ns)
+            self._run_log.report("vehicle-fault", f"the vehicle reports {', '.join(said.faults)}", now_ns)
         self._state = said
         return said, ()
 
@@ -251,9 +251,9 @@ class Runner:
         if record.decision.action is not Action.PASS or (record.tick is not None and record.sent is None):
             self._loop.overruled(self._on_wire)
         if faults:
-            self._journal.tell("fault", "; ".join(faults), record.t_ns)
+            self._run_log.report("fault", "; ".join(faults), record.t_ns)
         for event in record.decision.events:
-            self._journal.note(event)
+            self._run_log.note(event)
             self._stops += event.kind == "stop"
 
     def _count(self, record: TickRecord, taken_ns: int) -> None:
@@ -285,7 +285,7 @@ class Runner:
         now_ns = self._clock.now_ns()
         self._link.send(self._standstill(0.0, now_ns), now_ns)
         self._link.disarm(now_ns)
-        self._journal.note(Event(t_ns=now_ns, kind="end", text=self._end))
+        self._run_log.note(Event(t_ns=now_ns, kind="end", text=self._end))
 
 
 def _one_line(error: Exception) -> str:

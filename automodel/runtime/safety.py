@@ -2,7 +2,7 @@
 
 *Unwell* (may pass by itself): no frame yet, the newest older than `frame_timeout_s`, its time not after the one
 before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
-that cannot be true (`automodel.checks`).
+that cannot be true (`runtime.input_checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
 should not), a command stale before it was sent, a loop that stood still for longer than a command lives, a clock that
 went back. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop,
@@ -14,11 +14,11 @@ and a board that no longer obeys says so by being disarmed.
     DISARMED, STOPPED | arm request, not healthy for so long: refused, forgotten | the same | NEUTRAL
     DISARMED          | auto-arm not yet used up, healthy for rearm_s            | ARMING   | NEUTRAL, arm
     ARMING            | unwell, broken or ARM_TIMEOUT_S over                     | DISARMED | NEUTRAL, disarm
-    ARMING            | the vehicle says it is armed, healthy frame in this turn | DRIVING  | PASS
+    ARMING            | the vehicle says it is armed, healthy frame in this cycle | DRIVING  | PASS
     DRIVING           | broken                                                   | STOPPED  | NEUTRAL, disarm
     DRIVING           | unwell                                                   | HOLD     | HOLD_STEERING
     HOLD              | broken, or hold_s over                                   | STOPPED  | NEUTRAL, disarm
-    HOLD              | healthy frame in this turn                               | DRIVING  | PASS
+    HOLD              | healthy frame in this cycle                               | DRIVING  | PASS
 
 The first row that fits counts, and nothing else changes the mode. TRACKING, ONE_LINE and COASTING all drive; driving
 slower on less is the controller's task. A request is never remembered: a car that starts off seconds after the key
@@ -56,14 +56,14 @@ class SafetyMode(enum.Enum):
 class Action(enum.Enum):
     """What goes to the vehicle."""
 
-    PASS = "PASS"  # the limited command of this turn's frame; nothing in a turn without one
+    PASS = "PASS"  # the limited command of this cycle's frame; nothing in a cycle without one
     HOLD_STEERING = "HOLD_STEERING"  # the steering sent last, neutral throttle
     NEUTRAL = "NEUTRAL"  # straight, neutral throttle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """What this turn's frame gave.
+    """What this cycle's frame gave.
 
     `taken_ns` is when the loop took the frame up, `valid_until_ns` the life of the command made from it (None: the
     chain gave none).
@@ -77,9 +77,9 @@ class Seen:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SafetyInputs:
-    """One turn of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
+    """One cycle of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
 
-    `faults` are texts of what was found wrong in this turn; `arm` is a person's request made in this turn.
+    `faults` are texts of what was found wrong in this cycle; `arm` is a person's request made in this cycle.
     """
 
     seen: Seen | None
@@ -138,7 +138,7 @@ class Safety:
         return None if self._frame_t_ns is None else self._frame_t_ns + self._frame_timeout_ns
 
     def step(self, inputs: SafetyInputs, now_ns: int) -> SafetyDecision:
-        """One turn at `now_ns`; call it at least every 20 ms, with or without a frame."""
+        """One cycle at `now_ns`; call it at least every 20 ms, with or without a frame."""
         broken = self._clock_fault(inputs, now_ns) or self._vehicle_fault(inputs, now_ns)
         unwell = self._chain_fault(inputs, now_ns)
         self._last_ns = now_ns

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from automodel.interfaces import Source
 from automodel.runtime.clocks import NS_PER_S, SleepingClock
-from automodel.runtime.run_log import Journal
+from automodel.runtime.run_log import RunLog
 from automodel.signals import Event, Frame, StereoFrame
 
 REOPEN_S = 0.2  # between two tries to open a source that failed
@@ -21,11 +21,11 @@ class SupervisedSource:
     """
 
     def __init__(
-        self, source: Source, clock: SleepingClock, journal: Journal, reopen: Callable[[], Source] | None
+        self, source: Source, clock: SleepingClock, run_log: RunLog, reopen: Callable[[], Source] | None
     ) -> None:
         self._source = source
         self._clock = clock
-        self._journal = journal
+        self._run_log = run_log
         self._reopen = reopen
         self._failed = False
         self._tried_ns: int | None = None  # when it was opened again last
@@ -46,13 +46,13 @@ class SupervisedSource:
             frame = self._source.read(timeout_s)
         except (OSError, ValueError) as error:
             self._failed = True
-            self._journal.tell("source-failed", str(error), self._clock.now_ns())
+            self._run_log.report("source-failed", str(error), self._clock.now_ns())
             self._clock.sleep(timeout_s)  # a broken source fails at once
             return None
         if frame is not None and self._failed:
             self._failed = False
             event = Event(t_ns=self._clock.now_ns(), kind="source-back", text="frames come again; arm to drive on")
-            self._journal.note(event)
+            self._run_log.note(event)
         return frame
 
     def close(self) -> None:

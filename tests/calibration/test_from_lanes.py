@@ -126,7 +126,7 @@ def test_what_nothing_can_be_concluded_from_is_refused_in_a_line() -> None:
     straight = drive(camera)
     assert refusal(straight[:2]).startswith("pictures: 2 where 3 or more")
     assert "lane_width_m" in refusal(straight, 0.0)
-    assert "number 1 has 100x50 pixels where the camera has 512x288" in refusal(
+    assert "number 1 has 100x50 pixels; the camera has 512x288" in refusal(
         [straight[0], np.zeros((50, 100), np.uint8), straight[1]]
     )
     bare = [draw(camera, [], seed=seed) for seed in range(4)]

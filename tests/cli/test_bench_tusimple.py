@@ -174,7 +174,7 @@ def broken(folder: Path, what: str) -> None:
         ("outside", "a.png/b.png: there is no such picture under"),
         ("unequal rows", f"lane 1 has {len(ROWS)} points for {len(ROWS) - 1} h_samples"),
         ("no picture", "a.png: not a picture"),
-        ("other size", "b.png: 200x100 pixels where the camera has 512x288"),
+        ("other size", "b.png: 200x100 pixels; the camera has 512x288"),
     ],
 )
 def test_bad_folders_get_one_line(what: str, wanted: str, tmp_path: Path, cli) -> None:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.runtime.input_checks import FLAT_LEVELS, PictureCheck, contrast
+from automodel.runtime.input_checks import FLAT_LEVELS, ImageCheck, contrast
 
 MS = 1_000_000
 PERIOD_NS = 16_666_667
@@ -23,7 +23,7 @@ def blank(level: float, noise: float, seed: int = 0) -> np.ndarray:
 
 
 def said(pictures: list[np.ndarray], period_ns: int = PERIOD_NS, noiseless: bool = False) -> list[str | None]:
-    check = PictureCheck(WIDTH, HEIGHT, 0.06, noiseless=noiseless)
+    check = ImageCheck(WIDTH, HEIGHT, 0.06, noiseless=noiseless)
     return [check.step(picture, index * period_ns) for index, picture in enumerate(pictures)]
 
 
@@ -35,7 +35,7 @@ def test_a_picture_that_repeats_is_told_when_the_last_new_one_is_as_old_as_a_fra
     texts = said([road(0), *[road(1)] * 6])
     # picture 1 was new at 16.7 ms; 66.7 ms and 83.3 ms later pictures 5 and 6 are still the same
     assert [text is not None for text in texts] == [False] * 5 + [True, True]
-    assert texts[5] == "the camera repeats the same picture for 0.067 s"
+    assert texts[5] == "the camera repeats the same image for 0.067 s"
 
 
 @pytest.mark.parametrize(("period_ms", "first"), [(16, 4), (20, 3), (33, 2), (50, 2)])
@@ -55,7 +55,7 @@ def test_one_bit_makes_another_picture() -> None:
 
 def test_a_camera_that_has_no_noise_may_see_the_same_picture_for_ever() -> None:
     assert said([road(0)] * 50, noiseless=True) == [None] * 50
-    assert said([blank(9.0, 0.0)] * 5, noiseless=True) == ["the picture is blank"] * 5
+    assert said([blank(9.0, 0.0)] * 5, noiseless=True) == ["the image is blank"] * 5
 
 
 def test_the_first_other_picture_makes_it_well() -> None:
@@ -69,11 +69,11 @@ def test_the_first_other_picture_makes_it_well() -> None:
 def test_blank_pictures_are_told_after_the_same_time(level: float, noise: float) -> None:
     texts = said([road(0), *(blank(level, noise, seed) for seed in range(6))])
     assert [text is not None for text in texts] == [False] * 4 + [True] * 3
-    assert texts[4] == "the picture is blank for 0.067 s"
+    assert texts[4] == "the image is blank for 0.067 s"
 
 
 def test_blank_from_the_first_picture_on_is_told_at_once() -> None:
-    assert said([blank(0.0, 2.0)]) == ["the picture is blank"]
+    assert said([blank(0.0, 2.0)]) == ["the image is blank"]
 
 
 def test_single_bad_pictures_are_ridden_through() -> None:
@@ -92,8 +92,8 @@ def test_contrast_is_that_of_the_brightest_and_the_darkest_part() -> None:
 
 
 def test_the_size_must_be_the_cameras() -> None:
-    check = PictureCheck(WIDTH, HEIGHT, 0.06)
+    check = ImageCheck(WIDTH, HEIGHT, 0.06)
     assert check.misfit(road()) is None
     assert check.misfit(np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)) is None
-    assert check.misfit(road()[:45]) == "the picture has 160x45 pixels where the camera has 160x90"
+    assert check.misfit(road()[:45]) == "the image has 160x45 pixels; the camera has 160x90"
     assert check.misfit(road().T) is not None

@@ -32,7 +32,7 @@ def test_a_frame_of_another_size_never_reaches_the_pipeline() -> None:
     assert tick(loop, 0, ROAD[0]).faults == ()
     wrong = tick(loop, 1, ROAD[1][::2])
     assert wrong.estimate.status is LaneStatus.LOST
-    assert wrong.faults == ("the picture has 160x45 pixels where the camera has 160x90",)
+    assert wrong.faults == ("the image has 160x45 pixels; the camera has 160x90",)
     assert wrong.command.speed_mps == 0.0
     assert [frame.index for frame in pipeline.seen] == [0]
     assert tick(loop, 2, ROAD[2]).faults == ()
@@ -49,7 +49,7 @@ def test_doubts_are_told_beside_an_estimate_that_is_left_as_it_is() -> None:
 def test_a_lane_that_jumps_is_told_in_its_tick() -> None:
     loop, _ = make({3: 0.3})
     faults = [tick(loop, index, ROAD[index]).faults for index in range(5)]
-    assert faults == [(), (), (), ("the lane has jumped aside by 0.30 m",), ()]
+    assert faults == [(), (), (), ("the lane has jumped sideways by 0.30 m",), ()]
 
 
 def test_an_exception_of_the_pipeline_makes_nobody_forget_the_last_lane() -> None:

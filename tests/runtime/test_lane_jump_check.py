@@ -28,8 +28,8 @@ def at(
     [
         (0.19, 0.0, None),
         (-0.19, 0.55, None),
-        (0.21, 0.0, "the lane has jumped aside by 0.21 m"),
-        (-0.40, 0.0, "the lane has jumped aside by 0.40 m"),
+        (0.21, 0.0, "the lane has jumped sideways by 0.21 m"),
+        (-0.40, 0.0, "the lane has jumped sideways by 0.40 m"),
         (0.0, 0.65, "the lane has turned by 0.65 rad at once"),
         (0.0, -1.5, "the lane has turned by 1.50 rad at once"),
     ],

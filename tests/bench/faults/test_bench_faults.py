@@ -12,7 +12,7 @@ from automodel.bench.faults.catalogue import FAULTS
 from automodel.bench.faults.fault import Must
 from automodel.control import longitudinal as speed_module
 from automodel.runtime import safety
-from automodel.runtime.input_checks import InputChecks, LaneJumpCheck, PictureCheck, SteeringCheck
+from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, SteeringCheck
 from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino
 from firmware_link.emulator import logic
@@ -112,9 +112,9 @@ def _newest(self: speed_module.ObstacleGuard) -> float:
 _AT_REST = safety.Safety._at_rest
 Break = Callable[[pytest.MonkeyPatch], None]
 BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how the product is broken, what is said
-    ("camera-stuck", 1, lambda m: m.setattr(PictureCheck, "step", _nothing), "never went neutral"),
-    ("camera-flat", 1, lambda m: m.setattr(PictureCheck, "step", _nothing), "never went neutral"),
-    ("camera-size", 1, lambda m: m.setattr(PictureCheck, "misfit", _nothing), "never went neutral"),
+    ("camera-stuck", 1, lambda m: m.setattr(ImageCheck, "step", _nothing), "never went neutral"),
+    ("camera-flat", 1, lambda m: m.setattr(ImageCheck, "step", _nothing), "never went neutral"),
+    ("camera-size", 1, lambda m: m.setattr(ImageCheck, "misfit", _nothing), "never went neutral"),
     ("perception-decoy", 1, lambda m: m.setattr(LaneJumpCheck, "step", _nothing), "never went neutral"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
     ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "are allowed"),
