@@ -15,6 +15,7 @@ import pytest
 
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
+from tests.support.free_cores import Retries
 from tests.support.terminal_signals import signals_of_a_terminal
 
 pytestmark = pytest.mark.realtime
@@ -80,7 +81,8 @@ def reasons(err: str) -> list[str]:
 
 @pytest.mark.parametrize("pipeline", ["windows", "centerline"])
 def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
-    """Where the machine has the time. One that has not may be late, and nothing else: no lane is lost by that."""
+    """A machine that is too busy for it may be late, and nothing else: no lane is lost by that."""
+    retries = Retries()
     for _ in range(TRIES):
         arguments = ("--realtime", "--track", "oval", "--pipeline", pipeline, "--duration", "3", "--json")
         said = cli("run", *arguments)
@@ -89,8 +91,8 @@ def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
         drove = row["max_abs_offset_m"] is not None
         if drove and not row["stops"]:
             break
+        retries.failed(said.err)
     else:
-        assert os.getloadavg()[0] > (os.cpu_count() or 1), said.err
         pytest.skip("the machine is too busy to drive in real time")
     assert (said.code, row["left_lane"]) == (0, 0), said.err
     assert row["max_abs_offset_m"] <= 0.10
@@ -103,6 +105,7 @@ def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
 def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) -> None:
     """Ctrl-C and a closed terminal reach the whole group, `kill` one process."""
     record, number = tmp_path / "run.mcap", signal.Signals[name]
+    retries = Retries()
     for _ in range(TRIES):
         with start(tmp_path, "--duration", "60", "--record", str(record), "--json") as child:  # 14 MB a second
             deadline = time.monotonic() + 60
@@ -114,6 +117,7 @@ def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) ->
             out, err = child.communicate(timeout=60)
         if "the car has stood for" not in err:  # held or stopped too often to get anywhere
             break
+        retries.failed(err)
         record.unlink()
     else:
         pytest.skip("the machine is too busy to drive in real time")
