@@ -132,9 +132,9 @@ def test_what_nothing_can_be_concluded_from_is_refused_in_a_line() -> None:
     bare = [draw(camera, [], seed=seed) for seed in range(4)]
     assert "0 of 4 show lines that meet" in refusal(bare)
     single = [draw(camera, [Line(-1.7)], 0.0, seed=seed) for seed in range(4)]
-    assert "wanted" in refusal(single) or "two lines" in refusal(single)
+    assert "0 of 4 show lines that meet" in refusal(single)
     noise = [np.random.default_rng(seed).integers(0, 255, (288, 512)).astype(np.uint8) for seed in range(4)]
-    assert "show lines that meet" in refusal(noise)
+    assert "0 of 4 show lines that meet" in refusal(noise)
 
 
 def test_a_road_that_bends_is_refused() -> None:

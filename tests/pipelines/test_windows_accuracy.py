@@ -178,9 +178,10 @@ def test_lines_and_centerline_lie_where_they_are() -> None:
         assert estimate.left is not None
         assert estimate.right is not None
         assert estimate.centerline is not None
+        assert estimate.right.seen
         for line, true in ((estimate.left, drive.lane.left), (estimate.right, drive.lane.right)):
             away = [abs(true.project(p)[1]) for p in pose.apply(line.points_m)]
-            assert len(away) >= 2 or not line.seen
+            assert line.seen == (len(away) >= 2)
             assert np.quantile([*away, 0.0], 0.8) < 0.01
         near = [(x, y) for x, y in estimate.centerline.position(np.linspace(0.0, 2.2, 45)) if 0.13 < x < 0.8]
         assert len(near) > 5

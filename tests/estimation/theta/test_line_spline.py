@@ -200,10 +200,10 @@ def test_doubled_points_are_no_trouble() -> None:
 def test_a_line_that_turns_back_ends_there() -> None:
     back = np.concatenate((STRAIGHT, STRAIGHT[::-1] + np.array((0.0, 0.01))))
     line = run(back)
-    if line is not None:
-        assert line.length_m < 1.3
-        near = line.s_m < 0.6
-        np.testing.assert_allclose(line.theta_rad[near], 0.0, atol=0.05)
+    assert line is not None
+    assert 1.0 < line.length_m < 1.3
+    near = line.s_m < 0.6
+    np.testing.assert_allclose(line.theta_rad[near], 0.0, atol=0.05)
 
 
 def test_anything_gives_finite_numbers_or_nothing() -> None:

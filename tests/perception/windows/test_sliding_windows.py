@@ -150,7 +150,9 @@ class TestHistogramStart:
 
     @pytest.mark.parametrize(("left_m", "right_m"), [(0.32, 0.12), (-0.1, -0.5), (0.35, -0.35), (0.1, -0.1)])
     def test_lines_that_are_no_lane_make_no_pair(self, left_m: float, right_m: float) -> None:
-        for start in starts_of(line_at(left_m), line_at(right_m)):
+        starts = starts_of(line_at(left_m), line_at(right_m))
+        assert starts
+        for start in starts:
             assert start.left_m is None or start.right_m is None
 
     def test_nothing_makes_no_start(self) -> None:
