@@ -1,87 +1,75 @@
-"""How far an estimate is from the truth: the figures of Cudrano et al. 2020, Table I, and tails of the distribution.
-
-Runs the cases of `bench accuracy`, in parallel.
-"""
+"""`bench accuracy`: estimates against the simulator's truth, by the metrics of Cudrano et al. 2020, Table I."""
 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
-import os
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
-from automodel.config import CarConfig
-from automodel.console.progress import progress
-from automodel.console.workers import spread
+from automodel.config import PIPELINE_NAMES, CarConfig
+from automodel.console.workers import Tick, spread
 from automodel.signals import Frame, LaneEstimate, Motion
 from automodel.sim.track_files import load_track
-from automodel.sim.trajectory import Drive, DrivenPose, Odometer
+from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
 
+TRACKS = ("tmr", "oval", "chicane")
+LOOKS = ("clean", "competition", "varied")  # floor and light
+COLUMNS = (
+    "pipeline", "track", "style", "seed", "heading_mae_deg", "offset_mae_m", "availability_pct", "false_lane_pct",
+    "offset_p99_m", "heading_p99_deg", "offset_mae_pct", "frames",
+)  # fmt: skip
 FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TruePose:
-    """The truth of one frame, as `LanePose` counts."""
-
-    offset_m: float
-    heading_rad: float
-    width_m: float
+Row = dict[str, Any]
 
 
 @dataclass(slots=True)
 class AccuracyMeter:
-    """Collects frames; `row` gives the figures over all of them.
+    """Collects frames; `row` gives the metrics over all of them.
 
     Errors count over frames with an estimate, availability over all frames.
     """
 
     t_s: list[float] = field(default_factory=list)
     estimated: list[tuple[float, float]] = field(default_factory=list)  # offset, heading; NaN without an estimate
-    true: list[tuple[float, float, float]] = field(default_factory=list)
-    status: list[str] = field(default_factory=list)
+    true: list[tuple[float, float, float]] = field(default_factory=list)  # offset, heading, width
 
-    def add(self, t_s: float, estimate: LaneEstimate, truth: TruePose) -> None:
-        """One frame."""
+    def add(self, t_s: float, estimate: LaneEstimate, truth: Truth) -> None:
+        """Add one frame."""
         pose = estimate.pose if estimate.valid else None
         self.t_s.append(t_s)
         self.estimated.append((pose.offset_m, pose.heading_rad) if pose else (math.nan, math.nan))
         self.true.append((truth.offset_m, truth.heading_rad, truth.width_m))
-        self.status.append(estimate.status.value)
 
-    def row(self) -> dict[str, float | int | None]:
-        """The figures; None where no frame had an estimate."""
+    def row(self) -> Row:
+        """The metrics; None where no frame had an estimate."""
         estimated, true = np.array(self.estimated).reshape(-1, 2), np.array(self.true).reshape(-1, 3)
-        have = np.isfinite(estimated[:, 0])
+        known = np.isfinite(estimated[:, 0])
         frames = len(estimated)
-        row: dict[str, float | int | None] = {"frames": frames}
+        row: Row = {"frames": frames}
         names = ("heading_mae_deg", "heading_p99_deg", "offset_mae_m", "offset_mae_pct", "offset_p99_m")
         row.update(dict.fromkeys(names))
-        row["availability_pct"] = 100.0 * float(have.mean()) if frames else 0.0
+        row["availability_pct"] = 100.0 * float(known.mean()) if frames else 0.0
         row["false_lane_pct"] = 0.0
-        if have.any():
-            offset = np.abs(estimated[have, 0] - true[have, 0])
-            turn = estimated[have, 1] - true[have, 1]
+        if known.any():
+            offset = np.abs(estimated[known, 0] - true[known, 0])
+            turn = estimated[known, 1] - true[known, 1]
             heading = np.degrees(np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi))
-            share = offset / true[have, 2]
+            share = offset / true[known, 2]
             row["heading_mae_deg"], row["heading_p99_deg"] = float(heading.mean()), float(np.quantile(heading, 0.99))
             row["offset_mae_m"], row["offset_p99_m"] = float(offset.mean()), float(np.quantile(offset, 0.99))
             row["offset_mae_pct"] = 100.0 * float(share.mean())
             row["false_lane_pct"] = 100.0 * float((share > FALSE_LANE).sum()) / frames
         return row
-
-
-COLUMNS = (
-    "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
-    "offset_mae_pct", "offset_p99_m", "availability_pct", "false_lane_pct",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,53 +85,97 @@ class Case:
     speed_mps: float = 1.0
 
 
+class RenderedDrive:
+    """The frames of a case, and the truth in each of them."""
+
+    def __init__(self, car: CarConfig, case: Case) -> None:
+        track = load_track(case.track)
+        self.lane = track.lane(case.direction)
+        self.drive = Drive(
+            lane=self.lane,
+            style=case.style,
+            speed_mps=case.speed_mps,
+            car_width_m=car.vehicle.width_m,
+            seed=case.seed,
+        )
+        self.lap_s = self.drive.path.length_m / case.speed_mps
+        self._camera = renderer(track, car, appearance(case.look, case.seed))
+        self._follower = TruthFollower(self.lane, car.vehicle.reference_x_m)
+
+    def frames(self, t_s: Sequence[float], tick: Tick) -> Iterator[tuple[Frame, DrivenPose, Truth]]:
+        """A frame at each of the times, with the pose of the body."""
+        for index, t in enumerate(t_s):
+            pose = self.drive.pose(t)
+            image = self._camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
+            truth = self._follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
+            yield Frame(t_ns=round(t * 1e9), index=index, image=image), pose, truth
+            tick(1.0 / len(t_s))
+
+
+Step = Callable[[Frame, Motion], LaneEstimate]
+
+
 def watch(
-    car: CarConfig, case: Case, step: Callable[[Frame, Motion], LaneEstimate]
+    car: CarConfig, case: Case, step: Step, tick: Tick, frames: int | None = None
 ) -> Iterator[tuple[LaneEstimate, Truth, DrivenPose]]:
-    """Render the drive frame by frame and let `step` see it: its estimate, the truth, and the pose of the body."""
-    track = load_track(case.track)
-    lane = track.lane(case.direction)
-    way = Drive(lane=lane, style=case.style, speed_mps=case.speed_mps, car_width_m=car.vehicle.width_m, seed=case.seed)
-    camera = renderer(track, car, appearance(case.look, case.seed))
-    follower, odometer = TruthFollower(lane, car.vehicle.reference_x_m), Odometer(case.seed)
+    """Render a lap, or `frames`, and yield what `step` makes of each frame, the truth, and the pose of the body."""
+    drive, odometer = RenderedDrive(car, case), Odometer(case.seed)
     period_s = 1.0 / car.camera.rate_hz
-    for index in range(int(way.path.length_m / case.speed_mps / period_s)):
-        t_ns = round(index * period_s * 1e9)
-        pose = way.pose(index * period_s)
-        image = camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
-        # the odometry of the way since the frame before, as a car would have it
-        motion = odometer.motion(way.pose((index - 0.5) * period_s), t_ns)
-        estimate = step(Frame(t_ns=t_ns, index=index, image=image), motion)
-        yield estimate, follower.step(pose.x_m, pose.y_m, pose.yaw_rad), pose
+    count = frames or int(drive.lap_s / period_s)
+    for frame, pose, truth in drive.frames([index * period_s for index in range(count)], tick):
+        # odometry measures the distance since the frame before: its speeds are those of the middle between both
+        motion = odometer.motion(drive.drive.pose((frame.index - 0.5) * period_s), frame.t_ns)
+        yield step(frame, motion), truth, pose
 
 
-def drive(car: CarConfig, case: Case) -> AccuracyMeter:
+def measure_case(car: CarConfig, case: Case, tick: Tick) -> AccuracyMeter:
     """The drive's estimates compared with the truth."""
     meter = AccuracyMeter()
-    for estimate, truth, _ in watch(car, case, make_pipeline(case.pipeline, car).step):
-        meter.add(
-            estimate.t_ns * 1e-9,
-            estimate,
-            TruePose(offset_m=truth.offset_m, heading_rad=truth.heading_rad, width_m=truth.width_m),
-        )
+    for estimate, truth, _ in watch(car, case, make_pipeline(case.pipeline, car).step, tick):
+        meter.add(estimate.t_ns * 1e-9, estimate, truth)
     return meter
 
 
-def measure(car: CarConfig, cases: list[Case], jobs: int | None, plot: Path | None) -> list[dict[str, object]]:
-    """A row a case, in the order of `cases`; `plot` gets a PNG of all of them."""
-    jobs = min(jobs or os.cpu_count() or 1, len(cases))
-    meters: list[AccuracyMeter] = []
-    with progress("bench accuracy", len(cases)) as bar:
-        for meter in spread(functools.partial(drive, car), cases, jobs):
-            meters.append(meter)
-            bar()
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """The drives of a bench: every pipeline, track, style and seed with every other; empty means all."""
+
+    pipelines: tuple[str, ...] = ()
+    tracks: tuple[str, ...] = ()
+    styles: tuple[str, ...] = ()
+    seeds: range = range(1)
+    look: str = "competition"
+    direction: str = "forward"
+    speed_mps: float = 1.0
+
+    def cases(self) -> list[Case]:
+        """All drives, in this order."""
+        return [
+            Case(
+                pipeline=pipeline,
+                track=track,
+                style=style,
+                seed=seed,
+                look=self.look,
+                direction=self.direction,
+                speed_mps=self.speed_mps,
+            )
+            for pipeline, track, style, seed in itertools.product(
+                self.pipelines or PIPELINE_NAMES, self.tracks or TRACKS, self.styles or STYLES, self.seeds
+            )
+        ]
+
+
+def measure(car: CarConfig, choice: Choice, jobs: int | None, plot: Path | None) -> list[Row]:
+    """A row a drive; `plot` gets a PNG of all of them."""
+    cases = choice.cases()
+    meters = list(spread("bench accuracy", functools.partial(measure_case, car), cases, jobs))
     if plot is not None:
         from automodel.viewer.plots import plot_accuracy
 
         names = [f"{case.pipeline}, {case.track}, {case.style}, seed {case.seed}" for case in cases]
         plot_accuracy(plot, [(name, m.t_s, m.estimated, m.true) for name, m in zip(names, meters, strict=True)])
-    rows = []
-    for case, meter in zip(cases, meters, strict=True):
-        row: dict[str, object] = {**asdict(case), **meter.row()}
-        rows.append({name: row[name] for name in COLUMNS})
-    return rows
+    return [
+        {"pipeline": case.pipeline, "track": case.track, "style": case.style, "seed": case.seed, **meter.row()}
+        for case, meter in zip(cases, meters, strict=True)
+    ]

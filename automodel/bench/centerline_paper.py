@@ -1,4 +1,4 @@
-"""The figures of seed 001 (Cudrano et al. 2020), section VI, Table I, beside ours under the conditions that it names.
+"""`bench accuracy --table centerline-paper`: Table I (section VI) of Cudrano et al. 2020, beside its own figures.
 
 How far they can be compared:
 
@@ -9,13 +9,12 @@ How far they can be compared:
 - Its track A (Lainate, 1.5 km) is not public: `tracks/circuit.toml` has its length, its kinds of bends and its widths.
   Track B is Monza.
 - Its offset errors are 5 to 10 % of the lane's width, which it gives for both tracks together.
-
-Drives two circuits at full scale for Table I of seed 001 (`bench accuracy --table centerline-paper`).
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ import numpy as np
 
 from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import renderer
-from automodel.bench.accuracy import AccuracyMeter, TruePose
+from automodel.bench.accuracy import AccuracyMeter, Choice, Row
 from automodel.config import (
     CameraConfig,
     CarConfig,
@@ -37,9 +36,7 @@ from automodel.config import (
     VehicleConfig,
 )
 from automodel.console.messages import say
-from automodel.console.progress import progress
-from automodel.console.tables import show
-from automodel.console.workers import spread
+from automodel.console.workers import Tick, spread
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track
@@ -48,8 +45,6 @@ from automodel.sim.track_sections import BrokenLines, RoadsideSection
 from automodel.sim.trajectory import STYLES, CircuitDrive, CommandedMotion, DrivenPose, Odometer, pick_stretches
 from automodel.sim.truth import TruthFollower
 from automodel.types import FloatArray
-
-Row = dict[str, object]
 
 # MAE of heading [deg] and offset [m], availability [%] by track and driving style
 PAPER = {
@@ -62,11 +57,24 @@ PAPER_OFFSET_PCT = (5.0, 10.0)  # of the lane's width, over all rides
 RIDES = (*PAPER, ("B", "oscillating"), ("A", "racing"))  # the paper's four first
 LIGHTS = ("dry", "wet")
 ODOMETRIES = ("encoder", "command", "none")
-FIGURES = ("heading_mae_deg", "offset_mae_m", "availability_pct")
+METRICS = ("heading_mae_deg", "offset_mae_m", "availability_pct")
+COLUMNS = (
+    "track", "style", "light", "pipeline", "odometry", "heading_mae_deg", "paper_heading_mae_deg", "offset_mae_m",
+    "paper_offset_mae_m", "availability_pct", "paper_availability_pct", "false_lane_pct", "offset_mae_pct", "frames",
+)  # fmt: skip
+TRACK_A = "circuit"
+MONZA = Path("racetracks") / "Monza.csv"
+LETTERS = {"a": "A", "circuit": "A", "b": "B", "monza": "B"}  # what a user may call the tracks
+MONZA_KERBS = RoadsideSection(kerb_radius_m=60.0)
+STRETCH_M = 150.0
+STRETCH_S = 10.0  # of a stretch at most: the oscillating drives are slow
+RUN_IN_S = 1.0  # before each stretch: the pipeline has just been reset, and finds the lane
+
+Seer = tuple[str, str]  # pipeline, odometry
 
 
 def full_scale_car(pipeline: PipelineConfig) -> CarConfig:
-    """The paper's conditions: a ZED's left picture, 672 x 376 at 100 Hz, from behind the windscreen of a car.
+    """The paper's conditions: a ZED's left image, 672 x 376 at 100 Hz, from behind the windscreen of a car.
 
     The car's pose is that of its centre of mass. The lane's width is a start value for tracks of 9 to 12 m.
     """
@@ -87,52 +95,37 @@ def full_scale_car(pipeline: PipelineConfig) -> CarConfig:
     )
 
 
-def ride_row(ride: tuple[str, str, str], seer: tuple[str, str], meter: AccuracyMeter) -> Row:
-    """A row of Table I: `ride` is (track, style, light), `seer` is (pipeline, odometry); None where nothing is known.
+def ride_row(ride: tuple[str, str, str], seer: Seer, meter: AccuracyMeter) -> Row:
+    """A row of Table I: `ride` is (track, style, light); None where nothing is known.
 
-    The tails that the paper does not give (99th percentiles) are ours alone.
+    The paper does not give the tails of the distributions (99th percentiles).
     """
     track, style, light = ride
-    figures = meter.row()
+    metrics = meter.row()
     paper = PAPER.get((track, style), (None, None, None))
     row: Row = {"track": track, "style": style, "light": light, "pipeline": seer[0], "odometry": seer[1]}
-    row["frames"] = figures["frames"]
-    for name, said in zip(FIGURES, paper, strict=True):
-        row |= {name: figures[name], f"paper_{name}": said}
-    return row | {name: value for name, value in figures.items() if name not in row}
+    row["frames"] = metrics["frames"]
+    for name, printed in zip(METRICS, paper, strict=True):
+        row |= {name: metrics[name], f"paper_{name}": printed}
+    return row | {name: value for name, value in metrics.items() if name not in row}
 
 
 def cost_rows(rows: Sequence[Row]) -> list[Row]:
-    """What other odometry costs: for each ride and pipeline the figures of every odometry, side by side."""
+    """What other odometry costs: for each ride and pipeline the metrics of every odometry, side by side."""
     found: dict[tuple[object, ...], Row] = {}
     for row in rows:
         place = {name: row[name] for name in ("track", "style", "light", "pipeline")}
         found.setdefault(tuple(place.values()), place)
-    for name in FIGURES:  # figure by figure, so that what is compared stands together
+    for name in METRICS:  # metric by metric, so that what is compared stands together
         for row in rows:
             key = (row["track"], row["style"], row["light"], row["pipeline"])
             found[key][f"{row['odometry']}_{name}"] = row[name]
     return list(found.values())
 
 
-COMMAND = "bench accuracy"
-TRACK_A = "circuit"
-MONZA = Path("racetracks") / "Monza.csv"
-MONZA_KERBS = RoadsideSection(kerb_radius_m=60.0)
-STRETCH_M = 150.0
-STRETCH_S = 10.0  # of a stretch at most: the oscillating drives are slow
-RUN_IN_S = 1.0  # before each stretch: the pipeline has just been reset, and finds the lane
-COLUMNS = (
-    "track", "style", "light", "pipeline", "odometry", "frames", "heading_mae_deg", "paper_heading_mae_deg",
-    "offset_mae_m", "paper_offset_mae_m", "offset_mae_pct", "availability_pct", "paper_availability_pct",
-    "false_lane_pct",
-)  # fmt: skip
-Seer = tuple[str, str]  # pipeline, odometry
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ride:
-    """One of the table's drives: the track's letter and file, style and light, and how much of the lap is driven."""
+    """One of the table's drives: the track's letter and file, style and light, and how many stretches of the lap."""
 
     letter: str
     file: str
@@ -155,56 +148,57 @@ def circuit(file: str, seed: int) -> Track:
     return read_racetrack(file, BrokenLines(seed=seed), MONZA_KERBS)
 
 
-def times(way: CircuitDrive, ride: Ride) -> Iterator[tuple[float, float]]:
-    """Begin and end [s] of each stretch that is driven."""
+def spans_s(drive: CircuitDrive, ride: Ride) -> Iterator[tuple[float, float]]:
+    """Start and end [s] of each stretch that is driven."""
     if ride.stretches is None:
-        yield 0.0, way.lap_s
+        yield 0.0, drive.lap_s
         return
-    for middle_m in pick_stretches(way.lane, ride.stretches, STRETCH_M, ride.seed):
-        before, middle, after = (way.time_at(middle_m + d) for d in (-0.5 * STRETCH_M, 0.0, 0.5 * STRETCH_M))
-        before, after = before - way.lap_s * (before > middle), after + way.lap_s * (after < middle)
+    for middle_m in pick_stretches(drive.lane, ride.stretches, STRETCH_M, ride.seed):
+        before, middle, after = (drive.time_at(middle_m + d) for d in (-0.5 * STRETCH_M, 0.0, 0.5 * STRETCH_M))
+        before, after = before - drive.lap_s * (before > middle), after + drive.lap_s * (after < middle)
         yield max(before, middle - 0.5 * STRETCH_S), min(after, middle + 0.5 * STRETCH_S)
 
 
-def believed(way: CircuitDrive, car: CarConfig, odometry: str, seed: int, t_s: FloatArray) -> Iterator[Motion]:
-    """What the car believes of its motion at times (n,), each over the way since the frame before."""
+def motions(drive: CircuitDrive, car: CarConfig, odometry: str, seed: int, t_s: FloatArray) -> Iterator[Motion]:
+    """The motion that the car has at times (n,) by this odometry, each over the distance since the frame before."""
     between = t_s - 0.5 / car.camera.rate_hz
     t_ns = [round(frame * 1e9 / car.camera.rate_hz) for frame in range(len(t_s))]
     if odometry == "encoder":
-        yield from map(Odometer(seed).motion, way.poses(between), t_ns)
+        yield from map(Odometer(seed).motion, drive.poses(between), t_ns)
     elif odometry == "command":
-        told = CommandedMotion(car.vehicle.wheelbase_m, seed)
-        yield from map(told.motion, way.poses(between + told.LAG_S), t_ns)
+        commanded = CommandedMotion(car.vehicle.wheelbase_m, seed)
+        yield from map(commanded.motion, drive.poses(between + commanded.LAG_S), t_ns)
     else:
         for t in t_ns:
             yield Motion(t_ns=t, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
 
 
-def drive(car: CarConfig, seers: Sequence[Seer], ride: Ride) -> list[AccuracyMeter]:
-    """The estimates of every seer compared with the truth; all of them see the same pictures."""
-    way = CircuitDrive(circuit(ride.file, ride.seed).lane(), ride.style, car.vehicle.width_m, ride.seed)
-    follower = TruthFollower(way.lane, car.vehicle.reference_x_m)
-    watching = [(make_pipeline(name, car), AccuracyMeter()) for name, _ in seers]
-    for index, (begin_s, end_s) in enumerate(times(way, ride)):
+def measure_ride(car: CarConfig, seers: Sequence[Seer], ride: Ride, tick: Tick) -> list[AccuracyMeter]:
+    """The estimates of every pipeline and odometry compared with the truth; all of them get the same frames."""
+    drive = CircuitDrive(circuit(ride.file, ride.seed).lane(), ride.style, car.vehicle.width_m, ride.seed)
+    follower = TruthFollower(drive.lane, car.vehicle.reference_x_m)
+    measured = [(make_pipeline(name, car), AccuracyMeter()) for name, _ in seers]
+    stretches = list(spans_s(drive, ride))
+    for index, (start_s, end_s) in enumerate(stretches):
         follower.reset()
-        for pipeline, _ in watching:
+        for pipeline, _ in measured:
             pipeline.reset()
-        count = round((end_s - begin_s + RUN_IN_S) * car.camera.rate_hz)
-        t_s = begin_s - RUN_IN_S + np.arange(count) / car.camera.rate_hz
-        poses = way.poses(t_s)
-        motions = zip(*(believed(way, car, name, ride.draw(index), t_s) for _, name in seers), strict=True)
-        for frame, pose, told in zip(frames(car, ride, index, poses), poses, motions, strict=True):
+        count = round((end_s - start_s + RUN_IN_S) * car.camera.rate_hz)
+        t_s = start_s - RUN_IN_S + np.arange(count) / car.camera.rate_hz
+        poses = drive.poses(t_s)
+        moved = zip(*(motions(drive, car, name, ride.draw(index), t_s) for _, name in seers), strict=True)
+        for frame, pose, motion in zip(frames(car, ride, index, poses), poses, moved, strict=True):
             truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
-            true = TruePose(offset_m=truth.offset_m, heading_rad=truth.heading_rad, width_m=truth.width_m)
-            for (pipeline, meter), motion in zip(watching, told, strict=True):
-                estimate = pipeline.step(frame, motion)
+            for (pipeline, meter), own_motion in zip(measured, motion, strict=True):
+                estimate = pipeline.step(frame, own_motion)
                 if frame.index >= RUN_IN_S * car.camera.rate_hz:
-                    meter.add(len(meter.t_s) / car.camera.rate_hz, estimate, true)
-    return [meter for _, meter in watching]
+                    meter.add(len(meter.t_s) / car.camera.rate_hz, estimate, truth)
+            tick(1.0 / (count * len(stretches)))
+    return [meter for _, meter in measured]
 
 
 def frames(car: CarConfig, ride: Ride, index: int, poses: Sequence[DrivenPose]) -> Iterator[Frame]:
-    """The pictures of one stretch, in a light of its own."""
+    """The frames of one stretch, in a light of its own."""
     camera = renderer(circuit(ride.file, ride.seed), car, Appearance.random(ride.draw(index), style=ride.light))
     for frame, pose in enumerate(poses):
         image = camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, frame)
@@ -212,15 +206,16 @@ def frames(car: CarConfig, ride: Ride, index: int, poses: Sequence[DrivenPose]) 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
-    """Which drives of the table are made; an empty choice is all of them, `stretches` None whole laps."""
+class CircuitChoice:
+    """What the table alone has to choose: lights and odometries (empty: all, and encoder), stretches a ride.
 
-    tracks: tuple[str, ...] = ()
-    styles: tuple[str, ...] = ()
+    `stretches` is None for whole laps, `monza` the file of Monza's centreline where it is not with the data.
+    """
+
     lights: tuple[str, ...] = ()
-    monza: Path | None = None
+    odometries: tuple[str, ...] = ()
     stretches: int | None = 6
-    seed: int = 0
+    monza: Path | None = None
 
 
 def find_monza(given: Path | None) -> Path | None:
@@ -231,81 +226,71 @@ def find_monza(given: Path | None) -> Path | None:
     return root / MONZA if (root / MONZA).is_file() else None
 
 
-def rides(wanted: Wanted) -> list[Ride]:
-    """The drives in the table's order; raises ConfigError where none is left."""
+def rides(choice: Choice, circuits: CircuitChoice) -> list[Ride]:
+    """The drives in the table's order; raises ConfigError for another track, and where no drive is left."""
+    tracks = [LETTERS.get(name.lower(), "") for name in choice.tracks]
+    if "" in tracks:
+        raise ConfigError(f"--track {choice.tracks[tracks.index('')]}: this table has circuit and Monza")
     files: dict[str, str] = {"A": TRACK_A}
-    monza = find_monza(wanted.monza)
+    monza = find_monza(circuits.monza)
     if monza is not None:
         files["B"] = str(monza)
-    elif wanted.tracks != ("A",):
+    elif set(tracks) != {"A"}:
         say(f"track B is left out: there is no {MONZA} in $AUTOMODEL_DATA or ../shared/data; give it with --monza FILE")
     chosen = [
-        Ride(letter=a, file=files[a], style=style, light=light, seed=wanted.seed, stretches=wanted.stretches)
+        Ride(letter=a, file=files[a], style=style, light=light, seed=choice.seeds[0], stretches=circuits.stretches)
         for a, style in RIDES
-        for light in wanted.lights or LIGHTS
-        if a in files and a in (wanted.tracks or files) and style in (wanted.styles or STYLES)
+        for light in circuits.lights or LIGHTS
+        if a in files and a in (tracks or files) and style in (choice.styles or STYLES)
     ]
     if not chosen:
         raise ConfigError("--table centerline-paper: no drive is left; choose other tracks or styles")
     return chosen
 
 
-def show_tables(
-    car: CarConfig, seers: Sequence[Seer], wanted: Wanted, jobs: int | None, plot: Path | None, as_json: bool
-) -> None:
-    """Drive, and print Table I; where there is more than one odometry, a second table says what it costs.
+def measure(
+    car: CarConfig, choice: Choice, circuits: CircuitChoice, jobs: int | None, plot: Path | None
+) -> dict[str, list[Row]]:
+    """Drive; gives the rows of Table I ("rides"), and where there are several odometries, what they cost ("odometry").
 
-    Of `car` the pipeline's settings count. As JSON both tables are one list of rows, each with the name of its table.
+    Of `car` the pipeline's settings count, of `choice` pipelines (default: the car's), tracks, styles and first seed.
     """
-    car, chosen = full_scale_car(car.pipeline), rides(wanted)
-    for name in {name for name, _ in seers}:
-        make_pipeline(name, car)  # what it cannot work with is said before any work
+    pipelines, odometries = choice.pipelines or (car.pipeline.name,), circuits.odometries or ODOMETRIES[:1]
+    seers = list(itertools.product(dict.fromkeys(pipelines), dict.fromkeys(odometries)))
+    car, chosen = full_scale_car(car.pipeline), rides(choice, circuits)
+    for name in pipelines:
+        make_pipeline(name, car)  # raises for what it cannot work with before any work
     say_what(chosen)
-    meters: list[list[AccuracyMeter]] = []
-    jobs = min(jobs or os.cpu_count() or 1, len(chosen))
-    with progress(COMMAND, len(chosen)) as bar:
-        for found in spread(functools.partial(drive, car, tuple(seers)), chosen, jobs):
-            meters.append(found)
-            bar()
-    pairs = [
+    meters = spread("bench accuracy", functools.partial(measure_ride, car, seers), chosen, jobs)
+    found = [
         (ride, seer, meter)
-        for ride, found in zip(chosen, meters, strict=True)
-        for seer, meter in zip(seers, found, strict=True)
+        for ride, of_ride in zip(chosen, meters, strict=True)
+        for seer, meter in zip(seers, of_ride, strict=True)
     ]
-    rows = [ride_row((ride.letter, ride.style, ride.light), seer, meter) for ride, seer, meter in pairs]
-    costs = cost_rows(rows) if len({odometry for _, odometry in seers}) > 1 else []
+    rows = [ride_row((ride.letter, ride.style, ride.light), seer, meter) for ride, seer, meter in found]
     if plot is not None:
         from automodel.viewer.plots import plot_accuracy
 
-        names = [f"track {r.letter}, {r.style}, {r.light}, {name}, {odometry}" for r, (name, odometry), _ in pairs]
-        plot_accuracy(plot, [(n, m.t_s, m.estimated, m.true) for n, (_, _, m) in zip(names, pairs, strict=True)])
-    if as_json:
-        tables = {"rides": rows, "odometry": costs}
-        keys = dict.fromkeys(key for part in tables.values() for row in part for key in row)
-        show(COMMAND, [{"table": name, **keys, **row} for name, part in tables.items() for row in part], True)
-        return
-    show(COMMAND, rows, False, COLUMNS)
-    show(COMMAND, costs, False)
+        names = [f"track {r.letter}, {r.style}, {r.light}, {name}, {odometry}" for r, (name, odometry), _ in found]
+        plot_accuracy(plot, [(n, m.t_s, m.estimated, m.true) for n, (_, _, m) in zip(names, found, strict=True)])
+    return {"rides": rows, "odometry": cost_rows(rows) if len(set(odometries)) > 1 else []}
 
 
 def say_what(chosen: Sequence[Ride]) -> None:
-    """What is driven, and what the paper's figures are; raises ConfigError for a track that is none of a car's size."""
+    """Say what is driven; raises ConfigError for a track that is too small for a full-size car."""
     for letter, file in dict.fromkeys((ride.letter, ride.file) for ride in chosen):
         lane = circuit(file, chosen[0].seed).lane()
-        width = lane.width_m(np.arange(0.0, lane.centerline.length_m))
-        if lane.centerline.length_m < 4.0 * STRETCH_M or width.min() < 5.0:
+        width, length_m = lane.width_m(np.arange(0.0, lane.centerline.length_m)), lane.centerline.length_m
+        if length_m < 4.0 * STRETCH_M or width.min() < 5.0:
             raise ConfigError(
-                f"{file}: {lane.centerline.length_m:.0f} m long and {width.min():.1f} m wide at its narrowest; a"
-                f" circuit of {4.0 * STRETCH_M:.0f} m or more that is 5 m wide or more is wanted"
+                f"{file}: expected a circuit of at least {4.0 * STRETCH_M:.0f} m, 5 m wide or wider; got"
+                f" {length_m:.0f} m, {width.min():.1f} m wide at its narrowest"
             )
-        say(
-            f"track {letter}: {Path(file).stem}, {lane.centerline.length_m:.0f} m, {width.min():.1f} to"
-            f" {width.max():.1f} m wide"
-        )
-    count, way = chosen[0].stretches, "whole laps"
+        say(f"track {letter}: {Path(file).stem}, {length_m:.0f} m, {width.min():.1f} to {width.max():.1f} m wide")
+    count, driven = chosen[0].stretches, "whole laps"
     if count is not None:
-        way = f"{count} stretch{'es' * (count > 1)} a ride, the sharpest bends among them"
-        way += f", each up to {STRETCH_M:.0f} m and {STRETCH_S:.0f} s"
-    say(f"driven: {way}; the {RUN_IN_S:.0f} s before, from the pipeline's reset on, is not counted")
+        driven = f"{count} stretch{'es' * (count > 1)} a ride, the sharpest bends among them"
+        driven += f", each up to {STRETCH_M:.0f} m and {STRETCH_S:.0f} s"
+    say(f"driven: {driven}; the {RUN_IN_S:.0f} s before, from the pipeline's reset on, is not counted")
     low, high = PAPER_OFFSET_PCT
-    say(f"the paper's offsets are wrong by {low:.0f} to {high:.0f} % of the lane's width; it drove four of these rides")
+    say(f"the paper's offset errors are {low:.0f} to {high:.0f} % of the lane's width; it drove four of these rides")

@@ -1,42 +1,38 @@
-"""The claim of seed 004 (Smith): a tracker that is told the speed needs fewer iterations and loses the lane less often.
+"""`bench contour-paper`: the claim of the paper behind `contour` (Smith) that a tracker should know the speed.
 
-Every way of telling sees the same pictures. A loss is a run of frames in which the lane that was followed is not
-followed on: LOST, looked for anew on whole rows, or a false lane (as `automodel.bench.accuracy` counts).
-
-Drives bends for `bench contour-paper`: the pipeline `contour` with the speed, without it, and with a wrong one.
+A tracker that knows the speed is said to need fewer iterations and to lose the lane less often. `contour` drives bends
+with the speed, with a wrong one and without it; all see the same frames. A loss is a run of frames in which the lane
+that was followed is not followed on: LOST, searched anew on whole rows, or a false lane (`FALSE_LANE`).
 """
 
 from __future__ import annotations
 
 import functools
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from automodel.assembly.simulated_car import appearance, renderer
-from automodel.bench.accuracy import FALSE_LANE, TruePose
-from automodel.config import CarConfig, ConfigError
+from automodel.bench.accuracy import FALSE_LANE, Case, RenderedDrive, Row
+from automodel.config import CarConfig
 from automodel.console.messages import say
-from automodel.console.progress import progress
-from automodel.console.tables import show
-from automodel.console.workers import spread
+from automodel.console.workers import Tick, spread
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
-from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Drive, Odometer
-from automodel.sim.truth import TruthFollower
+from automodel.sim.truth import Truth
+from automodel.viewer.plots import plotted
 
-Row = dict[str, object]
+BEND_PER_LANE = 0.1  # a road with more curvature times lane width bends
+LAWS = ("gauss_newton", "gradient_descent")
+COLUMNS = (
+    "law", "rate_hz", "speed", "iterations", "losses_per_1000", "heading_mae_deg", "offset_mae_m", "frames", "losses",
+)  # fmt: skip
 
-BENT_PER_LANE = 0.1  # a road with more curvature times lane width bends
 
-
-def _nothing(motion: Motion) -> Motion:
+def _unknown(motion: Motion) -> Motion:
     return Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
 
 
@@ -44,21 +40,21 @@ def _scaled(share: float) -> Callable[[Motion], Motion]:
     return lambda motion: replace(motion, speed_mps=share * motion.speed_mps)
 
 
-# What the pipeline is told of a measured motion. A wrong speed leaves the yaw rate: it comes from another sensor.
-TELLINGS: dict[str, Callable[[Motion], Motion]] = {
-    "told": _scaled(1.0),
+# The motion that the pipeline gets for a measured one. A wrong speed leaves the yaw rate: it is another sensor's.
+SPEEDS: dict[str, Callable[[Motion], Motion]] = {
+    "told": _scaled(1.0),  # the names stand in the results
     "+20 %": _scaled(1.2),
     "-20 %": _scaled(0.8),
-    "none": _nothing,
+    "none": _unknown,
 }
 
 
 @dataclass(slots=True)
 class ClaimMeter:
-    """Collects the frames of one way of telling at one frame rate; what it counts begins with the first estimate.
+    """Collects the frames of one reported speed at one frame rate, from the first estimate on.
 
     Errors are over frames that have an estimate, iterations only over those in which the lane was followed from the
-    frame before and a line seen: without one there is nothing to converge on. Coasting alone is no loss.
+    frame before and a line was seen: without one there is nothing to converge on. Coasting alone is no loss.
     """
 
     frames: int = 0
@@ -70,18 +66,18 @@ class ClaimMeter:
     offset_m: list[float] = field(default_factory=list)
     heading_rad: list[float] = field(default_factory=list)
     iterations: list[int] = field(default_factory=list)
-    _begun: bool = False
-    _well: bool = True
+    _started: bool = False
+    _followed: bool = True
 
-    def add(self, estimate: LaneEstimate, truth: TruePose, iterations: int, searched: bool, counts: bool) -> None:
-        """One frame; `searched` where whole rows were read for a lane, `counts` where the frame is to be scored."""
+    def add(self, estimate: LaneEstimate, truth: Truth, iterations: int, searched: bool, counts: bool) -> None:
+        """Add one frame; `searched` where whole rows were searched for a lane, `counts` where the frame is scored."""
         pose = estimate.pose
-        if not self._begun:
-            self._begun = pose is not None
+        if not self._started:
+            self._started = pose is not None
             return
         error = math.inf if pose is None else abs(pose.offset_m - truth.offset_m)
         false = pose is not None and error > FALSE_LANE * truth.width_m
-        before, self._well = self._well, not (pose is None or searched or false)
+        before, self._followed = self._followed, not (pose is None or searched or false)
         if not counts:
             return
         self.frames += 1
@@ -90,7 +86,7 @@ class ClaimMeter:
         self.false += false
         coasting = estimate.status is LaneStatus.COASTING
         self.coasting += coasting
-        self.losses += before and not self._well
+        self.losses += before and not self._followed
         if pose is not None:
             self.offset_m.append(error)
             self.heading_rad.append(abs(math.remainder(pose.heading_rad - truth.heading_rad, math.tau)))
@@ -98,7 +94,7 @@ class ClaimMeter:
                 self.iterations.append(iterations)
 
     def include(self, other: ClaimMeter) -> None:
-        """The frames of another drive."""
+        """Add the frames of another drive."""
         for name in ("frames", "lost", "searched", "false", "coasting", "losses"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.offset_m += other.offset_m
@@ -106,7 +102,7 @@ class ClaimMeter:
         self.iterations += other.iterations
 
     def row(self) -> Row:
-        """The figures; None where no frame gives one."""
+        """The metrics; None where no frame gives one."""
         row: Row = {"frames": self.frames, "iterations": None, "iterations_p95": None}
         if self.iterations:
             row["iterations"] = float(np.mean(self.iterations))
@@ -122,11 +118,10 @@ class ClaimMeter:
         return row
 
 
-COMMAND = "bench contour-paper"
-RATES_HZ = (5, 10, 20, 30, 60)  # all divide the last, at which the pictures are rendered
+RATES_HZ = (5, 10, 20, 30, 60)  # all divide the last, at which the frames are rendered
 FEWEST_HZ = 20  # a slower rate sees the drive from several first frames, so that it has as many frames as this one
 
-Key = tuple[str, int, str]  # update law, frame rate [Hz], what is told of the speed
+Key = tuple[str, int, str]  # update law, frame rate [Hz], reported speed
 Meters = dict[Key, ClaimMeter]
 
 
@@ -142,80 +137,71 @@ class ClaimDrive:
     seconds: float | None = None
 
 
-class Seer:
-    """One pipeline that sees every frame of one rate, and its figures."""
+class Tracker:
+    """One pipeline that gets every frame of one rate, and its metrics."""
 
     def __init__(self, car: CarConfig, key: Key, first: int, seed: int) -> None:
-        law, self.rate_hz, telling = self.key = key
+        law, self.rate_hz, speed = self.key = key
         pipeline = replace(car.pipeline, name="contour", contour=replace(car.pipeline.contour, update=law))
         self.every = RATES_HZ[-1] // self.rate_hz
         self.first, self.meter = first, ClaimMeter()
-        self._told, self._odometer = TELLINGS[telling], Odometer(seed)
+        self._report, self._odometer = SPEEDS[speed], Odometer(seed)
         self._pipeline = Contour(replace(car, camera=replace(car.camera, rate_hz=self.rate_hz), pipeline=pipeline))
         self._pipeline.stages.stopwatch = lambda: 0  # names the stages that ran
 
-    def see(self, image: Any, way: Drive, index: int, truth: TruePose, bends: bool) -> None:
-        """The picture `index` of those rendered, if it is one of this rate's."""
-        if index % self.every != self.first:
+    def see(self, rendered: Frame, drive: Drive, truth: Truth, bends: bool) -> None:
+        """Take one of the rendered frames, if it is one of this rate's."""
+        if rendered.index % self.every != self.first:
             return
-        t_s = index / RATES_HZ[-1]
-        frame = Frame(t_ns=round(t_s * 1e9), index=index // self.every, image=image)
-        # the odometry of the way since the frame before, as a car would have it
-        motion = self._odometer.motion(way.pose(t_s - 0.5 / self.rate_hz), frame.t_ns)
-        estimate = self._pipeline.step(frame, self._told(motion))
+        frame = replace(rendered, index=rendered.index // self.every)
+        # odometry measures the distance since the frame before: its speeds are those of the middle between both
+        pose = drive.pose(rendered.index / RATES_HZ[-1] - 0.5 / self.rate_hz)
+        estimate = self._pipeline.step(frame, self._report(self._odometer.motion(pose, frame.t_ns)))
         searched = "start" in self._pipeline.stages.durations_ns
         self.meter.add(estimate, truth, self._pipeline.iterations, searched, bends)
 
 
-def drive(car: CarConfig, case: ClaimDrive) -> Meters:
-    """The figures of one drive; frames count where the lane bends at the car or within a lane's width ahead."""
-    track = load_track(case.track)
-    lane = track.lane("forward")
-    way = Drive(lane=lane, style=case.style, speed_mps=case.speed_mps, car_width_m=car.vehicle.width_m, seed=case.seed)
-    camera = renderer(track, car, appearance("competition", case.seed))
-    follower = TruthFollower(lane, car.vehicle.reference_x_m)
-    seers = [
-        Seer(car, (law, rate, telling), first, case.seed)
-        for law in case.laws
+def measure_drive(car: CarConfig, claim: ClaimDrive, tick: Tick) -> Meters:
+    """The metrics of one drive; frames count where the lane bends at the car or within a lane's width ahead."""
+    case = Case(pipeline="contour", track=claim.track, style=claim.style, seed=claim.seed, speed_mps=claim.speed_mps)
+    rendered = RenderedDrive(car, case)
+    trackers = [
+        Tracker(car, (law, rate, speed), first, claim.seed)
+        for law in claim.laws
         for rate in RATES_HZ
-        for telling in TELLINGS
+        for speed in SPEEDS
         for first in np.linspace(0, RATES_HZ[-1] // rate, max(FEWEST_HZ // rate, 1), endpoint=False).astype(int)
     ]
-    seconds = way.path.length_m / case.speed_mps
-    seconds = seconds if case.seconds is None else min(case.seconds, seconds)
-    for index in range(int(seconds * RATES_HZ[-1])):
-        pose = way.pose(index / RATES_HZ[-1])
-        image = camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
-        truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
-        bend = np.abs(lane.centerline.curvature(truth.s_m + np.linspace(0.0, 1.0, 5) * truth.width_m)).max()
-        true = TruePose(offset_m=truth.offset_m, heading_rad=truth.heading_rad, width_m=truth.width_m)
-        for seer in seers:
-            seer.see(image, way, index, true, bool(bend * truth.width_m > BENT_PER_LANE))
+    seconds = rendered.lap_s if claim.seconds is None else min(claim.seconds, rendered.lap_s)
+    times_s = [index / RATES_HZ[-1] for index in range(int(seconds * RATES_HZ[-1]))]
+    for frame, _, truth in rendered.frames(times_s, tick):
+        s_m = truth.s_m + np.linspace(0.0, 1.0, 5) * truth.width_m
+        bend = np.abs(rendered.lane.centerline.curvature(s_m)).max() * truth.width_m
+        for tracker in trackers:
+            tracker.see(frame, rendered.drive, truth, bool(bend > BEND_PER_LANE))
     meters: Meters = {}
-    for seer in seers:
-        meters.setdefault(seer.key, ClaimMeter()).include(seer.meter)
+    for tracker in trackers:
+        meters.setdefault(tracker.key, ClaimMeter()).include(tracker.meter)
     return meters
 
 
-def bench(car: CarConfig, cases: Sequence[ClaimDrive], jobs: int | None, figure: Path | None, as_json: bool) -> None:
-    """Drive `cases`, print a row a law, rate and telling over all of them; `figure` gets a PNG."""
-    jobs = min(jobs or os.cpu_count() or 1, len(cases))
+def measure(car: CarConfig, drives: Sequence[ClaimDrive], jobs: int | None, figure: Path | None) -> list[Row]:
+    """A row for each law, rate and reported speed, over all drives; `figure` gets a PNG."""
     whole: Meters = {}
-    with progress(COMMAND, len(cases)) as bar:
-        for meters in spread(functools.partial(drive, car), cases, jobs):
-            for key, meter in meters.items():
-                whole.setdefault(key, ClaimMeter()).include(meter)
-            bar()
+    for meters in spread("bench contour-paper", functools.partial(measure_drive, car), drives, jobs):
+        for key, meter in meters.items():
+            whole.setdefault(key, ClaimMeter()).include(meter)
     rows: list[Row] = [
-        {"law": law, "rate_hz": rate, "speed": telling, **meter.row()} for (law, rate, telling), meter in whole.items()
+        {"law": law, "rate_hz": rate, "speed": speed, **meter.row()} for (law, rate, speed), meter in whole.items()
     ]
     if figure is not None:
         plot(figure, rows)
     say(
-        "a loss is a run of frames LOST, searched anew or false; only frames in bends count; a wrong speed leaves the"
-        " yaw rate right; one look at a picture is one or two iterations of gauss_newton, at most three looks a frame"
+        "a loss is a run of frames that are LOST, searched anew or false; only frames in bends count; a wrong speed"
+        " leaves the yaw rate right; gauss_newton measures the image at most three times a frame, and iterates once or"
+        " twice on each measurement"
     )
-    show(COMMAND, rows, as_json)
+    return rows
 
 
 PANELS = (
@@ -227,29 +213,21 @@ PANELS = (
 
 
 def plot(path: Path, rows: Sequence[Row]) -> None:
-    """A panel a figure over the frame rate, a row of them a law, a line a way of telling the speed."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
+    """A panel for each metric over the frame rate, a row of panels for each law, a line for each reported speed."""
     laws = list(dict.fromkeys(str(row["law"]) for row in rows))
-    figure = Figure(figsize=(16, 3.6 * len(laws)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(laws), len(PANELS), squeeze=False)
-    for law, line in zip(laws, axes, strict=True):
-        for (name, label), axis in zip(PANELS, line, strict=True):
-            for telling, marker in zip(TELLINGS, "osv^", strict=True):
-                mine = [row for row in rows if (row["law"], row["speed"]) == (law, telling)]
-                values = [np.nan if row[name] is None else row[name] for row in mine]
-                axis.plot([row["rate_hz"] for row in mine], values, marker=marker, markersize=5, label=telling)
-            axis.set_xscale("log")
-            axis.set_xticks(RATES_HZ, [str(rate) for rate in RATES_HZ])
-            axis.minorticks_off()
-            axis.set_xlabel("frames/s")
-            axis.set_title(f"{law}: {label}", fontsize=9, loc="left")
-            axis.set_ylim(bottom=0.0)
-            axis.grid(alpha=0.3)
-    axes[0][0].legend(title="speed", fontsize=8)
-    try:
-        figure.savefig(path, dpi=90)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be written as a picture: {error}") from None
+    with plotted(path, (16, 3.6 * len(laws))) as figure:
+        axes = figure.subplots(len(laws), len(PANELS), squeeze=False)
+        for law, line in zip(laws, axes, strict=True):
+            for (name, label), axis in zip(PANELS, line, strict=True):
+                for speed, marker in zip(SPEEDS, "osv^", strict=True):
+                    mine = [row for row in rows if (row["law"], row["speed"]) == (law, speed)]
+                    values = [np.nan if row[name] is None else row[name] for row in mine]
+                    axis.plot([row["rate_hz"] for row in mine], values, marker=marker, markersize=5, label=speed)
+                axis.set_xscale("log")
+                axis.set_xticks(RATES_HZ, [str(rate) for rate in RATES_HZ])
+                axis.minorticks_off()
+                axis.set_xlabel("frames/s")
+                axis.set_title(f"{law}: {label}", fontsize=9, loc="left")
+                axis.set_ylim(bottom=0.0)
+                axis.grid(alpha=0.3)
+        axes[0][0].legend(title="speed", fontsize=8)

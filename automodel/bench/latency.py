@@ -1,7 +1,7 @@
-"""Times a command's way for `bench latency`: frame -> bytes written, and bytes written -> pulse at the servo's pin.
+"""`bench latency`: from a frame to its command's bytes, and from the bytes to the pulse at the servo's pin.
 
-The first is this machine's own time in the loop that drives the simulated car. The second lives in the board's time,
-with the bytes on a real pseudo terminal: how busy this machine is changes nothing.
+The first is this machine's own time in the loop that drives the simulated car. The second is in the board's time, with
+the bytes on a real pseudo terminal: it does not depend on how busy this machine is.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import contextlib
 import random
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,11 @@ import numpy as np
 from automodel.assembly.parts import build_run, make_loop, run_config
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource
 from automodel.assembly.simulated_car import Simulation, lock_step
+from automodel.bench.accuracy import Row
 from automodel.config import CarConfig
 from automodel.console.progress import progress
+from automodel.runtime.os_signals import Interrupted
+from automodel.runtime.run_types import RunEnd
 from automodel.runtime.runner import Runner
 from automodel.signals import Command
 from firmware_link.arduino import ArduinoLink
@@ -30,30 +33,30 @@ from firmware_link.errors import LinkError
 from firmware_link.pulses import PulseTable
 from firmware_link.transport import SerialTransport
 
+COLUMNS = ("link", "stage", "p50_ms", "p99_ms", "max_ms", "samples", "clock")
 _MS = 1_000_000
-_STEP_NS = _MS  # how often a board on a pseudo terminal looks at its line
-_KERNEL_S = 0.0001  # the kernel hands a pseudo terminal's bytes on in its own time
+_STEP_NS = _MS  # how often a board on a pseudo terminal reads it
+_KERNEL_S = 0.0001  # the kernel passes a pseudo terminal's bytes on with a delay
 _PATIENCE_S = 5.0
 _READY_NS = 5_000 * _MS
 _ANGLES_RAD = (0.05, -0.05)  # near enough for one servo frame, whatever the slew
-_GAPS_MS = (30.0, 50.0)  # between two commands: the servo's frame is met in every phase
+_GAPS_MS = (30.0, 50.0)  # between two commands: they come in every phase of the servo's frame
 _VALID_NS = 100 * _MS
 
 
-def measure_latency(car: CarConfig, link: str, frames: int, commands: int) -> list[dict[str, object]]:
-    """A row a stage: median, 99th percentile and greatest [ms], and whose clock they are of."""
-    with progress("bench latency", frames + commands) as bar:
-        written_ns = _frame_to_write(car, frames)
-        bar(frames)
-        applied_ns = _write_to_pulse(car, link, commands)
-        bar(commands)
-    return [
-        _row(link, "frame -> write", written_ns, "this machine"),
-        _row(link, "write -> pulse", applied_ns, "board"),
-    ]
+def measure(car: CarConfig, link: str, frames: int, commands: int) -> list[Row]:
+    """A row a stage: median, 99th percentile and greatest [ms], and whose clock they are of.
+
+    Raises LinkError where the board does not answer.
+    """
+    with progress("bench latency", frames + commands, threaded=False) as tick:
+        return [
+            _row(link, "frame -> write", _frame_to_write(car, frames, tick), "this machine"),
+            _row(link, "write -> pulse", _write_to_pulse(car, link, commands, tick), "board"),
+        ]
 
 
-def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> dict[str, object]:
+def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> Row:
     median, p99, most = (float(np.percentile(samples_ns, share)) * 1e-6 for share in (50, 99, 100))
     samples = len(samples_ns)
     return {
@@ -62,10 +65,10 @@ def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> dict[s
     }  # fmt: skip
 
 
-def _frame_to_write(car: CarConfig, frames: int) -> list[int]:
-    """This machine's time [ns] from each frame's delivery to its command on the wire, of the car that drives."""
+def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> list[int]:
+    """This machine's time [ns] from each frame's delivery to its command on the wire, in a simulated drive."""
     watch = Stopwatch()
-    simulated = lock_step(car, Simulation(track="oval"), lambda scene: None)
+    simulated = lock_step(car, Simulation(track="oval"), lambda scene: tick())
     with contextlib.closing(simulated):
         parts = build_run(
             car,
@@ -74,11 +77,13 @@ def _frame_to_write(car: CarConfig, frames: int) -> list[int]:
             clock=simulated.clock,
             loop=make_loop(car),
         )
-        Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
+        result = Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
+    if result.end is RunEnd.SIGNAL:
+        raise Interrupted
     return watch.latencies_ns
 
 
-def _write_to_pulse(car: CarConfig, link: str, commands: int) -> list[int]:
+def _write_to_pulse(car: CarConfig, link: str, commands: int, tick: Callable[[], None]) -> list[int]:
     """The board's time [ns] from each write to the end of the first pulse that is the commanded one."""
     with contextlib.ExitStack() as leaving:
         peripherals = BenchPeripherals()
@@ -93,14 +98,18 @@ def _write_to_pulse(car: CarConfig, link: str, commands: int) -> list[int]:
         leaving.callback(line.close)
         line.arm()
         rng = random.Random(0)
-        return [line.command(index, rng.uniform(*_GAPS_MS)) for index in range(commands)]
+        latencies_ns = []
+        for index in range(commands):
+            latencies_ns.append(line.command(index, rng.uniform(*_GAPS_MS)))
+            tick()
+        return latencies_ns
 
 
 class Line:
-    """Link and board with a real pseudo terminal between them, in the board's time: it goes on when it is told to."""
+    """Link and board with a real pseudo terminal between them, in the board's time, which this advances."""
 
     def __init__(self, board: EmulatedArduino | AvrBoard, peripherals: BenchPeripherals, car: CarConfig) -> None:
-        self._pulses_end = isinstance(board, AvrBoard)  # a pulse is told at its end; else at its beginning
+        self._pulses_end = isinstance(board, AvrBoard)  # its pulses are reported at their end, else at their start
         self._peripherals = peripherals
         self._board = Counted(board)
         self._pty = PtyBoard(self._board)
@@ -110,12 +119,12 @@ class Line:
         self._link.open()
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Close link and terminal."""
         self._link.close()
         self._pty.close()
 
     def arm(self) -> None:
-        """Until the board is armed; raises LinkError."""
+        """Wait until the board is armed; raises LinkError."""
         while True:
             self._wait(20.0)
             state = self._link.poll(self._now_ns)
@@ -128,7 +137,7 @@ class Line:
             self._link.send(self._order(0.0), self._now_ns)
 
     def command(self, index: int, wait_ms: float) -> int:
-        """Write a command, wait, and tell when its pulse was over [ns after the write]; raises LinkError."""
+        """Write a command, wait, and give the end of its pulse [ns after the write]; raises LinkError."""
         angle = _ANGLES_RAD[index % 2]
         written_ns = self._now_ns
         self._send(angle)
@@ -146,15 +155,15 @@ class Line:
         )
 
     def _send(self, steering_rad: float) -> None:
-        """The board's time stands still until the kernel has handed the bytes on, at its next look at the line."""
+        """Send; the board's time stands still until the kernel has passed the bytes on."""
         before = self._board.received
         self._link.send(self._order(steering_rad), self._now_ns)
         self._now_ns += -self._now_ns % _STEP_NS
-        given_up = time.monotonic() + _PATIENCE_S
+        deadline_s = time.monotonic() + _PATIENCE_S
         while self._board.received == before:
             self._pty.step(self._now_ns)
-            if time.monotonic() > given_up:
-                raise LinkError("the pseudo terminal does not hand bytes on")
+            if time.monotonic() > deadline_s:
+                raise LinkError("the pseudo terminal does not pass bytes on")
 
     def _wait(self, wait_ms: float) -> None:
         end_ns = self._now_ns + round(wait_ms * _MS)

@@ -1,63 +1,83 @@
-"""Times a pipeline's stages for `bench speed`."""
+"""`bench speed`: how long a pipeline's step and its stages take."""
 
 from __future__ import annotations
 
+import contextlib
 import time
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import cv2
 import numpy as np
 
 from automodel.assembly.parts import make_pipeline
-from automodel.assembly.simulated_car import appearance, renderer
-from automodel.config import CarConfig
-from automodel.signals import Frame
-from automodel.sim.track_files import load_track
-from automodel.sim.trajectory import Drive, Odometer
+from automodel.bench.accuracy import Case, Row, watch
+from automodel.config import PIPELINE_NAMES, CarConfig
+from automodel.console.progress import progress
+from automodel.signals import Frame, LaneEstimate, Motion
 
 WARM_UP = 30  # frames that are not counted
+COLUMNS = ("pipeline", "stage", "p50_ms", "p99_ms", "threads", "width_px", "height_px")
 
 
-def measure_speed(car: CarConfig, name: str, frames: int, threads: int) -> list[dict[str, object]]:
-    """Rows of median and 99th percentile [ms]: the whole step, and each of the pipeline's stages."""
+class TimedStep:
+    """A pipeline's step with a stopwatch: `durations_ns` has the whole step ("total") and its stages, frame by frame.
+
+    The first `WARM_UP` frames are left out.
+    """
+
+    def __init__(self, pipeline: Any) -> None:
+        self._pipeline = pipeline
+        pipeline.stages.stopwatch = time.perf_counter_ns
+        self.durations_ns: list[dict[str, int]] = []
+
+    def __call__(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        """One step."""
+        start_ns = time.perf_counter_ns()
+        estimate: LaneEstimate = self._pipeline.step(frame, motion)
+        total_ns = time.perf_counter_ns() - start_ns
+        if frame.index >= WARM_UP:
+            self.durations_ns.append({"total": total_ns, **self._pipeline.stages.durations_ns})
+        return estimate
+
+
+@contextlib.contextmanager
+def opencv_threads(count: int) -> Iterator[None]:
+    """OpenCV uses so many threads inside."""
     before = cv2.getNumThreads()
-    cv2.setNumThreads(threads)
+    cv2.setNumThreads(count)
     try:
-        durations = _durations(car, name, frames)
+        yield
     finally:
         cv2.setNumThreads(before)
-    size = {"width_px": car.camera.width_px, "height_px": car.camera.height_px}
+
+
+def measure(car: CarConfig, pipelines: Sequence[str], frames: int, threads: int) -> list[Row]:
+    """Rows of median and 99th percentile [ms] of each pipeline (default: all): the whole step, and each stage."""
+    names = pipelines or PIPELINE_NAMES
+    rows: list[Row] = []
+    with progress("bench speed", len(names), threaded=False) as bar, opencv_threads(threads):
+        for name in names:
+            step = TimedStep(make_pipeline(name, car))
+            case = Case(pipeline=name, track="tmr", style="centred", seed=0)
+            for _ in watch(car, case, step, bar, frames + WARM_UP):
+                pass
+            rows += _rows(name, step, car, threads)
+    return rows
+
+
+def _rows(name: str, step: TimedStep, car: CarConfig, threads: int) -> list[Row]:
+    stages = dict.fromkeys(stage for frame in step.durations_ns for stage in frame)
+    durations_ns = {stage: [frame[stage] for frame in step.durations_ns if stage in frame] for stage in stages}
     return [
         {
             "pipeline": name,
             "stage": stage,
-            **size,
+            "width_px": car.camera.width_px,
+            "height_px": car.camera.height_px,
             "p50_ms": float(np.median(values)) * 1e-6,
             "p99_ms": float(np.quantile(values, 0.99)) * 1e-6,
             "threads": threads,
         }
-        for stage, values in durations.items()
+        for stage, values in durations_ns.items()
     ]
-
-
-def _durations(car: CarConfig, name: str, frames: int) -> dict[str, list[int]]:
-    track = load_track("tmr")
-    way = Drive(lane=track.lane(), style="centred", speed_mps=1.0, car_width_m=car.vehicle.width_m)
-    camera, odometer = renderer(track, car, appearance("competition", 0)), Odometer(0)
-    pipeline: Any = make_pipeline(name, car)
-    pipeline.stages.stopwatch = time.perf_counter_ns
-    durations: dict[str, list[int]] = {"total": []}
-    for index in range(frames + WARM_UP):
-        t_s = index / car.camera.rate_hz
-        pose = way.pose(t_s)
-        image = camera.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
-        frame = Frame(t_ns=round(t_s * 1e9), index=index, image=image)
-        motion = odometer.motion(pose, frame.t_ns)
-        begin = time.perf_counter_ns()
-        pipeline.step(frame, motion)
-        total = time.perf_counter_ns() - begin
-        if index >= WARM_UP:
-            durations["total"].append(total)
-            for stage, duration in pipeline.stages.durations_ns.items():
-                durations.setdefault(stage, []).append(duration)
-    return durations

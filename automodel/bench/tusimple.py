@@ -1,11 +1,10 @@
-"""The TuSimple lane benchmark: its labels, its metric, and what it hides: the error of the lane's middle.
+"""`bench tusimple`: pipelines on labelled highway images, scored as the TuSimple lane benchmark does.
 
-The metric is that of the benchmark's own `evaluate/lane.py`: on the rows of a label a predicted point is right that
+The metric is that of the benchmark's own `evaluate/lane.py`: on the rows of a label a predicted point is right if it
 lies within 20 px / cos(angle of the lane) of the label's, at 1280 pixels of width; where a label has no point, no point
 is right. A lane's accuracy is the share of right rows; a label is matched by a prediction of accuracy 0.85. Of more
-than four lanes the worst is forgiven. Pictures of another width have the tolerance scaled with it.
-
-`automodel bench tusimple`: any pipeline on labelled highway pictures, scored as TuSimple does.
+than four lanes the worst does not count. Images of another width have the tolerance scaled with it. The benchmark does
+not measure the error of the lane's middle; `centre_error_pct` does.
 """
 
 from __future__ import annotations
@@ -22,31 +21,43 @@ from typing import Any
 import numpy as np
 
 from automodel.assembly.parts import make_pipeline
-from automodel.config import CameraConfig, CarConfig, ConfigError, Extrinsics, Intrinsics
+from automodel.bench.accuracy import Row
+from automodel.config import PIPELINE_NAMES, CameraConfig, CarConfig, ConfigError, Extrinsics, Intrinsics
 from automodel.config.toml_reader import read_text
 from automodel.console.messages import say
 from automodel.console.progress import progress
-from automodel.console.tables import show
 from automodel.curves.base import Curve
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.files import natural_key
 from automodel.sources.images import read_picture
 from automodel.types import FloatArray, Image
-from automodel.viewer.plots import GREEN, RED, Picture, write_sheet
+from automodel.viewer.plots import GREEN, RED, SheetImage, write_contact_sheet
 from calibration.from_lanes import camera_from_lanes
 
-NONE = -2  # stands in the files where a lane has no point
-TOLERANCE_PX, MISSING_PX, OF_WIDTH_PX = 20.0, -100.0, 1280.0  # a missing point is taken for one at -100 px
+NONE = -2  # in the files: a lane has no point on this row
+TOLERANCE_PX, MISSING_PX, OF_WIDTH_PX = 20.0, -100.0, 1280.0  # a missing point counts as one at -100 px
 MATCHED = 0.85
 MOST_LANES = 4
 FARTHEST_LANES = 20.0  # lane widths ahead: a few pixels under the horizon, where labels end
 _STEPS = 400
 
+LABELS = "label_data.json"
+VIEW_DEG = 60.0  # horizontal angle of view where the camera is unknown
+LANE_M, MARKING_M = 3.7, 0.12  # a highway in the USA: lines of 4 to 6 inches
+STANDARD = Extrinsics(x_m=1.8, z_m=1.5, pitch_rad=0.0)  # behind a windscreen, where the images do not show the camera
+AHEAD_LANES, RADIUS_LANES = 7.0, 50.0  # how far lines are followed; the tightest bend
+CLIP_RATE_HZ = 20.0
+ENOUGH_FOR_CAMERA = 40  # images
+COLUMNS = (
+    "pipeline", "frames", "found", "ego_accuracy", "ego_fp", "ego_fn", "centre_median_pct", "p50_ms", "both_ego",
+    "all_accuracy", "all_fp", "all_fn",
+)  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Label:
-    """One labelled picture: `lanes` (k, n) of u [px] on the `rows` (n,) [px], NaN where a lane has no point."""
+    """One labelled image: `lanes` (k, n) of u [px] on the `rows` (n,) [px], NaN where a lane has no point."""
 
     raw_file: str
     lanes: FloatArray
@@ -55,9 +66,9 @@ class Label:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """Of one picture: `accuracy` 0..1, share of wrong predictions `fp`, share of missed labels `fn`.
+    """Of one image: `accuracy` 0..1, share of wrong predictions `fp`, share of missed labels `fn`.
 
-    `accuracies` are those of the labels, one each, of the prediction that fits best.
+    `accuracies` has one for each label, that of the prediction that fits best.
     """
 
     accuracy: float
@@ -76,11 +87,11 @@ def parse_labels(text: str, file: str) -> list[Label]:
         if line.strip():
             labels.append(_label(line, f"{file}:{number}"))
     if not labels:
-        raise ConfigError(f"{file}: no labels in it; a JSON object a line is wanted")
+        raise ConfigError(f"{file}: expected a JSON object on each line, got no labels")
     names = [label.raw_file for label in labels]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise ConfigError(f"{file}: {twice} is labelled twice; keep one line of it")
+        raise ConfigError(f"{file}: {twice} is labelled twice; keep one of the lines")
     return labels
 
 
@@ -90,16 +101,16 @@ def _label(line: str, where: str) -> Label:
     except json.JSONDecodeError as error:
         raise ConfigError(f"{where}: not JSON: {error.msg}; is the line cut?") from None
     if not isinstance(entry, dict):
-        raise ConfigError(f"{where}: a JSON object is wanted")
+        raise ConfigError(f"{where}: expected a JSON object, got {line.strip()[:20]!r}")
     for key, kind in (("raw_file", str), ("lanes", list), ("h_samples", list)):
         if not isinstance(entry.get(key), kind):
             raise ConfigError(f"{where}: {key}: {'missing' if key not in entry else 'of the wrong kind'}")
     rows = entry["h_samples"]
     if len(rows) < 2 or not all(map(_is_number, rows)) or any(b <= a for a, b in itertools.pairwise(rows)):
-        raise ConfigError(f"{where}: h_samples: rising numbers are wanted")
+        raise ConfigError(f"{where}: h_samples: expected rising numbers")
     for number, lane in enumerate(entry["lanes"], 1):
         if not isinstance(lane, list) or not all(map(_is_number, lane)):
-            raise ConfigError(f"{where}: lanes: lane {number} is no list of numbers")
+            raise ConfigError(f"{where}: lanes: lane {number} is not a list of numbers")
         if len(lane) != len(rows):
             raise ConfigError(f"{where}: lanes: lane {number} has {len(lane)} points for {len(rows)} h_samples")
     lanes = np.array([lane for lane in entry["lanes"] if any(u >= 0 for u in lane)], dtype=np.float64)
@@ -130,7 +141,7 @@ def score(predicted: FloatArray, label: FloatArray, rows: FloatArray, width_px: 
 
 
 def _with_none(lanes: FloatArray, width_px: int) -> FloatArray:
-    """Lanes whose missing points lie where the benchmark puts them."""
+    """The lanes with their missing points where the benchmark puts them."""
     return np.where(np.isnan(lanes), MISSING_PX * width_px / OF_WIDTH_PX, lanes)
 
 
@@ -146,7 +157,7 @@ def _angle(lane: FloatArray, rows: FloatArray) -> float:
 def ego_lines(lanes: FloatArray, rows: FloatArray, middle_px: float) -> tuple[FloatArray | None, FloatArray | None]:
     """The lanes (n,) next to the left and right of `middle_px` on the lowest row; None where there is none.
 
-    Lanes that end before it are carried on straight, by the lower half of their points.
+    Lanes that end above it are extrapolated straight, by the lower half of their points.
     """
     left: tuple[float, FloatArray | None] = (-np.inf, None)
     right: tuple[float, FloatArray | None] = (np.inf, None)
@@ -164,9 +175,9 @@ def ego_lines(lanes: FloatArray, rows: FloatArray, middle_px: float) -> tuple[Fl
 
 
 def centre_error_pct(predicted: Sequence[FloatArray], label: Sequence[FloatArray]) -> float | None:
-    """How far the middle of two predicted lines (n,) lies from that of two labelled ones, in % of the lane's width.
+    """Distance of the middle of two predicted lines (n,) from that of two labelled ones, in % of the lane's width.
 
-    Each row is measured in the width that the label has on it; the median over the rows that all four lines have.
+    Each row is measured in the label's width on it; the median over the rows that all four lines have.
     """
     if len(predicted) != 2 or len(label) != 2:
         return None
@@ -179,8 +190,8 @@ def centre_error_pct(predicted: Sequence[FloatArray], label: Sequence[FloatArray
 def lines_px(estimate: LaneEstimate, camera: GroundCamera, rows: FloatArray, unit_m: float) -> FloatArray:
     """The estimate's two lines (2, n) as u [px] on `rows` (n,), left first; (0, n) where it has none.
 
-    NaN is outside the picture. Beyond its ends each line is carried on as its curve is, until `FARTHEST_LANES` lane
-    widths `unit_m` ahead.
+    NaN is outside the image. Each line's curve is extrapolated beyond its ends, up to `FARTHEST_LANES` lane widths
+    `unit_m` ahead.
     """
     if estimate.left is None or estimate.right is None:
         return np.empty((0, len(rows)))
@@ -204,18 +215,9 @@ def _on_rows(curve: Curve, camera: GroundCamera, rows: FloatArray, unit_m: float
     return np.where(inside, on_rows, np.nan)
 
 
-LABELS = "label_data.json"
-VIEW_DEG = 60.0  # horizontal angle of view of a camera about which nothing is known
-LANE_M, MARKING_M = 3.7, 0.12  # a highway in the USA: lines of 4 to 6 inches
-STANDARD = Extrinsics(x_m=1.8, z_m=1.5, pitch_rad=0.0)  # behind a windscreen, where pictures tell nothing
-AHEAD_LANES, RADIUS_LANES = 7.0, 50.0  # how far lines are followed; the tightest bend
-CLIP_RATE_HZ = 20.0
-ENOUGH_FOR_CAMERA = 40  # pictures
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Result:
-    """One labelled picture, as one pipeline sees it: predicted lanes (0 or 2, n) [px], and the time it took."""
+    """What one pipeline made of one labelled image: predicted lanes (0 or 2, n) [px], and the time it took."""
 
     label: Label
     lanes: FloatArray
@@ -223,30 +225,36 @@ class Result:
     status: str
 
 
-def bench(
-    root: Path, car: CarConfig | None, pipelines: Sequence[str], outputs: tuple[Path | None, Path | None], as_json: bool
-) -> None:
-    """Run `pipelines` on the pictures under `root`, show the scores, and write predictions and figures.
+def measure(
+    root: Path, car: CarConfig | None, pipelines: Sequence[str], predictions: Path | None, figures: Path | None
+) -> list[Row]:
+    """A row for each pipeline (default: all) on the images under `root`.
 
-    `car` gives the camera; without it the camera is found in the pictures. `outputs`: predictions (JSON lines), figures
-    (PNG); with several pipelines each gets its name into the files' names. Raises ConfigError, SourceError.
+    Writes `predictions` (JSON lines) and `figures` (PNG) if they are given, with several pipelines each one's name in
+    the files' names. `car` gives the camera; without it the camera is found in the images. Raises ConfigError,
+    SourceError.
     """
     labels = read_labels(root)
     car = car or assumed_car(root, labels)
+    names = tuple(dict.fromkeys(pipelines)) or PIPELINE_NAMES
     rows = []
-    for name in pipelines:
-        results = list(_run(root, labels, car, name))
-        predictions, figures = (_named(path, name, len(pipelines)) for path in outputs)
-        if predictions is not None:
-            write_predictions(predictions, results)
-        if figures is not None:
-            write_sheet(figures, [_figure(root, result) for result in results])
-        rows.append(_row(name, results, car.camera))
-    show("bench tusimple", rows, as_json)
+    with progress("bench tusimple", len(names) * len(labels), threaded=False) as tick:
+        for name in names:
+            results = []
+            for result in _run(root, labels, car, name):
+                results.append(result)
+                tick()
+            if predictions is not None:
+                write_predictions(_named(predictions, name, len(names)), results)
+            if figures is not None:
+                images = [_sheet_image(root, result) for result in results]
+                write_contact_sheet(_named(figures, name, len(names)), images)
+            rows.append(_row(name, results, car.camera))
+    return rows
 
 
 def read_labels(root: Path) -> list[Label]:
-    """The labels of a folder; raises ConfigError where a label or its picture is missing or wrong."""
+    """The labels of a folder; raises ConfigError where a label or its image is missing or wrong."""
     file = root / LABELS
     if not root.is_dir():
         raise ConfigError(f"--root {root}: no such folder")
@@ -255,12 +263,12 @@ def read_labels(root: Path) -> list[Label]:
     labels = parse_labels(read_text(file), str(file))
     for label in labels:
         if not (root / label.raw_file).is_file():
-            raise ConfigError(f"{file}: {label.raw_file}: there is no such picture under {root}")
+            raise ConfigError(f"{file}: {label.raw_file}: there is no such image under {root}")
     return labels
 
 
 def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
-    """A car on a highway whose camera is found in the labelled pictures, or where they tell nothing, a usual one.
+    """A car on a highway whose camera is found in the labelled images; where that fails, a usual one.
 
     Says on stderr what was found and what was assumed.
     """
@@ -274,10 +282,10 @@ def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
     try:
         found = camera_from_lanes(same, CameraModel(intrinsics, width, height), LANE_M, STANDARD, least)
         extrinsics = found.extrinsics
-        how = f"from the lines of {found.frames_used} of {found.frames_seen} pictures"
+        how = f"from the lines of {found.frames_used} of {found.frames_seen} images"
         how += f" (residual {found.residual_px:.1f} px, {_errors(found.ground_error_m)})"
     except ValueError as error:
-        extrinsics, how = STANDARD, f"a usual one, as the pictures tell nothing ({error})"
+        extrinsics, how = STANDARD, f"a usual one, as it was not found in the images ({error})"
     say(
         f"camera: pitch {np.degrees(extrinsics.pitch_rad):.2f}, yaw {np.degrees(extrinsics.yaw_rad):.2f}, roll"
         f" {np.degrees(extrinsics.roll_rad):.2f} deg, height {extrinsics.z_m:.2f} m, {how}; assumed: {VIEW_DEG:.0f} deg"
@@ -287,7 +295,7 @@ def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
 
 
 def highway_car(camera: CameraConfig) -> CarConfig:
-    """A full-size car on a highway behind that camera."""
+    """A full-size car on a highway with that camera."""
     car = CarConfig()
     looks = car.pipeline
     return dataclasses.replace(
@@ -305,30 +313,28 @@ def highway_car(camera: CameraConfig) -> CarConfig:
 
 
 def _errors(error_m: dict[float, float]) -> str:
-    return "ground right to " + ", ".join(f"{error:.2f} m at {at:.0f} m" for at, error in error_m.items())
+    return "error on the ground " + ", ".join(f"{error:.2f} m at {at:.0f} m" for at, error in error_m.items())
 
 
 def _run(root: Path, labels: Sequence[Label], car: CarConfig, name: str) -> Iterator[Result]:
     pipeline = make_pipeline(name, car)
     camera = GroundCamera.from_config(car.camera)
-    with progress(f"bench tusimple {name}", len(labels)) as bar:
-        for label in labels:
-            pipeline.reset()
-            for index, path in enumerate(clip_of(root / label.raw_file)):
-                image = read_picture(path, car.camera.colour)
-                _check_size(path, image, car.camera)
-                t_ns = round(index * 1e9 / CLIP_RATE_HZ)
-                unknown = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-                begin = time.perf_counter()
-                estimate: LaneEstimate = pipeline.step(Frame(t_ns=t_ns, index=index, image=image), unknown)
-                run_time_ms = 1e3 * (time.perf_counter() - begin)
-            lanes = lines_px(estimate, camera, label.rows, car.lane.width_m)
-            yield Result(label=label, lanes=lanes, run_time_ms=run_time_ms, status=estimate.status.value)
-            bar()
+    for label in labels:
+        pipeline.reset()
+        for index, path in enumerate(clip_of(root / label.raw_file)):
+            image = read_picture(path, car.camera.colour)
+            _check_size(path, image, car.camera)
+            t_ns = round(index * 1e9 / CLIP_RATE_HZ)
+            unknown = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+            start = time.perf_counter()
+            estimate: LaneEstimate = pipeline.step(Frame(t_ns=t_ns, index=index, image=image), unknown)
+            run_time_ms = 1e3 * (time.perf_counter() - start)
+        lanes = lines_px(estimate, camera, label.rows, car.lane.width_m)
+        yield Result(label=label, lanes=lanes, run_time_ms=run_time_ms, status=estimate.status.value)
 
 
 def clip_of(labelled: Path) -> list[Path]:
-    """The clip's pictures up to the labelled one, which is the last; it alone where it stands alone."""
+    """The images of the clip up to the labelled one, which comes last."""
     beside = [path for path in labelled.parent.iterdir() if path.suffix.lower() == labelled.suffix.lower()]
     last = natural_key(labelled.name)
     return sorted((p for p in beside if natural_key(p.name) <= last), key=lambda path: natural_key(path.name))
@@ -338,13 +344,13 @@ def _check_size(path: Path, image: Image, camera: CameraConfig) -> None:
     height, width = image.shape[:2]
     if (width, height) != (camera.width_px, camera.height_px):
         raise ConfigError(
-            f"{path}: {width}x{height} pixels where the camera has {camera.width_px}x{camera.height_px}; one folder has"
-            " pictures of one size, and --car the camera of that size"
+            f"{path}: expected {camera.width_px}x{camera.height_px} pixels, as the camera has, got {width}x{height};"
+            " all images of a folder have one size, and --car a camera of that size"
         )
 
 
-def _named(path: Path | None, name: str, several: int) -> Path | None:
-    return path.with_name(f"{path.stem}.{name}{path.suffix}") if path is not None and several > 1 else path
+def _named(path: Path, name: str, count: int) -> Path:
+    return path.with_name(f"{path.stem}.{name}{path.suffix}") if count > 1 else path
 
 
 def write_predictions(path: Path, results: Sequence[Result]) -> None:
@@ -362,14 +368,14 @@ def write_predictions(path: Path, results: Sequence[Result]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _row(name: str, results: Sequence[Result], camera: CameraConfig) -> dict[str, object]:
-    """Means over the pictures: of all lanes, of the two ego lines, and of the middle between these."""
-    everything, ego, both, errors = [], [], 0, []
+def _row(name: str, results: Sequence[Result], camera: CameraConfig) -> Row:
+    """Means over the images: of all lanes, of the two ego lines, and of the middle between these."""
+    whole, ego, both, errors = [], [], 0, []
     for result in results:
         label = result.label
         lines = [line for line in ego_lines(label.lanes, label.rows, middle_px(label.rows, camera)) if line is not None]
         truth = np.array(lines).reshape(-1, len(label.rows))
-        everything.append(score(result.lanes, label.lanes, label.rows, camera.width_px))
+        whole.append(score(result.lanes, label.lanes, label.rows, camera.width_px))
         ego.append(score(result.lanes, truth, label.rows, camera.width_px))
         both += len(lines) == 2 and ego[-1].fn == 0.0
         error = centre_error_pct(list(result.lanes), lines)
@@ -381,14 +387,14 @@ def _row(name: str, results: Sequence[Result], camera: CameraConfig) -> dict[str
         "found": sum(len(result.lanes) > 0 for result in results),
         "both_ego": both,
         **{f"ego_{key}": value for key, value in _means(ego).items()},
-        **{f"all_{key}": value for key, value in _means(everything).items()},
+        **{f"all_{key}": value for key, value in _means(whole).items()},
         "centre_median_pct": float(np.median(errors)) if errors else None,
         "p50_ms": float(np.median([result.run_time_ms for result in results])),
     }
 
 
 def middle_px(rows: FloatArray, camera: CameraConfig) -> float:
-    """Where the car's own way lies on the lowest of the rows: straight ahead of the camera, on the ground."""
+    """Where the line straight ahead of the camera on the ground crosses the lowest of the rows."""
     ground = GroundCamera.from_config(camera)
     near = ground.centre_m[0] + np.linspace(0.5, 60.0, 400) * camera.extrinsics.z_m
     pixels = ground.ground_to_px(np.column_stack((near, np.full_like(near, ground.centre_m[1]))))
@@ -400,9 +406,9 @@ def _means(scores: Sequence[Score]) -> dict[str, float]:
     return {key: float(np.mean([getattr(each, key) for each in scores])) for key in ("accuracy", "fp", "fn")}
 
 
-def _figure(root: Path, result: Result) -> Picture:
-    """A picture with its labelled and its predicted points, for a contact sheet."""
+def _sheet_image(root: Path, result: Result) -> SheetImage:
+    """An image with its labelled and its predicted points."""
     label = result.label
     lines = [(lanes, colour) for lanes, colour in ((label.lanes, GREEN), (result.lanes, RED))]
     image = read_picture(root / label.raw_file, True)
-    return Picture(image=image, note=f"{label.raw_file} {result.status}", rows=label.rows, lines=lines)
+    return SheetImage(image=image, note=f"{label.raw_file} {result.status}", rows=label.rows, lines=lines)

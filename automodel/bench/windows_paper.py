@@ -1,56 +1,46 @@
-"""The figures of seed 003, section V, Tables I to IV, for the pipeline `windows`, beside those that it prints.
+"""`bench accuracy --table windows-paper`: Tables I to IV of the paper behind `windows`, beside its own figures.
 
 How far they can be compared:
 
 - The paper does not say how large its pixel is on the ground. Its lines are 16 px wide, those of `windows` as wide as
   the configuration says (5 px): as shares of a line's width its errors are smaller than they look beside ours.
 - Its points are the bright pixels of each window, those of `windows` one mean a window, which scatters less.
-- It evaluates 6 pictures a section. Here every frame counts in which a line has more points than its regression has
-  coefficients; with fewer the residual is zero whatever they are. As in Table II, a figure is the mean over pictures
-  of the picture's own MAE or RMSE.
+- It evaluates 6 images a section. Here every frame counts in which a line has more points than its regression has
+  coefficients; with fewer the residual is always zero. As in Table II, a metric is the mean over frames of the frame's
+  own MAE or RMSE.
 - Its crossing error (Table III) is the residual of the line's own points. A `Crossing` carries none, so ours is the
   error of the distance against the truth, which is harder, in rows of the bird's-eye view and in metres.
 - Its rates are of ROS nodes on a Jetson Nano; ours are of this machine, one over the time of single frames.
-
-Drives tmr in both directions for the tables of seed 003 (`bench accuracy --table windows-paper`).
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
 import math
-import os
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.assembly.parts import make_pipeline
-from automodel.bench.accuracy import Case, watch
-from automodel.bench.speed import WARM_UP
+from automodel.bench.accuracy import Case, Choice, Row, watch
+from automodel.bench.speed import TimedStep, opencv_threads
 from automodel.config import CarConfig
 from automodel.console.messages import say
-from automodel.console.progress import progress
-from automodel.console.tables import show
-from automodel.console.workers import spread
+from automodel.console.workers import Tick, spread
 from automodel.curves import GraphCurve
 from automodel.estimation.polynomial.regression import evaluate_polynomial
 from automodel.geometry import SE2, View
 from automodel.pipelines.windows import Windows
-from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, Motion
+from automodel.signals import Crossing, LaneEstimate, LaneLine
 from automodel.sim.paint import Paint
 from automodel.sim.track import Lane
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import DrivenPose
 from automodel.types import FloatArray
 
-Row = dict[str, object]
-
-# MAE and RMSE [px] by section and line. Table II heads its columns wrongly; Table I's pictures show that they are MAE
+# MAE and RMSE [px] by section and line. Table II heads its columns wrongly; Table I's images show that they are MAE
 # left, MAE right, RMSE left, RMSE right.
 PAPER_LINES_PX = {
     ("straight", "left"): (1.211, 2.025),
@@ -63,15 +53,16 @@ PAPER_LINES_PX = {
 PAPER_CROSSING_PX = (4.001, 6.306)  # Table III
 PAPER_RATES_HZ = {"lane detection": (16.0, 34.0), "crossing detection": (19.0, 37.0)}  # Table IV: least, most
 
-BENT_PER_LANE = 0.02  # a road with less curvature times lane width is straight
+BEND_PER_LANE = 0.02  # a road with less curvature times lane width is straight
+RATE_HZ = 20.0  # enough frames in a lap for metrics that repeat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Across:
-    """A zebra or stop line that is at least partly in view, in truth.
+class TrueCrossing:
+    """A zebra or stop line that is at least partly in view.
 
     `distance_m` to its near edge along the lane from the reference point, `angle_rad` of that edge in the body frame,
-    as `automodel.signals.Crossing` counts; `edge_in_view` is False once the car has come too close to see that edge.
+    both as in `automodel.signals.Crossing`; `edge_in_view` is False once the car is too close to see that edge.
     """
 
     name: str
@@ -80,18 +71,18 @@ class Across:
     edge_in_view: bool
 
 
-def section_of(curvature_per_m: ArrayLike, width_m: float, across_in_view: bool) -> str | None:
+def section_of(curvature_per_m: ArrayLike, width_m: float, crossing_in_view: bool) -> str | None:
     """The paper's section by the lane's curvature (n,) [1/m] over the stretch in view.
 
-    "curve A" bends right all along, "curve B" left, "straight" not at all and has nothing across; else None.
+    "curve A" bends right throughout, "curve B" left, "straight" not at all and has no crossing; else None.
     """
     bend = np.asarray(curvature_per_m, dtype=np.float64) * width_m
-    if (bend < -BENT_PER_LANE).all():
+    if (bend < -BEND_PER_LANE).all():
         return "curve A"
-    if (bend > BENT_PER_LANE).all():
+    if (bend > BEND_PER_LANE).all():
         return "curve B"
-    straight = bool((np.abs(bend) <= BENT_PER_LANE).all())
-    return "straight" if straight and not across_in_view else None
+    straight = bool((np.abs(bend) <= BEND_PER_LANE).all())
+    return "straight" if straight and not crossing_in_view else None
 
 
 def residuals_px(line: LaneLine, m_per_px: float) -> FloatArray | None:
@@ -107,10 +98,10 @@ def residuals_px(line: LaneLine, m_per_px: float) -> FloatArray | None:
 
 @dataclass(slots=True, kw_only=True)
 class WindowsPaperMeter:
-    """Collects frames; `line_rows`, `crossing_row` and `rate_rows` give the figures over all of them.
+    """Collects frames; `line_rows`, `crossing_row` and `rate_rows` give the metrics over all of them.
 
-    Pixels are `m_per_px` [m] wide across the road and `m_per_row` [m] along it. A told crossing is held against the
-    true near edge nearest to it, which must lie within `gate_m` (half a lane's width: edges lie further apart); without
+    Pixels are `m_per_px` [m] wide across the road and `m_per_row` [m] along it. A reported crossing is compared with
+    the nearest true near edge, which must lie within `gate_m` (half a lane's width: edges lie further apart); without
     one it is false, unless the edge belongs to paint whose near edge is out of view already.
     """
 
@@ -125,28 +116,35 @@ class WindowsPaperMeter:
     durations_ns: dict[str, list[int]] = field(default_factory=dict)  # a frame's, by the paper's node
 
     def add_lines(self, section: str | None, estimate: LaneEstimate) -> None:
-        """The lines of one frame."""
+        """Add the lines of one frame."""
         for name, line in (("left", estimate.left), ("right", estimate.right)):
             off = residuals_px(line, self.m_per_px) if section is not None and line is not None else None
             if section is not None and off is not None:
                 self.lines.append((section, name, *_mae_rmse(off)))
 
-    def add_crossing(self, told: Crossing | None, true: Sequence[Across]) -> None:
-        """The crossing of one frame, and what there was to see."""
-        self.passed.update(across.name for across in true if across.edge_in_view)
-        if told is None:
+    def add_crossing(self, found: Crossing | None, true: Sequence[TrueCrossing]) -> None:
+        """Add the crossing of one frame; `true` are those in view."""
+        self.passed.update(crossing.name for crossing in true if crossing.edge_in_view)
+        if found is None:
             return
-        near = min(true, key=lambda across: abs(told.distance_m - across.distance_m), default=None)
-        if near is None or abs(told.distance_m - near.distance_m) > self.gate_m:
+        near = min(true, key=lambda crossing: abs(found.distance_m - crossing.distance_m), default=None)
+        if near is None or abs(found.distance_m - near.distance_m) > self.gate_m:
             self.false_frames += 1
         elif near.edge_in_view:
-            turn = math.remainder(told.angle_rad - near.angle_rad, math.pi)  # a line has no beginning
-            self.crossings.append((told.distance_m - near.distance_m, turn))
+            turn = math.remainder(found.angle_rad - near.angle_rad, math.pi)  # a line has no direction
+            self.crossings.append((found.distance_m - near.distance_m, turn))
             self.seen.add(near.name)
 
-    def add_duration(self, node: str, duration_ns: int) -> None:
-        """The time that one frame took."""
-        self.durations_ns.setdefault(node, []).append(duration_ns)
+    def add_durations(self, spent_ns: Mapping[str, int]) -> None:
+        """The times of one frame's stages, as `TimedStep` has them, booked on the paper's nodes.
+
+        "lane detection" is the whole step, crossings included; "crossing detection" all that it takes to find one.
+        """
+        self.durations_ns.setdefault("lane detection", []).append(spent_ns["total"])
+        stages = [stage for stage in spent_ns if stage != "total"]
+        if "crossing" in stages:  # it is not looked for in a frame without a lane
+            needed = stages[: stages.index("crossing") + 1]
+            self.durations_ns.setdefault("crossing detection", []).append(sum(spent_ns[stage] for stage in needed))
 
     def include(self, other: WindowsPaperMeter) -> None:
         """Add all frames of another drive with the same view."""
@@ -159,7 +157,7 @@ class WindowsPaperMeter:
             self.durations_ns.setdefault(node, []).extend(durations)
 
     def line_rows(self) -> list[Row]:
-        """Tables I and II: a row for each section and line; figures are None without a frame."""
+        """Tables I and II: a row for each section and line; None without a frame."""
         rows: list[Row] = []
         for (section, name), paper in PAPER_LINES_PX.items():
             found = np.array([line[2:] for line in self.lines if line[:2] == (section, name)]).reshape(-1, 2)
@@ -197,20 +195,16 @@ class WindowsPaperMeter:
 
 
 def _mae_rmse(errors: FloatArray) -> tuple[float, float]:
-    """Seed 003, eq. (10) and (11)."""
+    """The paper's eq. (10) and (11)."""
     return float(np.abs(errors).mean()), float(np.sqrt(np.square(errors).mean()))
 
 
-COMMAND = "bench accuracy"
-RATE_HZ = 20.0  # frames of a lap that give stable figures
-
-
-class PaintAcross:
+class LaneCrossings:
     """The zebras and stop lines of one lane.
 
-    Each is a stretch of the lane's centerline over which such paint lies between the lane's lines. Its near edge is
-    where the stretch begins in the direction of travel, square to the lane there, as it is painted. Each arm of a
-    crossing has a zebra, so a lane meets two of them where it passes a crossing: before it and after it.
+    Each is a span of the lane's centerline with such paint between the lane's lines. Its near edge is where the span
+    starts in the direction of travel, at a right angle to the lane, as it is painted. Each arm of an intersection has
+    a zebra, so a lane meets two of them there: before it and after it.
     """
 
     def __init__(self, name: str, lane: Lane, paint: Iterable[Paint]) -> None:
@@ -221,21 +215,21 @@ class PaintAcross:
             s_m, d_m = self._line.project(polygon.mean(axis=0))
             if abs(d_m) < 0.5 * float(lane.width_m(s_m)):
                 s = [self._line.project(corner, s_m, 1.0)[0] for corner in polygon]
-                ahead = [self._way(s_m, corner) for corner in s]
+                ahead = [self._distance_m(s_m, corner) for corner in s]
                 spans.append((s_m + min(ahead), s_m + max(ahead)))
         self.spans_m: list[tuple[float, float]] = []
-        for begin, end in sorted(spans):
-            if self.spans_m and begin <= self.spans_m[-1][1]:
+        for start, end in sorted(spans):
+            if self.spans_m and start <= self.spans_m[-1][1]:
                 self.spans_m[-1] = (self.spans_m[-1][0], max(end, self.spans_m[-1][1]))
             else:
-                self.spans_m.append((begin, end))
+                self.spans_m.append((start, end))
 
-    def in_view(self, pose: DrivenPose, s_m: float, view: View) -> list[Across]:
-        """What lies across the lane in the bird's-eye view of a car whose reference point is at arc length `s_m`."""
+    def in_view(self, pose: DrivenPose, s_m: float, view: View) -> list[TrueCrossing]:
+        """Those in the bird's-eye view of a car whose reference point is at arc length `s_m`."""
         body = SE2(pose.x_m, pose.y_m, pose.yaw_rad).inverse()
         found = []
         for index, span in enumerate(self.spans_m):
-            ahead = [self._way(s_m, s) for s in span]
+            ahead = [self._distance_m(s_m, s) for s in span]
             if ahead[1] < 0.0 or ahead[0] > view.x_far_m:
                 continue
             x, y = body.apply(self._line.position(np.array(span))).T
@@ -243,81 +237,60 @@ class PaintAcross:
                 continue
             angle = float(self._line.heading(span[0])) - pose.yaw_rad + 0.5 * np.pi
             edge = bool(x[0] >= view.x_near_m)
-            found.append(Across(name=f"{self._name} {index}", distance_m=ahead[0], angle_rad=angle, edge_in_view=edge))
+            name = f"{self._name} {index}"
+            found.append(TrueCrossing(name=name, distance_m=ahead[0], angle_rad=angle, edge_in_view=edge))
         return found
 
-    def _way(self, from_m: float, to_m: float) -> float:
-        """The way along the lane [m], the shorter one round a closed lane."""
+    def _distance_m(self, from_m: float, to_m: float) -> float:
+        """Along the lane, forward positive; the shorter direction around a closed lane."""
         length_m = self._line.length_m
         return (to_m - from_m + 0.5 * length_m) % length_m - 0.5 * length_m if self._line.closed else to_m - from_m
 
 
-class TimedStep:
-    """`Windows.step` with the durations of the paper's two nodes booked in `meter`.
-
-    "lane detection" is the whole step, crossings included; "crossing detection" all that it takes to find a crossing.
-    """
-
-    def __init__(self, pipeline: Windows, meter: WindowsPaperMeter) -> None:
-        self._pipeline, self._meter = pipeline, meter
-        pipeline.stages.stopwatch = time.perf_counter_ns
-
-    def __call__(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """One step."""
-        begin_ns = time.perf_counter_ns()
-        estimate = self._pipeline.step(frame, motion)
-        spent_ns = time.perf_counter_ns() - begin_ns
-        stages = self._pipeline.stages.durations_ns
-        if frame.index >= WARM_UP:
-            self._meter.add_duration("lane detection", spent_ns)
-            if "crossing" in stages:  # not in a frame without a lane across which to look
-                until = list(stages).index("crossing") + 1
-                self._meter.add_duration("crossing detection", sum(list(stages.values())[:until]))
-        return estimate
-
-
-def drive(car: CarConfig, case: Case, frames: int | None = None) -> WindowsPaperMeter:
-    """The figures of one drive at `RATE_HZ`, or of its first `frames`, with one thread for OpenCV."""
+def measure_case(car: CarConfig, case: Case, tick: Tick, frames: int | None = None) -> WindowsPaperMeter:
+    """The metrics of one drive at `RATE_HZ`, or of its first `frames`, with one thread for OpenCV."""
     car = replace(car, camera=replace(car.camera, rate_hz=RATE_HZ))
     track, pipeline = load_track(case.track), make_pipeline("windows", car)
     assert isinstance(pipeline, Windows)
     lane, view = track.lane(case.direction), pipeline.view
-    paint = PaintAcross(case.direction, lane, track.paint())
+    paint = LaneCrossings(case.direction, lane, track.paint())
     meter = WindowsPaperMeter(m_per_px=view.m_per_px, m_per_row=view.m_per_row, gate_m=0.5 * car.lane.width_m)
     stretch_m = np.linspace(view.x_near_m, view.x_far_m, 25) - car.vehicle.reference_x_m
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        for estimate, truth, pose in itertools.islice(watch(car, case, TimedStep(pipeline, meter)), frames):
-            across = paint.in_view(pose, truth.s_m, view)
+    step = TimedStep(pipeline)
+    with opencv_threads(1):
+        for estimate, truth, pose in watch(car, case, step, tick, frames):
+            true = paint.in_view(pose, truth.s_m, view)
             curvature = lane.centerline.curvature(truth.s_m + stretch_m)
-            meter.add_lines(section_of(curvature, truth.width_m, bool(across)), estimate)
-            meter.add_crossing(estimate.crossing, across)
-    finally:
-        cv2.setNumThreads(threads)
+            meter.add_lines(section_of(curvature, truth.width_m, bool(true)), estimate)
+            meter.add_crossing(estimate.crossing, true)
+    for spent_ns in step.durations_ns:
+        meter.add_durations(spent_ns)
     return meter
 
 
-def show_tables(car: CarConfig, cases: Sequence[Case], jobs: int | None, as_json: bool) -> None:
-    """Drive `cases` and print the tables; as JSON they are one list of rows, each with the name of its table."""
-    jobs = min(jobs or os.cpu_count() or 1, len(cases))
-    meters: list[WindowsPaperMeter] = []
-    with progress("bench accuracy", len(cases)) as bar:
-        for meter in spread(functools.partial(drive, car), cases, jobs):
-            meters.append(meter)
-            bar()
-    whole = meters[0]
-    for other in meters[1:]:
+def measure(car: CarConfig, choice: Choice, jobs: int | None) -> dict[str, list[Row]]:
+    """Drive tmr in both directions, centred; gives the rows of each table.
+
+    Of `choice` the first seed, the look and the speed count.
+    """
+    cases = [
+        Case(
+            pipeline="windows",
+            track="tmr",
+            style="centred",
+            seed=choice.seeds[0],
+            look=choice.look,
+            direction=direction,
+            speed_mps=choice.speed_mps,
+        )
+        for direction in ("forward", "reverse")
+    ]
+    whole, *others = spread("bench accuracy", functools.partial(measure_case, car), cases, jobs)
+    for other in others:
         whole.include(other)
-    tables = {"lines": whole.line_rows(), "crossing": [whole.crossing_row()], "rates": whole.rate_rows()}
     say(
         f"a pixel is {1e3 * whole.m_per_px:.3g} mm here and of unknown size in the paper; a marking is"
         f" {car.lane.marking_width_m / whole.m_per_px:.3g} px wide here and 16 px there; the paper's crossing error is"
-        " of a fit, ours of the distance; its rates are a Jetson Nano's"
+        " that of a fit, ours that of the distance; its rates are a Jetson Nano's"
     )
-    if as_json:
-        keys = dict.fromkeys(key for rows in tables.values() for row in rows for key in row)
-        show(COMMAND, [{"table": name, **keys, **row} for name, rows in tables.items() for row in rows], True)
-        return
-    for rows in tables.values():
-        show(COMMAND, rows, False)
+    return {"lines": whole.line_rows(), "crossing": [whole.crossing_row()], "rates": whole.rate_rows()}

@@ -75,12 +75,16 @@ def missing(wanted: list[Shard]) -> list[Shard]:
     return [shard for shard in wanted if not _is_whole(shard)]
 
 
-def write_shard(shard: Shard, make: Maker = make_sample) -> None:
-    """Draw a shard's pictures and write them; a file is there whole or not at all."""
+def write_shard(shard: Shard, make: Maker = make_sample, tick: Callable[[float], None] = lambda share: None) -> None:
+    """Draw a shard's pictures and write them; a file is there whole or not at all.
+
+    `tick` gets the share of the shard that each picture is.
+    """
     pictures = np.empty((shard.count, 2, HEIGHT_PX, WIDTH_PX), np.uint8)
     for row, seed in zip(pictures, range(shard.first_seed, shard.first_seed + shard.count), strict=True):
         sample = make(seed)
         row[0], row[1] = sample.image, sample.mask
+        tick(1.0 / shard.count)
     with output_path(shard.path) as part:
         np.save(part, pictures)
 

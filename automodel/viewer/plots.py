@@ -1,10 +1,12 @@
-"""PNG files: diagrams, and sheets of frames with points drawn into them."""
+"""Plots and contact sheets as PNG files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,7 +15,13 @@ from automodel.config import ConfigError
 from automodel.output_files import output_path
 from automodel.types import FloatArray, Image
 
-Colour = tuple[int, int, int]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Colour = tuple[int, int, int]  # BGR
+
+# name, times [s], estimates (offset [m], heading [rad]) and truths (offset, heading, width), NaN without an estimate
+Drive = tuple[str, Sequence[float], Sequence[tuple[float, float]], Sequence[tuple[float, float, float]]]
 
 GREEN: Colour = (80, 220, 60)
 RED: Colour = (40, 40, 255)
@@ -21,9 +29,45 @@ _WHITE: Colour = (255, 255, 255)
 _COLUMNS, _WIDTH_PX, _STRIP_PX = 2, 640, 18
 
 
+@contextlib.contextmanager
+def plotted(path: Path, size_in: tuple[float, float]) -> Iterator[Figure]:
+    """A figure of that size [inches] to draw on, written to `path` afterwards; raises ConfigError."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size_in, layout="constrained")
+    FigureCanvasAgg(figure)
+    yield figure
+    try:
+        with output_path(path) as part:
+            figure.savefig(part, dpi=90)
+    except ValueError as error:
+        raise ConfigError(f"{path}: cannot be written as an image: {error}") from None
+
+
+def plot_accuracy(path: Path, drives: Sequence[Drive]) -> None:
+    """Offset and heading over time, estimate and truth, a row a drive (as Cudrano et al. 2020, Fig. 8)."""
+    with plotted(path, (14, 2.6 * len(drives))) as figure:
+        axes = figure.subplots(len(drives), 2, squeeze=False)
+        for (name, t_s, estimated, true), (left, right) in zip(drives, axes, strict=True):
+            guess, truth = np.array(estimated).reshape(-1, 2), np.array(true).reshape(-1, 3)
+            for axis, column, scale, label in ((left, 0, 100.0, "offset [cm]"), (right, 1, 57.29578, "heading [deg]")):
+                axis.plot(t_s, scale * truth[:, column], color="tab:green", linewidth=2.0, label="truth")
+                axis.plot(t_s, scale * guess[:, column], color="tab:blue", linewidth=0.8, label="estimate")
+                axis.set_ylabel(label)
+                axis.grid(alpha=0.3)
+            left.set_title(name, fontsize=9, loc="left")
+        for axis in axes[-1]:
+            axis.set_xlabel("time [s]")
+        axes[0][0].legend(loc="upper right", fontsize=8)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Picture:
-    """A picture (h, w, 3) BGR, a line of text, and lines (k, n) of u [px] on `rows` (n,), each lot in one colour."""
+class SheetImage:
+    """One image (h, w, 3) BGR of a contact sheet, a line of text, and lines of points in one colour each.
+
+    The lines (k, n) are u [px] on `rows` (n,) [px].
+    """
 
     image: Image
     note: str
@@ -31,9 +75,9 @@ class Picture:
     lines: Sequence[tuple[FloatArray, Colour]]
 
 
-def write_sheet(path: Path, pictures: Sequence[Picture]) -> None:
-    """Write the pictures as one PNG, two a row, in order; raises ConfigError where that is not possible."""
-    drawn = [_drawn(picture) for picture in pictures]
+def write_contact_sheet(path: Path, images: Sequence[SheetImage]) -> None:
+    """Write the images as one PNG, two a row, in order; raises ConfigError."""
+    drawn = [_drawn(image) for image in images]
     tallest = max(image.shape[0] for image in drawn)
     cells = [np.pad(image, ((0, tallest - image.shape[0]), (0, 0), (0, 0))) for image in drawn]
     cells += [np.zeros_like(cells[0])] * (-len(cells) % _COLUMNS)
@@ -45,44 +89,14 @@ def write_sheet(path: Path, pictures: Sequence[Picture]) -> None:
         part.write_bytes(data.tobytes())
 
 
-def _drawn(picture: Picture) -> Image:
-    scale = _WIDTH_PX / picture.image.shape[1]
-    image = cv2.resize(picture.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    for lines, colour in picture.lines:
+def _drawn(sheet: SheetImage) -> Image:
+    scale = _WIDTH_PX / sheet.image.shape[1]
+    image = cv2.resize(sheet.image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for lines, colour in sheet.lines:
         for line in lines:
-            for u, v in zip(line, picture.rows, strict=True):
+            for u, v in zip(line, sheet.rows, strict=True):
                 if np.isfinite(u):
                     cv2.circle(image, (round((u + 0.5) * scale), round((v + 0.5) * scale)), 2, colour, -1, cv2.LINE_AA)
     strip = np.zeros((_STRIP_PX, image.shape[1], 3), np.uint8)
-    cv2.putText(strip, picture.note, (4, _STRIP_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
+    cv2.putText(strip, sheet.note, (4, _STRIP_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
     return np.asarray(np.vstack((strip, image)), dtype=np.uint8)
-
-
-# name, times [s], estimates (offset [m], heading [rad]) and truths (offset, heading, width), NaN without an estimate
-Drive = tuple[str, Sequence[float], Sequence[tuple[float, float]], Sequence[tuple[float, float, float]]]
-
-
-def plot_accuracy(path: Path, drives: Sequence[Drive]) -> None:
-    """Offset and heading over time, estimate against truth, a row a drive (as Cudrano et al. 2020, Fig. 8)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14, 2.6 * len(drives)), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(len(drives), 2, squeeze=False)
-    for (name, t_s, estimated, true), (left, right) in zip(drives, axes, strict=True):
-        guess, truth = np.array(estimated).reshape(-1, 2), np.array(true).reshape(-1, 3)
-        for axis, column, scale, label in ((left, 0, 100.0, "offset [cm]"), (right, 1, 57.29578, "heading [deg]")):
-            axis.plot(t_s, scale * truth[:, column], color="tab:green", linewidth=2.0, label="truth")
-            axis.plot(t_s, scale * guess[:, column], color="tab:blue", linewidth=0.8, label="estimate")
-            axis.set_ylabel(label)
-            axis.grid(alpha=0.3)
-        left.set_title(name, fontsize=9, loc="left")
-    for axis in axes[-1]:
-        axis.set_xlabel("time [s]")
-    axes[0][0].legend(loc="upper right", fontsize=8)
-    try:
-        with output_path(path) as part:
-            figure.savefig(part, dpi=90)
-    except ValueError as error:
-        raise ConfigError(f"{path}: cannot be written as an image: {error}") from None

@@ -1,41 +1,42 @@
-"""Table I of seed 001: figures that were put in come out beside the paper's; what is driven, seen and counted."""
+"""Table I of Cudrano et al. 2020: metrics beside the paper's; what is driven, seen and counted."""
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from automodel.bench import centerline_paper
-from automodel.bench.accuracy import AccuracyMeter, TruePose
+from automodel.bench.accuracy import AccuracyMeter, Choice
 from automodel.bench.centerline_paper import (
     PAPER,
     RIDES,
+    CircuitChoice,
     Ride,
-    Wanted,
-    believed,
     circuit,
     cost_rows,
-    drive,
     full_scale_car,
+    measure,
+    measure_ride,
+    motions,
     ride_row,
     rides,
-    show_tables,
-    times,
+    spans_s,
 )
-from automodel.cli.bench import command
 from automodel.config import CarConfig, ConfigError, PipelineConfig
 from automodel.curves import line
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.sim.trajectory import CircuitDrive
+from automodel.sim.truth import Truth
+from tests.support.command_line import Cli, cli
+
+__all__ = ["cli"]
 
 CAR = full_scale_car(PipelineConfig())
-TABLE = ["accuracy", "--table", "centerline-paper"]
+TABLE = ["bench", "accuracy", "--table", "centerline-paper"]
 ROAD = line(0.0, 0.0, 0.0, 1.0)
 
 
@@ -43,6 +44,14 @@ def estimate(t_ns: int, offset_m: float, heading_rad: float) -> LaneEstimate:
     edge = LaneLine(curve=ROAD, points_m=np.empty((0, 2)), seen=False)
     pose = LanePose(offset_m=offset_m, heading_rad=heading_rad, width_m=10.0, curvature_per_m=0.0, covariance=np.eye(3))
     return LaneEstimate(t_ns=t_ns, status=LaneStatus.TRACKING, left=edge, right=edge, centerline=ROAD, pose=pose)
+
+
+def truth(offset_m: float, heading_rad: float) -> Truth:
+    return Truth(offset_m=offset_m, heading_rad=heading_rad, width_m=10.0, curvature_per_m=0.0, s_m=0.0, lap=0)
+
+
+def no_tick(share: float) -> None:
+    """Nobody watches the progress."""
 
 
 class Believer:
@@ -90,7 +99,7 @@ def test_the_camera_is_the_papers() -> None:
 def test_rows_stand_beside_the_papers() -> None:
     meter = AccuracyMeter()
     for error in (0.1, -0.3):
-        true = TruePose(offset_m=1.0, heading_rad=0.2, width_m=10.0)
+        true = truth(1.0, 0.2)
         meter.add(0.0, estimate(0, 1.0 + error, 0.2 + math.radians(error)), true)
     meter.add(0.0, LaneEstimate(t_ns=0, status=LaneStatus.LOST), true)
     row = ride_row(("B", "racing", "wet"), ("windows", "encoder"), meter)
@@ -120,7 +129,7 @@ def test_costs_stand_side_by_side() -> None:
     for light, errors in (("dry", (0.1, 0.5)), ("wet", (0.2, 0.8))):
         for odometry, error in zip(("encoder", "command"), errors, strict=True):
             meter = AccuracyMeter()
-            meter.add(0.0, estimate(0, error, 0.0), TruePose(offset_m=0.0, heading_rad=0.0, width_m=10.0))
+            meter.add(0.0, estimate(0, error, 0.0), truth(0.0, 0.0))
             rows.append(ride_row(("A", "centred", light), ("windows", odometry), meter))
     dry, wet = cost_rows(rows)
     assert (dry["light"], wet["light"]) == ("dry", "wet")
@@ -133,7 +142,7 @@ def test_a_stretch_is_short_in_way_and_time() -> None:
     lane = circuit("circuit", 0).lane()
     for style in ("centred", "oscillating"):
         way = CircuitDrive(lane, style, 1.8)
-        spans = list(times(way, ride(style, 6)))
+        spans = list(spans_s(way, ride(style, 6)))
         assert len(spans) == 6
         for begin, end in spans:
             first, last = way.poses([begin, end])
@@ -141,16 +150,16 @@ def test_a_stretch_is_short_in_way_and_time() -> None:
             assert 5.0 < end - begin <= 10.0
             assert 40.0 < (s[1] - s[0]) % 1500.0 < 151.0
         assert max(end - begin for begin, end in spans) == pytest.approx(10.0, abs=0.2)
-    assert list(times(way, ride("oscillating", None))) == [(0.0, way.lap_s)]
+    assert list(spans_s(way, ride("oscillating", None))) == [(0.0, way.lap_s)]
 
 
 def test_what_the_car_believes_depends_on_its_odometry() -> None:
     way = CircuitDrive(circuit("circuit", 0).lane(), "racing", 1.8)
     t_s = way.time_at(1070.0) - 2.0 + np.arange(300) / 100.0  # braking for the tightest corner
-    told = {name: list(believed(way, CAR, name, 5, t_s)) for name in ("encoder", "command", "none")}
-    for motions in told.values():
-        assert [m.t_ns for m in motions] == [10_000_000 * k for k in range(300)]
-    sources = [motions[0].source for motions in told.values()]
+    told = {name: list(motions(way, CAR, name, 5, t_s)) for name in ("encoder", "command", "none")}
+    for moved in told.values():
+        assert [m.t_ns for m in moved] == [10_000_000 * k for k in range(300)]
+    sources = [moved[0].source for moved in told.values()]
     assert sources == [MotionSource.MEASURED, MotionSource.COMMAND, MotionSource.NONE]
     truly = np.array([p.speed_mps for p in way.poses(t_s - 0.005)])
     later = np.array([p.speed_mps for p in way.poses(t_s - 0.005 + 0.2)])
@@ -164,7 +173,7 @@ def test_what_the_car_believes_depends_on_its_odometry() -> None:
 @pytest.mark.usefixtures("short")
 def test_every_seer_sees_the_same_frames_and_the_run_in_is_not_counted() -> None:
     seers = (("believer", "encoder"), ("believer", "command"), ("believer", "none"))
-    meters = drive(CAR, seers, ride())
+    meters = measure_ride(CAR, seers, ride(), no_tick)
     assert [len(meter.t_s) for meter in meters] == [40, 40, 40]  # of 60
     first = Believer.made[0]
     assert first.resets == 2
@@ -176,53 +185,54 @@ def test_every_seer_sees_the_same_frames_and_the_run_in_is_not_counted() -> None
     assert meters[0].true == meters[1].true == meters[2].true
     assert meters[0].estimated != meters[1].estimated != meters[2].estimated
     assert np.diff(meters[0].t_s) == pytest.approx(np.full(39, 0.01))
-    again = drive(CAR, seers, ride())
+    again = measure_ride(CAR, seers, ride(), no_tick)
     assert [meter.estimated for meter in again] == [meter.estimated for meter in meters]
 
 
 @pytest.mark.usefixtures("short")
 def test_rain_is_driven_as_sun_is_and_looks_otherwise() -> None:
-    dry, wet = (drive(CAR, (("believer", "encoder"),), ride("centred", 1, light))[0] for light in ("dry", "wet"))
+    seers = (("believer", "encoder"),)
+    dry, wet = (measure_ride(CAR, seers, ride("centred", 1, light), no_tick)[0] for light in ("dry", "wet"))
     assert dry.true == wet.true
     pictures = [made.seen[0][0].image.astype(float) for made in Believer.made]
     assert pictures[0][188:].mean() > pictures[1][188:].mean() + 10.0
 
 
 @pytest.mark.usefixtures("short")
-def test_both_tables_as_json_and_the_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    wanted = Wanted(tracks=("A",), styles=("racing",), lights=("wet",), stretches=1)
-    seers = [("believer", "encoder"), ("believer", "command")]
-    show_tables(CarConfig(), seers, wanted, 1, tmp_path / "plot.png", True)
-    said = capsys.readouterr()
-    rows = json.loads(said.out)["rows"]
-    assert [row["table"] for row in rows] == ["rides", "rides", "odometry"]
-    assert len({tuple(row) for row in rows}) == 1
-    assert (rows[0]["track"], rows[0]["style"], rows[0]["light"], rows[0]["frames"]) == ("A", "racing", "wet", 20)
-    assert rows[2]["command_heading_mae_deg"] == rows[1]["heading_mae_deg"] != rows[0]["heading_mae_deg"]
-    assert "track A: circuit, 1500 m, 9.0 to 12.0 m wide" in said.err
-    assert "1 stretch a ride" in said.err
+def test_both_tables_and_the_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    choice = Choice(pipelines=("believer",), tracks=("circuit",), styles=("racing",))
+    circuits = CircuitChoice(lights=("wet",), odometries=("encoder", "command"), stretches=1)
+    tables = measure(CarConfig(), choice, circuits, 1, tmp_path / "plot.png")
+    encoder, command = tables["rides"]
+    assert (encoder["track"], encoder["style"], encoder["light"], encoder["frames"]) == ("A", "racing", "wet", 20)
+    (costs,) = tables["odometry"]
+    assert costs["command_heading_mae_deg"] == command["heading_mae_deg"] != encoder["heading_mae_deg"]
+    said = capsys.readouterr().err
+    assert "track A: circuit, 1500 m, 9.0 to 12.0 m wide" in said
+    assert "1 stretch a ride" in said
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
-    show_tables(CarConfig(), seers[:1], wanted, 1, None, False)
-    assert "paper_offset_mae_m" in capsys.readouterr().out
+    alone = CircuitChoice(lights=("wet",), stretches=1)
+    assert measure(CarConfig(), choice, alone, 1, None) == {"rides": [encoder], "odometry": []}
 
 
 def test_without_monza_its_rides_are_left_out_and_it_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("AUTOMODEL_DATA", str(tmp_path))
-    assert {ride.letter for ride in rides(Wanted())} == {"A"}
+    assert {ride.letter for ride in rides(Choice(), CircuitChoice())} == {"A"}
     assert capsys.readouterr().err.startswith("track B is left out: there is no racetracks/Monza.csv")
     with pytest.raises(ConfigError, match="no drive is left"):
-        rides(Wanted(tracks=("B",)))
+        rides(Choice(tracks=("B",)), CircuitChoice())
     (tmp_path / "racetracks").mkdir()
     (tmp_path / "racetracks" / "Monza.csv").write_text("")
     capsys.readouterr()
-    chosen = rides(Wanted(seed=4, stretches=None))
+    chosen = rides(Choice(seeds=range(4, 5)), CircuitChoice(stretches=None))
     assert capsys.readouterr().err == ""
     assert [(ride.letter, ride.style) for ride in chosen[::2]] == list(RIDES)
     assert [ride.light for ride in chosen] == ["dry", "wet"] * 6
     assert {(ride.seed, ride.stretches) for ride in chosen} == {(4, None)}
-    one = rides(Wanted(tracks=("B",), styles=("racing",), lights=("wet",), monza=Path("my.csv")))
+    circuits = CircuitChoice(lights=("wet",), monza=Path("my.csv"))
+    one = rides(Choice(tracks=("monza",), styles=("racing",)), circuits)
     assert [(ride.file, ride.style, ride.light) for ride in one] == [("my.csv", "racing", "wet")]
 
 
@@ -235,34 +245,33 @@ def test_without_monza_its_rides_are_left_out_and_it_is_said(
         ([*TABLE, "--seeds", "2"], "--table has its own drives: leave out --seeds"),
         ([*TABLE, "--full", "--stretches", "3"], "--full drives whole laps: leave out --stretches"),
         ([*TABLE, "--track", "tmr"], "--track tmr: this table has circuit and Monza"),
-        (["accuracy", "--full"], "--full is for --table centerline-paper alone"),
-        (["accuracy", "--table", "windows-paper", "--light", "dry"], "--light is for --table centerline-paper alone"),
+        (["bench", "accuracy", "--full"], "--full is for --table centerline-paper alone"),
+        (
+            ["bench", "accuracy", "--table", "windows-paper", "--light", "dry"],
+            "--light is for --table centerline-paper alone",
+        ),
     ],
 )
-def test_options_that_do_not_go_together(arguments: list[str], words: str) -> None:
-    said = CliRunner().invoke(command, arguments)
-    assert said.exit_code == 2
-    assert words in said.output
+def test_options_that_do_not_go_together(cli: Cli, arguments: list[str], words: str) -> None:
+    said = cli(*arguments)
+    assert said.code == 2
+    assert words in said.line()
 
 
 def test_a_track_for_toys_is_refused(tmp_path: Path) -> None:
     angle = np.arange(60) / 60 * math.tau
     path = tmp_path / "toy.csv"
     path.write_text("\n".join(f"{3 * math.cos(a):.6f},{3 * math.sin(a):.6f},0.2,0.2" for a in angle))
-    with pytest.raises(ConfigError, match=r"toy\.csv: 19 m long and 0\.4 m wide at its narrowest; a circuit"):
-        show_tables(CarConfig(), [("windows", "encoder")], Wanted(tracks=("B",), monza=path), 1, None, True)
+    with pytest.raises(ConfigError, match=r"toy\.csv: expected a circuit of .*; got 19 m, 0\.4 m wide"):
+        measure(CarConfig(), Choice(tracks=("B",)), CircuitChoice(monza=path), 1, None)
 
 
 @pytest.mark.slow
 @pytest.mark.realdata
-def test_a_real_pipeline_on_both_tracks(
-    data_root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_real_pipeline_on_both_tracks(data_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(centerline_paper, "STRETCH_S", 1.5)
-    monza = data_root / "racetracks" / "Monza.csv"
-    wanted = Wanted(styles=("centred",), lights=("dry",), monza=monza, stretches=2)
-    show_tables(CarConfig(), [("windows", "encoder")], wanted, 1, None, True)
-    rows = json.loads(capsys.readouterr().out)["rows"]
+    circuits = CircuitChoice(lights=("dry",), monza=data_root / "racetracks" / "Monza.csv", stretches=2)
+    rows = measure(CarConfig(), Choice(pipelines=("windows",), styles=("centred",)), circuits, 1, None)["rides"]
     assert [(row["track"], row["paper_heading_mae_deg"]) for row in rows] == [("A", 2.892), ("B", 1.642)]
     assert all(row["frames"] == 300 for row in rows)
     assert all(row["availability_pct"] > 50.0 for row in rows)

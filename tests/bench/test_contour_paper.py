@@ -1,4 +1,4 @@
-"""The claim of seed 004: what is told of the speed, what counts as a loss, whose iterations are counted."""
+"""`bench contour-paper`: reported speeds, what counts as a loss, which iterations are counted."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from automodel.bench.accuracy import TruePose
-from automodel.bench.contour_paper import TELLINGS, ClaimMeter
+from automodel.bench.contour_paper import SPEEDS, ClaimMeter
 from automodel.curves import line
 from automodel.signals import LaneEstimate, LanePose, LaneStatus, Motion, MotionSource
+from automodel.sim.truth import Truth
 
-TRUTH = TruePose(offset_m=0.02, heading_rad=0.1, width_m=0.4)
+TRUTH = Truth(offset_m=0.02, heading_rad=0.1, width_m=0.4, curvature_per_m=0.0, s_m=0.0, lap=0)
 LOST = LaneEstimate(t_ns=0, status=LaneStatus.LOST)
 
 
@@ -30,15 +30,15 @@ def metered(*frames: tuple[LaneEstimate, bool], counts: bool = True) -> ClaimMet
     return meter
 
 
-@pytest.mark.parametrize(("telling", "speed_mps"), [("told", 2.0), ("+20 %", 2.4), ("-20 %", 1.6)])
-def test_a_wrong_speed_leaves_the_yaw_rate(telling: str, speed_mps: float) -> None:
-    said = TELLINGS[telling](Motion(t_ns=7, speed_mps=2.0, yaw_rate_radps=0.5))
+@pytest.mark.parametrize(("speed", "speed_mps"), [("told", 2.0), ("+20 %", 2.4), ("-20 %", 1.6)])
+def test_a_wrong_speed_leaves_the_yaw_rate(speed: str, speed_mps: float) -> None:
+    said = SPEEDS[speed](Motion(t_ns=7, speed_mps=2.0, yaw_rate_radps=0.5))
     assert (said.t_ns, said.yaw_rate_radps, said.source) == (7, 0.5, MotionSource.MEASURED)
     assert said.speed_mps == pytest.approx(speed_mps)
 
 
 def test_without_the_speed_nothing_is_known() -> None:
-    said = TELLINGS["none"](Motion(t_ns=7, speed_mps=2.0, yaw_rate_radps=0.5))
+    said = SPEEDS["none"](Motion(t_ns=7, speed_mps=2.0, yaw_rate_radps=0.5))
     assert (said.t_ns, said.known, said.speed_mps, said.yaw_rate_radps) == (7, False, 0.0, 0.0)
 
 

@@ -1,32 +1,30 @@
-"""The tables of seed 003: residuals, crossings and rates that were put in come out; where a zebra truly is."""
+"""The tables of `windows` on constructed residuals, crossings and durations; where a zebra truly is."""
 
 from __future__ import annotations
 
-import json
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from automodel.bench.accuracy import Case
 from automodel.bench.windows_paper import (
-    Across,
-    PaintAcross,
+    LaneCrossings,
+    TrueCrossing,
     WindowsPaperMeter,
-    drive,
+    measure_case,
     residuals_px,
     section_of,
-    show_tables,
 )
-from automodel.cli.bench import command
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve, line
 from automodel.geometry import View
 from automodel.signals import Crossing, LaneEstimate, LaneLine, LaneStatus
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import DrivenPose
+from tests.support.command_line import Cli, cli
+
+__all__ = ["cli"]
 
 X = np.array([0.5, 0.6, 0.7, 0.8])
 PARABOLA = np.array([0.2, -0.3, 0.4])
@@ -47,8 +45,8 @@ def estimate(left: LaneLine | None, right: LaneLine | None) -> LaneEstimate:
     return LaneEstimate(t_ns=0, status=LaneStatus.TRACKING, left=left, right=right)
 
 
-def zebra(distance_m: float, name: str = "a", angle_rad: float = 0.5 * math.pi, edge: bool = True) -> Across:
-    return Across(name=name, distance_m=distance_m, angle_rad=angle_rad, edge_in_view=edge)
+def zebra(distance_m: float, name: str = "a", angle_rad: float = 0.5 * math.pi, edge: bool = True) -> TrueCrossing:
+    return TrueCrossing(name=name, distance_m=distance_m, angle_rad=angle_rad, edge_in_view=edge)
 
 
 def crossing(distance_m: float, angle_rad: float = 0.5 * math.pi) -> Crossing:
@@ -126,9 +124,8 @@ def test_a_crossing_where_none_is_is_false_but_not_over_a_zebra() -> None:
 def test_rates_and_drives_together() -> None:
     first, second = meter(), meter()
     for ms in (10, 20, 50):
-        first.add_duration("lane detection", ms * 1_000_000)
-    second.add_duration("lane detection", 25_000_000)
-    second.add_duration("crossing detection", 5_000_000)
+        first.add_durations({"total": ms * 1_000_000, "view": 3})
+    second.add_durations({"total": 25_000_000, "view": 3_000_000, "crossing": 2_000_000, "lines": 9_000_000})
     second.add_crossing(crossing(0.5), [zebra(0.5, "b")])
     second.add_lines("straight", estimate(None, lane_line([1.0, 1.0, 1.0, 1.0])))
     second.add_crossing(crossing(0.5), [])
@@ -148,7 +145,7 @@ def test_every_arm_of_a_crossing_has_its_zebra(direction: str) -> None:
     """By tmr's drawing: 0.4 m half a road, 0.05 m clear, bars of 0.2 m, on either side of every pass."""
     track = load_track("tmr")
     lane = track.lane(direction)
-    spans = PaintAcross(direction, lane, track.paint()).spans_m
+    spans = LaneCrossings(direction, lane, track.paint()).spans_m
     assert len(spans) == 8
     assert [end - begin for begin, end in spans] == pytest.approx([0.2] * 8, abs=1e-6)
     middles = {(5.18, 3.08), (6.78, 3.08)}
@@ -161,11 +158,11 @@ def test_every_arm_of_a_crossing_has_its_zebra(direction: str) -> None:
 def test_a_zebra_is_seen_from_the_car() -> None:
     """On x = 5.18 south: the lane's middle is x = 4.98, the near zebra reaches from y = 3.73 to 3.53."""
     track = load_track("tmr")
-    paint = PaintAcross("south", track.forward, track.paint())
+    paint = LaneCrossings("south", track.forward, track.paint())
     view = View(x_near_m=0.3, x_far_m=1.2, half_width_m=0.6, m_per_px=0.006)
     turned = math.radians(5.0)
 
-    def look(y_m: float) -> list[Across]:
+    def look(y_m: float) -> list[TrueCrossing]:
         s_m, _ = track.forward.centerline.project((4.98, y_m))
         pose = DrivenPose(x_m=4.98, y_m=y_m, yaw_rad=-0.5 * math.pi + turned, speed_mps=1.0, yaw_rate_radps=0.0)
         return paint.in_view(pose, s_m, view)
@@ -184,24 +181,26 @@ def test_a_zebra_is_seen_from_the_car() -> None:
 
 
 @pytest.mark.parametrize("extra", [("--track", "oval"), ("--plot", "x.png"), ("--direction", "reverse")])
-def test_what_would_choose_other_drives_is_refused(extra: tuple[str, str]) -> None:
-    said = CliRunner().invoke(command, ["accuracy", "--table", "windows-paper", *extra])
-    assert said.exit_code == 2
-    assert f"leave out {extra[0]}" in said.output
+def test_what_would_choose_other_drives_is_refused(cli: Cli, extra: tuple[str, str]) -> None:
+    said = cli("bench", "accuracy", "--table", "windows-paper", *extra)
+    assert said.code == 2
+    assert f"leave out {extra[0]}" in said.line()
 
 
 @pytest.mark.slow
-def test_a_short_drive_fills_the_tables(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_short_drive_fills_the_tables() -> None:
     case = Case(pipeline="windows", track="tmr", style="centred", seed=0)
-    told = drive(CarConfig(), case, frames=200)
-    rows: list[dict[str, Any]] = told.line_rows()
-    assert any(row["frames"] for row in rows if row["section"] == "curve A")
+    told = measure_case(CarConfig(), case, lambda share: None, frames=200)
+    rows = told.line_rows()
+    assert sum(row["frames"] for row in rows if row["section"] == "curve A") > 0
     assert all(0.0 < row["mae_px"] <= row["rmse_px"] < 3.0 for row in rows if row["frames"])
-    rates: list[dict[str, Any]] = told.rate_rows()
-    assert all(row["median_hz"] > 0 for row in rates)
-    show_tables(CarConfig(), [Case(pipeline="windows", track="tmr", style="centred", seed=0, speed_mps=8.0)], 1, True)
-    said = capsys.readouterr()
-    shown = json.loads(said.out)["rows"]
-    assert [row["table"] for row in shown] == ["lines"] * 6 + ["crossing"] + ["rates"] * 2
-    assert len({tuple(row) for row in shown}) == 1
+    assert all(row["median_hz"] > 0 for row in told.rate_rows())
+
+
+@pytest.mark.slow
+def test_the_tables_as_json(cli: Cli) -> None:
+    said = cli("bench", "accuracy", "--table", "windows-paper", "--speed", "8", "--jobs", "1", "--json")
+    assert said.code == 0
+    assert [row["table"] for row in said.rows] == ["lines"] * 6 + ["crossing"] + ["rates"] * 2
+    assert len({tuple(row) for row in said.rows}) == 1
     assert said.err.count("\n") == 1

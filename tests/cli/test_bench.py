@@ -7,10 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-import click
 import pytest
-
-from automodel.console.workers import spread
 
 ACCURACY_KEYS = [
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
@@ -46,18 +43,6 @@ def test_speed_has_its_keys(cli) -> None:
     assert all(list(row) == SPEED_KEYS for row in said.rows)
     assert said.rows[0]["stage"] == "total"
     assert all(0 <= row["p50_ms"] <= row["p99_ms"] for row in said.rows)
-
-
-def test_work_comes_back_in_order_and_errors_come_through() -> None:
-    assert list(spread(abs, [-3, 1, -2], 2)) == [3, 1, 2]
-    with pytest.raises(ValueError, match=r"math domain error|expected a nonnegative input"):
-        list(spread(__import__("math").sqrt, [1.0, -1.0], 2))
-
-
-def test_a_worker_that_dies_is_one_line() -> None:
-    with pytest.raises(click.ClickException, match="a worker process died") as caught:
-        list(spread(os._exit, [3, 3], 2))
-    assert caught.value.exit_code == 1
 
 
 @pytest.mark.slow

@@ -138,7 +138,7 @@ def test_pictures_that_tell_nothing_get_a_usual_camera(tmp_path: Path, cli) -> N
     (tmp_path / "label_data.json").write_text(json.dumps(label))
     said = cli("bench", "tusimple", "--root", tmp_path, "--pipeline", "contour", "--json")
     assert said.code == 0
-    assert "a usual one, as the pictures tell nothing" in said.line()
+    assert "a usual one, as it was not found in the images" in said.line()
     assert said.rows[0]["found"] == 0
     assert said.rows[0]["centre_median_pct"] is None
 
@@ -170,11 +170,11 @@ def broken(folder: Path, what: str) -> None:
     [
         ("no labels", "there is no label_data.json in it"),
         ("cut line", "label_data.json:2: not JSON"),
-        ("missing picture", "b.png: there is no such picture under"),
-        ("outside", "a.png/b.png: there is no such picture under"),
+        ("missing picture", "b.png: there is no such image under"),
+        ("outside", "a.png/b.png: there is no such image under"),
         ("unequal rows", f"lane 1 has {len(ROWS)} points for {len(ROWS) - 1} h_samples"),
         ("no picture", "a.png: not a picture"),
-        ("other size", "b.png: 200x100 pixels; the camera has 512x288"),
+        ("other size", "b.png: expected 512x288 pixels, as the camera has, got 200x100"),
     ],
 )
 def test_bad_folders_get_one_line(what: str, wanted: str, tmp_path: Path, cli) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from automodel.bench.accuracy import AccuracyMeter, TruePose
+from automodel.bench.accuracy import AccuracyMeter
 from automodel.config import CarConfig
 from automodel.signals import LaneStatus
 from automodel.sim.track_files import load_track
@@ -22,13 +22,11 @@ TIGHT = line(3.0) + clothoid(0.0, 1.0, 0.4) + arc(1.0, 2.2) + line(3.0)
 
 
 def meter(seen: list[Seen]) -> dict[str, float | None]:
-    """The figures of `bench accuracy`."""
-    figures = AccuracyMeter()
+    """The metrics of `bench accuracy`."""
+    metrics = AccuracyMeter()
     for one in seen:
-        truth = one.truth
-        pose = TruePose(offset_m=truth.offset_m, heading_rad=truth.heading_rad, width_m=truth.width_m)
-        figures.add(one.frame.t_ns * 1e-9, one.estimate, pose)
-    return figures.row()
+        metrics.add(one.frame.t_ns * 1e-9, one.estimate, one.truth)
+    return metrics.row()
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -1,19 +1,83 @@
-"""A fault: what goes wrong, for how long, and what the car must make of it."""
+"""A fault: what goes wrong, where it is built into a run, for how long, and what the car must do."""
 
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
 
-from automodel.bench.faults.hooks import Hooks
+from automodel.signals import BoardSensors, Frame, LaneEstimate
 
-BOUND_S = 0.150  # from a fault's begin to neutral throttle at the motor's pin (DESIGN, section 7)
+BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's pin
+
+CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
+LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
+WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
+PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
+SensorHook = Callable[[BoardSensors], BoardSensors]
+
+
+class Moment(enum.Enum):
+    """What happens at one time."""
+
+    UNPLUG = "the cable is unplugged"
+    REPLUG = "the cable is plugged in again"
+    OTHER_FIRMWARE = "the board restarts with another program"
+    BROWN_OUT = "the board's supply dips"
+    HANG = "the board's program hangs"
+    RESTART = "the board is reset"
+    STOP_REQUEST = "the program is asked to stop, as by SIGINT or SIGTERM"
+    WALL_CLOCK_BACK = "the wall clock is set back by an hour"
+
+
+class At(enum.Enum):
+    """Where in a turn of the loop a stall happens."""
+
+    CAMERA = "camera"
+    PIPELINE = "pipeline"
+    AFTER = "after the command, where the garbage collector runs"
+
+
+class Disk(enum.Enum):
+    """What is wrong with the recording."""
+
+    FULL = "no space left"
+    SLOW = "writes nothing before the run is over"
+    RAISES = "the recorder raises an error"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stall:
+    """A turn takes `seconds` longer: once, or `again` and again."""
+
+    at: At
+    seconds: float
+    again: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hooks:
+    """A fault as it is built into one run; None or empty where a part works.
+
+    Hooks are called from the fault's start to its end only. `to_board` gets what the host writes at once (a frame),
+    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start.
+    """
+
+    camera: CameraHook | None = None
+    lane: LaneHook | None = None
+    stall: Stall | None = None
+    to_board: WireHook | None = None
+    from_board: WireHook | None = None
+    pulses: PulseHook | None = None
+    sensors: SensorHook | None = None
+    servo_stuck: bool = False
+    disk: Disk | None = None
+    moments: tuple[tuple[float, Moment], ...] = ()
 
 
 class Kind(enum.Enum):
-    """How a part fails; every part may fail in each of these ways."""
+    """How a part fails."""
 
     OFF = "off"
     STUCK = "stuck"
@@ -28,26 +92,25 @@ class Kind(enum.Enum):
 class Must(enum.Enum):
     """What the car must do."""
 
-    STOP = "stop"  # neutral within the bound, then straight, and so until a person arms it again
-    HOLD = "hold"  # neutral within the bound where the fault lasts longer than that; on by itself when it is over
-    NOTHING = "nothing"  # drive on, as if nothing had been
+    STOP = "stop"  # neutral within the bound, then straight, until a person arms it again
+    HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
+    NOTHING = "nothing"  # drive on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
     """One row of the catalogue.
 
-    `lasting_s` is the range that the fault's length is drawn from; (0, 0) for what happens at one moment. `ends` is
-    False where nothing but other hardware helps. After the end the input takes up to `recovery_s` to be well again: a
-    pipeline finds its lane, a board restarts, a port is opened. `heard` is False where the host's own input stays well:
-    a board that is not reached says so only by disarming itself, and whoever asks to arm is not refused.
+    `duration_s` is the range that the fault's duration is drawn from; (0, 0) for what happens at one moment. `ends` is
+    False where only other hardware helps. After the end the input needs up to `recovery_s` to work again: a pipeline
+    finds its lane, a board restarts, a port is opened. `host_notices` is False where the host's own input stays well:
+    a board that gets no commands shows it only by disarming itself, and a request to arm is not refused.
 
-    `told` is the kind of an event that a person must see. `the_same`: the pulses at the pins must be those of a run
-    without the fault, to the last one. `when_shown`: the bound counts from when the car's motion shows the fault; while
-    it does not, anything goes.
+    `event` is the kind of an event that the run must report. `same_pulses`: the pulses at the pins must be exactly
+    those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
+    before that the car may do anything.
 
-    `hooks` makes the faulty parts for a fault that ends at `end_ns`; whatever is random in them comes from the
-    generator.
+    `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
 
     name: str
@@ -55,11 +118,11 @@ class Fault:
     must: Must
     text: str
     hooks: Callable[[Random, int], Hooks]
-    lasting_s: tuple[float, float] = (0.0, 0.0)
+    duration_s: tuple[float, float] = (0.0, 0.0)
     within_s: float = BOUND_S
     ends: bool = True
     recovery_s: float = 0.4
-    heard: bool = True
-    told: str | None = None
-    the_same: bool = False
-    when_shown: bool = False
+    host_notices: bool = True
+    event: str | None = None
+    same_pulses: bool = False
+    timed_from_motion: bool = False

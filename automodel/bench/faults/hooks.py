@@ -1,74 +1,306 @@
-"""The places at which a fault takes hold of a run."""
+"""What can go wrong: hooks that take a right frame, estimate, reading or lot of bytes and give a wrong one."""
 
 from __future__ import annotations
 
-import enum
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Callable
+from random import Random
+from typing import Any, TypeVar
 
-from automodel.signals import BoardSensors, Frame, LaneEstimate
+import numpy as np
 
-CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
-LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
-WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
-PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
-SensorHook = Callable[[BoardSensors], BoardSensors]
+from automodel.bench.faults.fault import CameraHook, LaneHook, SensorHook, WireHook
+from automodel.curves import Curve, TabulatedCurve, line
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LanePose, LaneStatus
+from automodel.sources.errors import SourceError
+from automodel.types import Image
 
-
-class Moment(enum.Enum):
-    """What happens at one time."""
-
-    UNPLUG = "the cable is taken out"
-    REPLUG = "the cable is put in again"
-    OTHER_FIRMWARE = "the board starts again with another program"
-    BROWN_OUT = "the board's supply dips"
-    HANG = "the board's program hangs"
-    RESTART = "the board is reset"
-    STOP_REQUEST = "the program is asked to stop, as by SIGINT or SIGTERM"
-    WALL_CLOCK_BACK = "the wall clock is set back by an hour"
+Spoil = Callable[[Frame], Frame | None]
+Arrivals = tuple[tuple[int, bytes], ...]  # when [ns] which bytes arrive
+Value = TypeVar("Value")
+Spoilt = TypeVar("Spoilt")
 
 
-class At(enum.Enum):
-    """Who takes his time."""
+def at_once(spoil: Spoil) -> CameraHook:
+    """Frames are spoilt, and delivered when they are due."""
 
-    CAMERA = "camera"
-    PIPELINE = "pipeline"
-    AFTER = "after the command, where the collector runs"
+    def hook(frame: Frame) -> tuple[int, Frame] | None:
+        spoilt = spoil(frame)
+        return None if spoilt is None else (0, spoilt)
 
-
-class Disk(enum.Enum):
-    """What is wrong with the recording."""
-
-    FULL = "no space left"
-    SLOW = "writes nothing before the run is over"
-    RAISES = "the recorder raises an error"
+    return hook
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stall:
-    """Somebody takes `seconds` longer: once, or `again` at each turn."""
+def for_first(count: int, spoil: Callable[[Value], Spoilt]) -> Callable[[Value], Spoilt | Value]:
+    """Spoil the first `count` only."""
+    seen = 0
 
-    at: At
-    seconds: float
-    again: bool = False
+    def hook(value: Value) -> Spoilt | Value:
+        nonlocal seen
+        seen += 1
+        return spoil(value) if seen <= count else value
+
+    return hook
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Hooks:
-    """A fault as it is built into one run; None and empty where a part works.
+def in_bursts(count: int, between: int, spoil: Spoil) -> Spoil:
+    """Spoil `count` frames in a row, then leave `between`, and so on."""
+    seen = 0
 
-    Hooks are called from the fault's begin to its end only; `to_board` and `from_board` get what the host writes in one
-    go (a frame), and what the board has sent since it was read last. `moments` are seconds after the begin.
-    `servo_stuck` keeps the servo where it is.
-    """
+    def hook(frame: Frame) -> Frame | None:
+        nonlocal seen
+        seen += 1
+        return spoil(frame) if (seen - 1) % (count + between) < count else frame
 
-    camera: CameraHook | None = None
-    lane: LaneHook | None = None
-    stall: Stall | None = None
-    to_board: WireHook | None = None
-    from_board: WireHook | None = None
-    pulses: PulseHook | None = None
-    sensors: SensorHook | None = None
-    servo_stuck: bool = False
-    disk: Disk | None = None
-    moments: tuple[tuple[float, Moment], ...] = ()
+    return hook
+
+
+def drop(frame: Frame) -> None:
+    """No frame."""
+
+
+def gone(frame: Frame) -> Frame | None:
+    """The driver's error."""
+    raise SourceError("camera: gone; is it plugged in?")
+
+
+class Frozen:
+    """The first image again and again, with new times."""
+
+    def __init__(self) -> None:
+        self._image: Image | None = None
+
+    def __call__(self, frame: Frame) -> Frame:
+        """The frame with the first one's image."""
+        if self._image is None:
+            self._image = frame.image
+        return Frame(t_ns=frame.t_ns, index=frame.index, image=self._image)
+
+
+def blank(level: float, noise: float, random: Random) -> Spoil:
+    """An image of one grey level with sensor noise."""
+    generator = np.random.default_rng(random.getrandbits(32))
+
+    def spoil(frame: Frame) -> Frame:
+        noisy = level + noise * generator.standard_normal(frame.image.shape)
+        return _with(frame, np.clip(noisy, 0, 255).astype(np.uint8))
+
+    return spoil
+
+
+def resized(random: Random) -> Spoil:
+    """Part of the image's rows and columns, as if the camera was set to another size."""
+    rows, columns = random.choice(((1, 2), (2, 1), (2, 2), (3, 3)))
+    return lambda frame: _with(frame, np.ascontiguousarray(frame.image[::rows, ::columns]))
+
+
+def of_another_type(frame: Frame) -> Frame:
+    """Sixteen bits a pixel, which `Frame` refuses."""
+    return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image.astype(np.uint16))
+
+
+def shifted_in_time(by_ns: int) -> Spoil:
+    """The same image with another time."""
+    return lambda frame: Frame(t_ns=frame.t_ns + by_ns, index=frame.index, image=frame.image)
+
+
+def late(draw_ns: Callable[[], int]) -> CameraHook:
+    """Every frame has the right time, but is delivered so much later."""
+    return lambda frame: (frame.t_ns + draw_ns(), frame)
+
+
+def _with(frame: Frame, image: Image) -> Frame:
+    return Frame(t_ns=frame.t_ns, index=frame.index, image=image)
+
+
+def raising(estimate: LaneEstimate) -> LaneEstimate:
+    """An exception."""
+    raise RuntimeError("the pipeline has failed")
+
+
+def lost(estimate: LaneEstimate) -> LaneEstimate:
+    """No lane."""
+    return LaneEstimate(t_ns=estimate.t_ns, status=LaneStatus.LOST)
+
+
+def coasting(estimate: LaneEstimate) -> LaneEstimate:
+    """No line seen; the lane is predicted by the car's motion."""
+    return dataclasses.replace(estimate, status=LaneStatus.COASTING) if estimate.valid else estimate
+
+
+def with_pose(**changes: Any) -> LaneHook:
+    """Other values in fields of the pose."""
+
+    def hook(estimate: LaneEstimate) -> LaneEstimate:
+        if estimate.pose is None:
+            return estimate
+        return dataclasses.replace(estimate, pose=dataclasses.replace(estimate.pose, **changes))
+
+    return hook
+
+
+def without_pose(estimate: LaneEstimate) -> LaneEstimate:
+    """A valid estimate without a pose."""
+    return dataclasses.replace(estimate, pose=None)
+
+
+def decoy(lateral_m: float) -> LaneHook:
+    """Another line is taken for the lane's: all of the lane lies `lateral_m` to the left."""
+
+    def hook(estimate: LaneEstimate) -> LaneEstimate:
+        pose, centerline = estimate.pose, estimate.centerline
+        if pose is None or centerline is None:
+            return estimate
+        wrong = dataclasses.replace(pose, offset_m=pose.offset_m - lateral_m)
+        return dataclasses.replace(estimate, pose=wrong, centerline=_shifted(centerline, lateral_m))
+
+    return hook
+
+
+def crossing(turn_rad: float) -> LaneHook:
+    """A line across the road is taken for the lane's: the lane turns by `turn_rad` to the left at the car."""
+
+    def hook(estimate: LaneEstimate) -> LaneEstimate:
+        if estimate.pose is None:
+            return estimate
+        pose = LanePose(
+            offset_m=estimate.pose.offset_m,
+            heading_rad=-turn_rad,
+            width_m=estimate.pose.width_m,
+            curvature_per_m=0.0,
+            covariance=estimate.pose.covariance,
+        )
+        return dataclasses.replace(estimate, pose=pose, centerline=line(0.0, 0.0, turn_rad, 1.4))
+
+    return hook
+
+
+def _shifted(curve: Curve, lateral_m: float) -> TabulatedCurve:
+    s = np.linspace(0.0, curve.length_m, 31)
+    return TabulatedCurve(s, curve.offset_position(s, lateral_m), curve.heading(s), curve.curvature(s))
+
+
+def battery(voltage_v: float) -> SensorHook:
+    """A battery of this voltage."""
+    return lambda sensors: dataclasses.replace(sensors, battery_v=voltage_v)
+
+
+def dropouts(random: Random, share: float) -> SensorHook:
+    """Each range is missing in this share of the readings."""
+
+    def hook(sensors: BoardSensors) -> BoardSensors:
+        left, centre, right = (None if random.random() < share else range_m for range_m in sensors.ranges_m)
+        return dataclasses.replace(sensors, ranges_m=(left, centre, right))
+
+    return hook
+
+
+def spikes(random: Random, every: int) -> SensorHook:
+    """A false short echo, once in `every` readings."""
+    seen = random.randrange(every)
+
+    def hook(sensors: BoardSensors) -> BoardSensors:
+        nonlocal seen
+        seen += 1
+        if seen % every:
+            return sensors
+        return dataclasses.replace(sensors, ranges_m=(0.1, random.uniform(0.02, 0.3), 0.1))
+
+    return hook
+
+
+def stuck_echo(range_m: float) -> SensorHook:
+    """All three sensors read the same, whatever is ahead."""
+    return lambda sensors: dataclasses.replace(sensors, ranges_m=(range_m, range_m, range_m))
+
+
+def silent(data: bytes, t_ns: int) -> Arrivals:
+    """Nothing arrives."""
+    return ()
+
+
+def held_back(until_ns: int) -> WireHook:
+    """Nothing arrives before `until_ns`, then everything at once."""
+    return lambda data, t_ns: ((until_ns, data),)
+
+
+def delayed(by_ns: int) -> WireHook:
+    """Everything arrives so much later."""
+    return lambda data, t_ns: ((t_ns + by_ns, data),)
+
+
+def falling_behind(from_ns: int, rate: float) -> WireHook:
+    """Everything arrives later and later: by `rate` seconds for each second since `from_ns`."""
+    return lambda data, t_ns: ((t_ns + round(rate * (t_ns - from_ns)), data),)
+
+
+def noise_before(random: Random, at_most: int) -> WireHook:
+    """Up to `at_most` random bytes before what was sent."""
+    return lambda data, t_ns: ((t_ns, random.randbytes(random.randint(1, at_most)) + data),)
+
+
+def random_bytes(random: Random) -> WireHook:
+    """Random bytes, as many as were sent."""
+    return lambda data, t_ns: ((t_ns, random.randbytes(len(data))),)
+
+
+def cut(random: Random) -> WireHook:
+    """Only the start of what was sent."""
+    return lambda data, t_ns: ((t_ns, data[: random.randint(1, max(len(data) - 2, 1))]),)
+
+
+def doubled(data: bytes, t_ns: int) -> Arrivals:
+    """Everything arrives twice."""
+    return ((t_ns, data + data),)
+
+
+class Swapped:
+    """Every other lot of bytes arrives after the one that was sent after it."""
+
+    def __init__(self) -> None:
+        self._held: bytes | None = None
+
+    def __call__(self, data: bytes, t_ns: int) -> Arrivals:
+        """Nothing, or this lot and the one held before it."""
+        held, self._held = self._held, None
+        if held is not None:
+            return ((t_ns, data + held),)
+        self._held = data
+        return ()
+
+
+def corrupt(random: Random) -> WireHook:
+    """One to five wrong bits in every lot of bytes."""
+
+    def hook(data: bytes, t_ns: int) -> Arrivals:
+        spoilt = bytearray(data)
+        for bit in random.sample(range(8 * len(data)), min(random.randint(1, 5), 8 * len(data))):
+            spoilt[bit // 8] ^= 1 << bit % 8
+        return ((t_ns, bytes(spoilt)),)
+
+    return hook
+
+
+def once(spoil: WireHook) -> WireHook:
+    """Spoil the first lot of bytes only."""
+    done = False
+
+    def hook(data: bytes, t_ns: int) -> Arrivals:
+        nonlocal done
+        if done or not data:
+            return ((t_ns, data),)
+        done = True
+        return tuple(spoil(data, t_ns))
+
+    return hook
+
+
+def one_byte(random: Random) -> WireHook:
+    """One wrong byte in the first lot."""
+
+    def spoil(data: bytes, t_ns: int) -> Arrivals:
+        place = random.randrange(len(data))
+        other = (data[place] + random.randint(1, 255)) & 0xFF
+        return ((t_ns, data[:place] + bytes((other,)) + data[place + 1 :]),)
+
+    return once(spoil)

@@ -1,27 +1,100 @@
-"""Whether a car did what it must: not too late, not too early, and not again without a person."""
+"""When what happens in a run, by its seed; and whether the car did what it must: in time, and only then."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from random import Random
 
 from automodel.bench.faults.fault import Fault, Must
-from automodel.bench.faults.plan import Plan
 from automodel.signals import Event
 
-GO_ON_S = 0.3  # a car that may drive on must be driving so long after the fault
-STRAIGHT_S = 0.5  # after its neutral a car that is stopped for good has straight wheels
+RENDERED_NS = 1_500_000_000  # from here on the camera sees the road, and the pipeline gets the frames
+PIPELINE_NS = 1_800_000_000  # and from here on its estimates drive the car
+START_NS = (1_900_000_000, 2_300_000_000)  # the fault starts between these; the car drives steadily
+REARM_S = 0.5
+_QUIET_S = 0.25  # the car is watched so long after the time at which arming would work
+GO_ON_S = 0.3  # so long after the fault a car that may drive on must be driving
+STRAIGHT_S = 0.5  # so long after neutral a car that is stopped must have straight wheels
 
 Pin = tuple[int, float, float]  # from when, servo pulse [us], motor pulse [us]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """One run; times on the run's own clock.
+
+    `press_ns` is when a person asks to arm, None for never; `drives_again` whether the car must then drive. The run
+    ends at `until_ns`. It starts at the share `place` (0 .. 1) of the lane's length, `offset_m` beside its middle;
+    `look` chooses light and floor.
+    """
+
+    seed: str
+    start_ns: int
+    end_ns: int
+    until_ns: int
+    press_ns: int | None
+    drives_again: bool
+    place: float
+    offset_m: float
+    speed_mps: float
+    look: int
+
+    def hooks_random(self) -> Random:
+        """The generator for what is random in the fault itself."""
+        return Random(f"{self.seed}/hooks")
+
+
+def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
+    """The plan of the fault's run number `index`; the same arguments give the same plan."""
+    name = f"{seed}/{fault.name}/{index}"
+    random = Random(name)
+    start_ns = random.randint(*START_NS)
+    end_ns = start_ns + round(random.uniform(*fault.duration_s) * 1e9)
+    press_ns, drives_again, until_ns = _afterwards(fault, random, start_ns, end_ns)
+    return Plan(
+        seed=name,
+        start_ns=start_ns,
+        end_ns=end_ns,
+        until_ns=until_ns,
+        press_ns=press_ns,
+        drives_again=drives_again,
+        place=random.random(),
+        offset_m=random.uniform(-0.02, 0.02),
+        speed_mps=random.uniform(0.7, 1.3),
+        look=random.randrange(looks),
+    )
+
+
+def _afterwards(fault: Fault, random: Random, start_ns: int, end_ns: int) -> tuple[int | None, bool, int]:
+    """When a person asks to arm, whether the car must then drive, and when the run ends.
+
+    After a stop either nobody touches the car; or a person asks too early, which must be refused and forgotten; or in
+    time, which must work.
+    """
+    healthy_ns = end_ns + round((fault.recovery_s + REARM_S) * 1e9)
+    quiet_ns = healthy_ns + round(_QUIET_S * 1e9)
+    how = random.choice(("nobody", "early", "in time") if fault.host_notices else ("nobody", "in time"))
+    early_ns = round(random.uniform(start_ns + 0.2e9, end_ns + (REARM_S - 0.05) * 1e9))
+    if fault.must is not Must.STOP:
+        return None, False, end_ns + round(0.35e9)
+    if not fault.ends:
+        return (None if fault.timed_from_motion else early_ns), False, max(start_ns + round(1.2e9), end_ns)
+    if how == "nobody":
+        return None, False, quiet_ns
+    if how == "early":
+        return early_ns, False, quiet_ns
+    press_ns = healthy_ns + round(0.05e9)
+    return press_ns, True, press_ns + round(0.35e9)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observed:
-    """What was seen of one run: the pulses at the pins in their order, the run's events, and the car.
+    """One run as it was observed: the pulses at the pins in their order, the run's events, and the car.
 
-    `outside` tells whether the car's body left its lane after the fault's begin, `shown_ns` when the car's motion began
-    to show the fault (None: it does not), `error` an exception that came out of the run. `neutral_us` and `straight_us`
-    are the motor's and the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest.
+    `outside`: the car's body left its lane after the fault's start. `shown_ns` is when the car's motion began to show
+    the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
+    the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest.
     """
 
     pins: Sequence[Pin]
@@ -36,36 +109,36 @@ class Observed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What was wrong with a run, empty where nothing was; and the time from the fault to neutral [s], None without."""
+    """What the car did wrong in a run; and the time from the fault to neutral [s], None where it never was."""
 
     violations: tuple[str, ...]
     reaction_s: float | None
 
 
 def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = None) -> Verdict:
-    """The verdict on a run; `without` is the same run without the fault, for faults that must change nothing."""
+    """The verdict on a run; `without` is the same run without the fault, for `same_pulses`."""
     if seen.error is not None:
         return Verdict(violations=(f"the run ended by {seen.error}",), reaction_s=None)
-    begin_ns = plan.begin_ns
-    if fault.when_shown:
+    start_ns = plan.start_ns
+    if fault.timed_from_motion:
         if seen.shown_ns is None:
             return Verdict(violations=(), reaction_s=None)
-        begin_ns = seen.shown_ns
-    if not _drives_at(seen, plan.begin_ns):
-        return Verdict(violations=("the car did not drive when the fault began",), reaction_s=None)
+        start_ns = seen.shown_ns
+    if not _drives_at(seen, plan.start_ns):
+        return Verdict(violations=("the car did not drive when the fault started",), reaction_s=None)
     neutral_ns = next(
-        (t for t, _, motor in seen.pins if begin_ns <= t <= plan.until_ns and motor == seen.neutral_us), None
+        (t for t, _, motor in seen.pins if start_ns <= t <= plan.until_ns and motor == seen.neutral_us), None
     )
-    if fault.when_shown and not _drives_at(seen, begin_ns):
-        neutral_ns = begin_ns  # it was stopped before, for what the fault has led to
+    if fault.timed_from_motion and not _drives_at(seen, start_ns):
+        neutral_ns = start_ns  # it was stopped before, by a consequence of the fault
     found = _in_common(fault, plan, seen)
     if fault.must is Must.STOP:
-        found += _stopped(fault, plan, seen, begin_ns, neutral_ns)
+        found += _stopped(fault, plan, seen, start_ns, neutral_ns)
     else:
         found += _drove_on(fault, plan, seen, neutral_ns)
-    if fault.the_same and without is not None and list(seen.pins) != list(without.pins):
+    if fault.same_pulses and without is not None and list(seen.pins) != list(without.pins):
         found.append("the pulses at the pins differ from those without the fault")
-    reaction_s = None if neutral_ns is None or fault.must is Must.NOTHING else (neutral_ns - begin_ns) * 1e-9
+    reaction_s = None if neutral_ns is None or fault.must is Must.NOTHING else (neutral_ns - start_ns) * 1e-9
     return Verdict(violations=tuple(found), reaction_s=reaction_s)
 
 
@@ -74,27 +147,27 @@ def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
     servo_low, servo_high, motor_low, motor_high = seen.limits_us
     if not all(servo_low <= servo <= servo_high and motor_low <= motor <= motor_high for _, servo, motor in seen.pins):
         found.append("a pulse beyond the car's limits was at a pin")
-    if fault.told is not None and not any(e.kind == fault.told and e.t_ns >= plan.begin_ns for e in seen.events):
-        found.append(f"no {fault.told!r} was told")
+    if fault.event is not None and not any(e.kind == fault.event and e.t_ns >= plan.start_ns for e in seen.events):
+        found.append(f"no {fault.event!r} was reported")
     return found
 
 
-def _stopped(fault: Fault, plan: Plan, seen: Observed, begin_ns: int, neutral_ns: int | None) -> list[str]:
+def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns: int | None) -> list[str]:
     if neutral_ns is None:
         return ["the motor's pin never went neutral"]
     found = []
-    late_s = (neutral_ns - begin_ns) * 1e-9
+    late_s = (neutral_ns - start_ns) * 1e-9
     if late_s > fault.within_s:
-        found.append(f"neutral after {late_s * 1e3:.0f} ms where {fault.within_s * 1e3:.0f} are allowed")
+        found.append(f"neutral after {late_s * 1e3:.0f} ms, expected at most {fault.within_s * 1e3:.0f} ms")
     asked_ns = plan.press_ns if plan.drives_again and plan.press_ns is not None else plan.until_ns
     again_ns = next((t for t, _, motor in seen.pins if neutral_ns < t < asked_ns and motor != seen.neutral_us), None)
     if again_ns is not None:
-        found.append(f"it drove off by itself, {(again_ns - begin_ns) * 1e-9:.2f} s after the fault began")
+        found.append(f"it drove off by itself, {(again_ns - start_ns) * 1e-9:.2f} s after the fault started")
     straight_ns = neutral_ns + round(STRAIGHT_S * 1e9)
     if any(straight_ns < t < asked_ns and servo != seen.straight_us for t, servo, _ in seen.pins):
         found.append(f"the wheels were not straight {STRAIGHT_S} s after it stopped")
     if plan.drives_again and not any(t >= asked_ns and motor != seen.neutral_us for t, _, motor in seen.pins):
-        found.append("it was armed in time, and did not drive")
+        found.append("it was armed in time and did not drive")
     return found
 
 
@@ -102,13 +175,13 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
     found = []
     for kind in ("stop", "hold") if fault.must is Must.NOTHING else ("stop",):
         for event in seen.events:
-            if event.kind == kind and event.t_ns >= plan.begin_ns:
-                found.append(f"{kind} after {(event.t_ns - plan.begin_ns) * 1e-9:.2f} s: {event.text}")
+            if event.kind == kind and event.t_ns >= plan.start_ns:
+                found.append(f"{kind} after {(event.t_ns - plan.start_ns) * 1e-9:.2f} s: {event.text}")
                 break
     if fault.must is Must.NOTHING and neutral_ns is not None and not found:
-        found.append(f"neutral after {(neutral_ns - plan.begin_ns) * 1e-9:.2f} s")
+        found.append(f"neutral after {(neutral_ns - plan.start_ns) * 1e-9:.2f} s")
     if fault.must is Must.HOLD:
-        due_ns = plan.begin_ns + round(fault.within_s * 1e9) if fault.within_s < 1e3 else plan.end_ns
+        due_ns = plan.start_ns + round(fault.within_s * 1e9) if fault.within_s < 1e3 else plan.end_ns
         if plan.end_ns > due_ns and (neutral_ns is None or neutral_ns > due_ns):
             found.append(f"no neutral within {fault.within_s * 1e3:.0f} ms")
         if not _drives_at(seen, plan.end_ns + round(GO_ON_S * 1e9)):

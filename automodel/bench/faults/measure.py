@@ -1,35 +1,303 @@
-"""Runs the cases of `bench faults`, in parallel."""
+"""`bench faults`: drives of the simulated car with a fault built in, each judged; in parallel.
+
+Track -> camera -> pipeline -> control -> bytes -> board -> car. To save time a run starts at rest with the true lane
+for an estimate and images without a road; camera and pipeline take over when the car drives steadily, before the fault.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
 import math
-import os
-import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
+from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
+from automodel.assembly.simulated_car import LATENCY_NS, renderer
+from automodel.bench.accuracy import Row
 from automodel.bench.faults.catalogue import chosen
-from automodel.bench.faults.fault import Fault, Must
-from automodel.bench.faults.judge import Verdict
-from automodel.bench.faults.rig import run_fault
-from automodel.config import CameraConfig, CarConfig, ConfigError, Intrinsics
+from automodel.bench.faults.fault import At, Fault, Hooks, Moment
+from automodel.bench.faults.faulty_parts import (
+    FaultyPeripherals,
+    FaultyPipeline,
+    FaultySource,
+    Staller,
+    faulty_recorder,
+)
+from automodel.bench.faults.judge import RENDERED_NS, Observed, Plan, Verdict, draw_plan, judge
+from automodel.config import CameraConfig, CarConfig, Intrinsics
 from automodel.console.messages import say
-from automodel.console.progress import progress
-from automodel.console.tables import show
-from automodel.console.workers import spread
+from automodel.console.workers import Tick, spread
+from automodel.interfaces import Recorder
+from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.input_checks import InputChecks
+from automodel.runtime.os_signals import Interrupted
+from automodel.runtime.run_types import RunEnd, TickRecord
+from automodel.runtime.runner import Runner
+from automodel.signals import Event
+from automodel.sim.appearance import Appearance
+from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.renderer import Renderer
+from automodel.sim.sources import LockStepSource
+from automodel.sim.track import Lane, Track
+from automodel.sim.track_files import load_track
+from automodel.sim.truth import TruthFollower
+from automodel.sim.world import Scene, TrueLane, World
+from automodel.sources.errors import SourceError
+from automodel.types import Image
+from firmware_link.arduino import ArduinoLink
+from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.faulty_board import FaultyBoard
+from firmware_link.emulator.logic import BoardOptions
+from firmware_link.messages import TABLE_HASH
+from firmware_link.pulses import PulseTable
+from firmware_link.transport import MemoryTransport
 
-# Half the usual picture in each direction, of the same view: enough to see the lane, and cheap to draw.
+# Half the usual image in each direction, of the same view: enough to see the lane, and cheap to render.
 CAR = CarConfig(
     camera=CameraConfig(
         width_px=320, height_px=180, intrinsics=Intrinsics(fx_px=240.0, fy_px=240.0, cx_px=159.5, cy_px=89.5)
     )
 )
+TRACK = "oval"
+LOOKS = 4
+TRUTH = "truth"  # the pipeline that reads it
+COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms")
+AFTER_S = 0.3  # the pins are watched for so long after the program has ended
+_SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
+_APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
+_WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
 
 
-@dataclass(frozen=True, slots=True)
+@functools.lru_cache
+def _track() -> Track:
+    return load_track(TRACK)
+
+
+@functools.lru_cache
+def _lane() -> Lane:
+    return _track().lane()
+
+
+@functools.lru_cache
+def _renderer(camera: CameraConfig, look: int) -> Renderer:
+    """A plain floor, cheap to render; sensor noise makes every image different."""
+    grey = 30.0 + 20.0 * look
+    floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=look)
+    return renderer(_track(), CarConfig(camera=camera), floor)
+
+
+@functools.lru_cache
+def _approach_images(height: int, width: int) -> tuple[Image, ...]:
+    """Images without a road, all different and none of them blank."""
+    slope = np.linspace(40.0, 200.0, width)
+    generator = np.random.default_rng(0)
+    noisy = (slope + generator.normal(0.0, 5.0, (height, width)) for _ in range(_APPROACH_IMAGES))
+    return tuple(image.astype(np.uint8) for image in noisy)
+
+
+class RoadCamera:
+    """A camera that shows the road from frame `first` on; never where it is None."""
+
+    def __init__(self, car: CarConfig, look: int, first: int | None) -> None:
+        self._renderer = None if first is None else _renderer(car.camera, look)
+        self._first = first
+        self._approach = _approach_images(car.camera.height_px, car.camera.width_px)
+
+    def render(
+        self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
+    ) -> Image:
+        """An image of the road, or one without."""
+        if self._renderer is None or self._first is None or index < self._first:
+            return self._approach[index % len(self._approach)]
+        return self._renderer.render(x_m, y_m, yaw_rad, speed_mps, yaw_rate_radps, index)
+
+
+class FaultRig:
+    """All parts of one run."""
+
+    def __init__(self, car: CarConfig, pipeline: str, plan: Plan, hooks: Hooks) -> None:
+        self._car, self._plan, self._hooks = car, plan, hooks
+        self._scenes: list[Scene] = []
+        self._stopping = False
+        self._asked_ns = 0
+        by_truth = pipeline == TRUTH
+        self._build_world(None if by_truth else math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz))
+        self._clock = VirtualClock(0, self._advance)
+        self._staller = Staller(hooks.stall, plan, self._clock)
+        self._transport = MemoryTransport(self._line, self._clock)
+        for after_s, moment in hooks.moments:
+            self._line.at(plan.start_ns + round(after_s * 1e9), functools.partial(self._happen, moment))
+        estimator = None if by_truth else make_pipeline(pipeline, car)
+        self._pipeline = FaultyPipeline(self._truth, estimator, hooks.lane, plan, self._staller)
+        lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
+        self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
+
+    def run(self) -> Observed:
+        """Drive; raises Interrupted when a signal came."""
+        error: str | None = None
+        events: tuple[Event, ...] = ()
+        with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
+            runner = self._runner(recorder)
+            try:
+                result = runner.run(stop=self._is_over)
+                events = result.events
+                if result.end is RunEnd.SIGNAL:
+                    raise Interrupted
+            except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
+                error = f"{type(e).__name__}: {e}"
+        self._clock.sleep(AFTER_S)
+        link = self._car.link
+        servo, motor = PulseTable(link.servo.pulse_us, link.servo.steering_rad), self._motor()
+        return Observed(
+            pins=self._pins.pins,
+            events=events,
+            outside=any(s.reach_m > 0.5 * s.truth.width_m for s in self._scenes if s.t_ns >= self._plan.start_ns),
+            shown_ns=self._shown_ns(servo),
+            error=error,
+            neutral_us=motor.zero_us,
+            straight_us=servo.zero_us,
+            limits_us=(servo.min_us, servo.max_us, motor.min_us, motor.max_us),
+        )
+
+    def on_tick(self, record: TickRecord) -> None:
+        """Called after each turn of the runner, which this observes."""
+        self._staller(At.AFTER)
+
+    def _build_world(self, first: int | None) -> None:
+        car, plan = self._car, self._plan
+        lane = _lane()
+        start = lane.pose(plan.place * lane.centerline.length_m, plan.offset_m)
+        follower = TruthFollower(lane, car.vehicle.reference_x_m)
+        vehicle = car.vehicle
+        true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=plan.look)
+        self._world = World(
+            Plant(true, start),
+            RoadCamera(car, plan.look, first),
+            follower,
+            lambda state: follower.lateral_reach_m(state, vehicle),
+        )
+        self._truth = TrueLane(lane)
+        self._pins = FaultyPeripherals(self._world, self._hooks, plan)
+        self._line = FaultyBoard(
+            EmulatedArduino(self._pins, car.link.baud),
+            plan.start_ns,
+            plan.end_ns,
+            to_board=self._hooks.to_board,
+            from_board=self._hooks.from_board,
+            pulses=self._hooks.pulses,
+        )
+
+    def _runner(self, recorder: Recorder | None) -> Runner:
+        car = self._car
+        parts = build_run(
+            car,
+            source=self._source,
+            link=ArduinoLink(self._transport, car.link, car.vehicle),
+            clock=self._clock,
+            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car)),
+            recorder=recorder,
+        )
+        config = run_config(car, collector_off=False)
+        return Runner(parts, config, observer=self, arm_requested=self._pressed, reopen=self._reopen)
+
+    def _advance(self, t_ns: int) -> None:
+        self._line.advance(t_ns)
+        self._world.settle(t_ns)
+
+    def _on_scene(self, scene: Scene) -> None:
+        self._scenes.append(scene)
+        self._truth.on_scene(scene)
+
+    def _happen(self, moment: Moment, t_ns: int) -> None:
+        board = self._line.board
+        assert isinstance(board, EmulatedArduino)
+        if moment is Moment.UNPLUG:
+            self._transport.unplug()
+        elif moment is Moment.REPLUG:
+            self._transport.replug()
+        elif moment is Moment.OTHER_FIRMWARE:
+            other = BoardOptions(table_hash=TABLE_HASH ^ 1, boot_id=board.boot_id + 1)
+            self._line.board = EmulatedArduino(self._pins, self._car.link.baud, other)
+        elif moment is Moment.BROWN_OUT:
+            board.brown_out(t_ns)
+        elif moment is Moment.HANG:
+            board.hang(t_ns)
+        elif moment is Moment.RESTART:
+            board.reset(t_ns)
+        elif moment is Moment.STOP_REQUEST:
+            self._stopping = True
+        elif moment is Moment.WALL_CLOCK_BACK:
+            _set_wall_clock_back()
+
+    def _is_over(self) -> bool:
+        return self._stopping or self._clock.now_ns() >= self._plan.until_ns
+
+    def _pressed(self) -> bool:
+        before_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
+        press_ns = self._plan.press_ns
+        return press_ns is not None and before_ns < press_ns <= self._asked_ns
+
+    def _reopen(self) -> FaultySource:
+        if self._plan.start_ns <= self._clock.now_ns() < self._plan.end_ns:
+            raise SourceError("camera: still gone")
+        return self._source
+
+    def _shown_ns(self, servo: PulseTable) -> int | None:
+        """When the car's yaw rate began to differ from the steered one, if it then did so for a while."""
+        pins, place, since_ns = self._pins.pins, 0, None
+        for scene in self._scenes:
+            while place + 1 < len(pins) and pins[place + 1][0] <= scene.t_ns:
+                place += 1
+            steered = scene.car.speed_mps * math.tan(servo.value(pins[place][1])) / self._car.vehicle.wheelbase_m
+            differs = abs(scene.car.yaw_rate_radps - steered) > _SHOWN_RADPS + _SHOWN_SHARE * abs(steered)
+            if not differs or scene.t_ns < self._plan.start_ns:
+                since_ns = None
+            elif since_ns is None:
+                since_ns = scene.t_ns
+            elif scene.t_ns - since_ns >= _SHOWN_NS:
+                return since_ns
+        return None
+
+    def _motor(self) -> PulseTable:
+        motor = self._car.link.motor
+        return PulseTable(motor.pulse_us, motor.speed_mps)
+
+
+def run_fault(car: CarConfig, pipeline: str, fault: Fault, seed: int, index: int) -> Verdict:
+    """The verdict on the fault's run number `index`."""
+    plan = draw_plan(fault, seed, index, LOOKS)
+    car = dataclasses.replace(car, control=dataclasses.replace(car.control, speed_mps=plan.speed_mps))
+    seen = FaultRig(car, pipeline, plan, fault.hooks(plan.hooks_random(), plan.end_ns)).run()
+    without = FaultRig(car, pipeline, plan, Hooks()).run() if fault.same_pulses else None
+    return judge(fault, plan, seen, without)
+
+
+def _set_wall_clock_back() -> None:
+    """The wall clock's functions give an hour less from now on."""
+    for name, hour in _WALL_CLOCKS.items():
+        setattr(time, name, functools.partial(_earlier, getattr(time, name), hour))
+
+
+def _earlier(clock: Callable[[], float], by: float) -> float:
+    return clock() - by
+
+
+@contextlib.contextmanager
+def _wall_clock_kept() -> Iterator[None]:
+    """Restores the wall clock's functions afterwards."""
+    kept = {name: getattr(time, name) for name in _WALL_CLOCKS}
+    try:
+        yield
+    finally:
+        for name, function in kept.items():
+            setattr(time, name, function)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
 class Case:
     """A run of one fault."""
 
@@ -37,56 +305,30 @@ class Case:
     index: int
 
 
-def chosen_faults(names: Sequence[str]) -> tuple[Fault, ...]:
-    """The faults of these names, all of them without names; raises ConfigError for a name that is none."""
-    try:
-        return chosen(names)
-    except ValueError as error:
-        raise ConfigError(f"--only {error}") from None
+def measure(names: Sequence[str], runs: int, seed: int, pipeline: str, jobs: int | None) -> list[Row]:
+    """A row a fault, `runs` in all shared out evenly; runs with a violation are reported on stderr.
 
-
-def list_faults(faults: Sequence[Fault], as_json: bool) -> None:
-    """Print what each fault is, and what the car must do."""
-    rows: list[dict[str, object]] = [
-        {
-            "fault": fault.name,
-            "kind": fault.kind.value,
-            "must": fault.must.value,
-            "within_ms": None if fault.must is Must.NOTHING or math.isinf(fault.within_s) else fault.within_s * 1e3,
-            "what": fault.text,
-        }
-        for fault in faults
-    ]
-    if as_json:
-        show("bench faults", rows, as_json)
-        return
-    for row in rows:
-        sys.stdout.write(f"{row['fault']:<24}{row['kind']:<14}{row['must']:<9}{row['what']}\n")
-
-
-def measure_faults(
-    faults: Sequence[Fault], runs: int, seed: int, pipeline: str, jobs: int | None
-) -> tuple[list[dict[str, object]], int]:
-    """A row a fault, and how many runs had a violation; each of those is told on stderr."""
+    `names` are the faults (default: all), `pipeline` may be `TRUTH`. Raises ConfigError for an unknown fault.
+    """
+    faults = chosen(names)
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
-    jobs = min(jobs or os.cpu_count() or 1, len(cases))
-    with progress("bench faults", len(cases)) as bar:
-        for case, verdict in zip(cases, spread(functools.partial(_verdict, pipeline, seed), cases, jobs), strict=True):
-            verdicts[case.name].append(verdict)
-            if verdict.violations:
-                say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
-            bar()
-    rows = [_row(name, found) for name, found in verdicts.items()]
-    return rows, sum(bool(verdict.violations) for found in verdicts.values() for verdict in found)
+    found = spread("bench faults", functools.partial(_verdict, pipeline, seed), cases, jobs)
+    for case, verdict in zip(cases, found, strict=True):
+        verdicts[case.name].append(verdict)
+        if verdict.violations:
+            say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
+    return [_row(name, judged) for name, judged in verdicts.items()]
 
 
-def _verdict(pipeline: str, seed: int, case: Case) -> Verdict:
+def _verdict(pipeline: str, seed: int, case: Case, tick: Tick) -> Verdict:
     (fault,) = chosen((case.name,))
-    return run_fault(CAR, pipeline, fault, seed, case.index)
+    verdict = run_fault(CAR, pipeline, fault, seed, case.index)
+    tick(1.0)
+    return verdict
 
 
-def _row(name: str, verdicts: Sequence[Verdict]) -> dict[str, object]:
+def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
     reactions_ms = [verdict.reaction_s * 1e3 for verdict in verdicts if verdict.reaction_s is not None]
     return {
         "fault": name,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from automodel.bench.faults import rig as fault_rig
+from automodel.bench.faults import measure as fault_rig
 from automodel.bench.faults.catalogue import FAULTS
 from automodel.bench.faults.fault import Must
 from automodel.control import longitudinal as speed_module
@@ -33,7 +33,7 @@ def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
     for fault in FAULTS:
         row = rows[fault.name]
         assert (row["runs"], row["violations"]) == (1, 0)
-        if fault.must is Must.STOP and not fault.when_shown:
+        if fault.must is Must.STOP and not fault.timed_from_motion:
             assert 0 <= row["reaction_p50_ms"] <= row["reaction_max_ms"] <= fault.within_s * 1e3
         elif fault.must is Must.NOTHING:
             assert row["reaction_max_ms"] is None
@@ -66,10 +66,9 @@ def test_other_processes_give_the_same_figures(cli: Cli) -> None:
 
 def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
     lines = cli("bench", "faults", "--list").out.splitlines()
-    assert [line.split()[0] for line in lines] == [fault.name for fault in FAULTS]
-    for line, fault in zip(lines, FAULTS, strict=True):
-        assert line.split()[1:3] == [fault.kind.value, fault.must.value]
-        assert line.endswith(fault.text)
+    named = [line.split()[:3] for line in lines if line[:1].isalpha()]
+    assert named[1:-1] == [[fault.name, fault.kind.value, fault.must.value] for fault in FAULTS]
+    assert max(map(len, lines)) <= 80
     (row,) = cli("bench", "faults", "--list", "--only", "servo-stuck", "--json").rows
     assert (row["fault"], row["must"], row["within_ms"]) == ("servo-stuck", "stop", 450.0)
 
@@ -117,8 +116,8 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("camera-size", 1, lambda m: m.setattr(ImageCheck, "misfit", _nothing), "never went neutral"),
     ("perception-decoy", 1, lambda m: m.setattr(LaneJumpCheck, "step", _nothing), "never went neutral"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
-    ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "are allowed"),
-    ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "are allowed"),
+    ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "expected at most"),
+    ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
     ("serial-falls-behind", 2, lambda m: m.setattr(logic, "MAX_DEADLINE_MS", 0x10000), "neutral"),
     ("command-impossible", 1, lambda m: m.setattr(logic, "PULSE_RANGE_US", (0.0, 40000.0)), "neutral"),
     ("command-extreme", 2, lambda m: m.setattr(logic.Pulses, "want", _unlimited), "beyond the car's limits"),
@@ -128,7 +127,7 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("camera-drops-1", 1, lambda m: m.setattr(fault_rig, "InputChecks", _strict_checks), "hold after"),
     ("perception-blip", 1, lambda m: m.setattr(SupervisedSource, "read", _raising), "the run ended by"),
     ("sonar-spikes", 3, lambda m: m.setattr(speed_module.ObstacleGuard, "range_m", property(_newest)), "neutral"),
-    ("battery-low", 1, lambda m: m.setattr(arduino.BatteryMeter, "step", _nothing), "was told"),
+    ("battery-low", 1, lambda m: m.setattr(arduino.BatteryMeter, "step", _nothing), "was reported"),
 ]
 
 

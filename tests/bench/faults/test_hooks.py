@@ -9,10 +9,10 @@ from random import Random
 import numpy as np
 import pytest
 
-from automodel.bench.faults import camera, perception, sensors, wire
-from automodel.bench.faults.hooks import At, CameraHook, Hooks, Stall
-from automodel.bench.faults.plan import Plan
-from automodel.bench.faults.wrappers import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
+from automodel.bench.faults import hooks
+from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
+from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
+from automodel.bench.faults.judge import Plan
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneStatus, Motion
 from automodel.sources.errors import SourceError
@@ -21,7 +21,7 @@ from tests.support.runner_fakes import MS, estimate
 PERIOD_MS = 20
 PLAN = Plan(
     seed="",
-    begin_ns=2000 * MS,
+    start_ns=2000 * MS,
     end_ns=2200 * MS,
     until_ns=4000 * MS,
     press_ns=None,
@@ -73,19 +73,19 @@ NORMAL = list(range(1900, 2401, PERIOD_MS))
 
 
 def test_a_camera_is_faulty_from_begin_to_end_only() -> None:
-    assert times(delivered(camera.at_once(camera.drop))) == [t for t in NORMAL if not 2000 <= t < 2200]
-    assert times(delivered(camera.at_once(lambda frame: frame))) == NORMAL
+    assert times(delivered(hooks.at_once(hooks.drop))) == [t for t in NORMAL if not 2000 <= t < 2200]
+    assert times(delivered(hooks.at_once(lambda frame: frame))) == NORMAL
 
 
 def test_bursts_and_first_frames() -> None:
-    missing = sorted(set(NORMAL) - set(times(delivered(camera.in_bursts(2, 3, camera.drop)))))
+    missing = sorted(set(NORMAL) - set(times(delivered(hooks.at_once(hooks.in_bursts(2, 3, hooks.drop))))))
     assert missing == [2000, 2020, 2100, 2120]
-    missing = sorted(set(NORMAL) - set(times(delivered(camera.for_first(2, camera.drop)))))
+    missing = sorted(set(NORMAL) - set(times(delivered(hooks.at_once(hooks.for_first(2, hooks.drop))))))
     assert missing == [2000, 2020]
 
 
 def test_a_frozen_camera_goes_on_in_time() -> None:
-    came = delivered(camera.at_once(camera.Frozen()))
+    came = delivered(hooks.at_once(hooks.Frozen()))
     assert [frame.t_ns // MS for _, frame in came] == NORMAL
     frozen = {int(frame.image[0, 0]) for t_ms, frame in came if 2000 <= t_ms < 2200}
     assert frozen == {101}
@@ -93,31 +93,31 @@ def test_a_frozen_camera_goes_on_in_time() -> None:
 
 
 def test_late_frames_come_in_their_order_at_their_time() -> None:
-    came = delivered(camera.late(lambda: 90 * MS))
+    came = delivered(hooks.late(lambda: 90 * MS))
     assert [t for t in times(came) if t < 2090] == [t for t in NORMAL if t < 2000]
     late = [(t_ms, frame.t_ns // MS) for t_ms, frame in came if 2090 <= t_ms <= 2270]
     assert late[0] == (2090, 2000)
     assert [frame.t_ns for _, frame in came] == sorted(frame.t_ns for _, frame in came)
     assert late[-5:] == [(2270, t_ms) for t_ms in range(2180, 2261, 20)]  # those after the fault do not overtake
     delays = iter([50, 10, 10, 10, 10, 10, 10, 10, 10, 10])
-    came = delivered(camera.late(lambda: next(delays) * MS))
+    came = delivered(hooks.late(lambda: next(delays) * MS))
     assert [frame.t_ns // MS for _, frame in came] == NORMAL
 
 
 def test_a_camera_that_is_gone_or_gives_another_type_raises() -> None:
     with pytest.raises(SourceError, match="is it plugged in"):
-        delivered(camera.at_once(camera.gone))
+        delivered(hooks.at_once(hooks.gone))
     with pytest.raises(ValueError, match="uint16"):
-        delivered(camera.at_once(camera.of_another_type))
+        delivered(hooks.at_once(hooks.of_another_type))
 
 
-def test_spoilt_pictures() -> None:
+def test_spoilt_images() -> None:
     frame = Frame(t_ns=5, index=3, image=np.arange(3600, dtype=np.uint8).reshape(60, 60))
-    black = camera.blank(0.0, 2.0, Random(1))(frame)
+    black = hooks.blank(0.0, 2.0, Random(1))(frame)
     assert black is not None
     assert (black.t_ns, black.index, black.image.shape) == (5, 3, (60, 60))
     assert 0.5 < black.image.mean() < 1.2  # half of a normal distribution of width 2
-    early, small = camera.shifted_in_time(-7)(frame), camera.resized(Random(0))(frame)
+    early, small = hooks.shifted_in_time(-7)(frame), hooks.resized(Random(0))(frame)
     assert early is not None
     assert early.t_ns == -2
     assert small is not None
@@ -125,7 +125,7 @@ def test_spoilt_pictures() -> None:
 
 
 def test_a_stall_takes_its_time_once_or_again() -> None:
-    hook = camera.at_once(lambda frame: frame)
+    hook = hooks.at_once(lambda frame: frame)
     missing = set(NORMAL) - set(times(delivered(hook, Stall(at=At.CAMERA, seconds=0.1))))
     assert missing == set(range(2000, 2100, PERIOD_MS)) - {2000}
     clock = VirtualClock(1990 * MS)
@@ -147,7 +147,7 @@ def test_estimates_are_spoilt_while_the_fault_lasts() -> None:
             return estimate(frame.t_ns)
 
     clock = VirtualClock(0)
-    pipeline = FaultyPipeline(Truth(), None, perception.lost, PLAN, Staller(None, PLAN, clock))
+    pipeline = FaultyPipeline(Truth(), None, hooks.lost, PLAN, Staller(None, PLAN, clock))
     motion = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0)
     statuses = {}
     for t_ms in (1999, 2000, 2199, 2200):
@@ -158,47 +158,47 @@ def test_estimates_are_spoilt_while_the_fault_lasts() -> None:
 
 def test_a_decoy_lies_beside_the_lane_and_a_crossing_across() -> None:
     right = estimate(0, offset_m=0.05)
-    decoy = perception.decoy(0.3)(right)
+    decoy = hooks.decoy(0.3)(right)
     assert decoy.pose is not None
     assert decoy.centerline is not None
     assert decoy.pose.offset_m == pytest.approx(-0.25)
     assert decoy.centerline.position(1.0) == pytest.approx((1.0, 0.3))
-    crossing = perception.crossing(1.2)(right)
+    crossing = hooks.crossing(1.2)(right)
     assert crossing.pose is not None
     assert crossing.centerline is not None
     assert crossing.pose.heading_rad == -1.2
     assert crossing.centerline.position(1.0) == pytest.approx((math.cos(1.2), math.sin(1.2)))
-    pose = perception.with_pose(width_m=math.nan)(right).pose
+    pose = hooks.with_pose(width_m=math.nan)(right).pose
     assert pose is not None
     assert math.isnan(pose.width_m)
 
 
 def test_bytes_on_the_wire() -> None:
     data = bytes(range(1, 15))
-    assert list(wire.silent(data, 5)) == []
-    assert list(wire.held_back(90)(data, 5)) == [(90, data)]
-    assert list(wire.delayed(7)(data, 5)) == [(12, data)]
-    assert list(wire.falling_behind(100, 2.0)(data, 130)) == [(190, data)]
-    assert list(wire.doubled(data, 5)) == [(5, data + data)]
-    ((_, noisy),) = wire.noise_before(Random(1), 60)(data, 5)
+    assert list(hooks.silent(data, 5)) == []
+    assert list(hooks.held_back(90)(data, 5)) == [(90, data)]
+    assert list(hooks.delayed(7)(data, 5)) == [(12, data)]
+    assert list(hooks.falling_behind(100, 2.0)(data, 130)) == [(190, data)]
+    assert list(hooks.doubled(data, 5)) == [(5, data + data)]
+    ((_, noisy),) = hooks.noise_before(Random(1), 60)(data, 5)
     assert noisy.endswith(data)
     assert 1 <= len(noisy) - len(data) <= 60
-    ((_, other),) = wire.random_bytes(Random(1))(data, 5)
+    ((_, other),) = hooks.random_bytes(Random(1))(data, 5)
     assert len(other) == len(data)
     assert other != data
-    ((_, short),) = wire.cut(Random(1))(data, 5)
+    ((_, short),) = hooks.cut(Random(1))(data, 5)
     assert data.startswith(short)
     assert 1 <= len(short) <= len(data) - 2
-    swapped = wire.Swapped()
+    swapped = hooks.Swapped()
     assert [list(swapped(piece, 5)) for piece in (b"a", b"b", b"c", b"d")] == [[], [(5, b"ba")], [], [(5, b"dc")]]
 
 
 def test_wrong_bits_and_bytes() -> None:
     data = bytes(14)
     for seed in range(30):
-        ((_, spoilt),) = wire.corrupt(Random(seed))(data, 0)
+        ((_, spoilt),) = hooks.corrupt(Random(seed))(data, 0)
         assert 1 <= sum(byte.bit_count() for byte in spoilt) <= 5
-        once = wire.one_byte(Random(seed))
+        once = hooks.one_byte(Random(seed))
         assert list(once(b"", 0)) == [(0, b"")]  # nothing was sent: it waits
         ((_, first),) = once(data, 0)
         assert sum(a != b for a, b in zip(first, data, strict=True)) == 1
@@ -207,13 +207,13 @@ def test_wrong_bits_and_bytes() -> None:
 
 def test_sensors() -> None:
     good = BoardSensors(ranges_m=(1.0, 2.0, 3.0), wheel_ticks=5, battery_v=7.4, yaw_rate_radps=0.1)
-    assert sensors.battery(5.0)(good).battery_v == 5.0
-    assert sensors.stuck_echo(0.1)(good).ranges_m == (0.1, 0.1, 0.1)
-    spikes = sensors.spikes(Random(3), 4)
+    assert hooks.battery(5.0)(good).battery_v == 5.0
+    assert hooks.stuck_echo(0.1)(good).ranges_m == (0.1, 0.1, 0.1)
+    spikes = hooks.spikes(Random(3), 4)
     near = [(spikes(good).ranges_m[1] or 0.0) < 0.31 for _ in range(12)]
     assert sum(near) == 3
     assert not any(near[i] and any(near[i + 1 : i + 4]) for i in range(12))
-    missing = sensors.dropouts(Random(3), 0.5)
+    missing = hooks.dropouts(Random(3), 0.5)
     assert {missing(good).ranges_m[1] for _ in range(50)} == {None, 2.0}
 
 
@@ -230,7 +230,7 @@ class Plant:
 
 def test_a_stuck_servo_stays_though_its_pin_goes_on() -> None:
     plant = Plant()
-    pins = FaultyPeripherals(plant, Hooks(servo_stuck=True, sensors=sensors.battery(5.0)), PLAN)
+    pins = FaultyPeripherals(plant, Hooks(servo_stuck=True, sensors=hooks.battery(5.0)), PLAN)
     for t_ms, servo_us in ((1980, 1400.0), (2000, 1450.0), (2180, 1500.0), (2200, 1550.0)):
         pins.set_pulses(t_ms * MS, servo_us, 1600.0)
     assert [servo for _, servo, _ in plant.given] == [1400.0, 1400.0, 1400.0, 1550.0]

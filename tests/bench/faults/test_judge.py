@@ -1,4 +1,4 @@
-"""The judge on made-up pins: each thing that may be wrong is found, and nothing else."""
+"""The judge on constructed pulses: it finds each violation, and nothing else."""
 
 from __future__ import annotations
 
@@ -6,17 +6,15 @@ from dataclasses import replace
 
 import pytest
 
-from automodel.bench.faults.fault import Fault, Kind, Must
-from automodel.bench.faults.hooks import Hooks
-from automodel.bench.faults.judge import Observed, Pin, judge
-from automodel.bench.faults.plan import Plan
+from automodel.bench.faults.fault import Fault, Hooks, Kind, Must
+from automodel.bench.faults.judge import Observed, Pin, Plan, judge
 from automodel.signals import Event
 
 MS = 1_000_000
 SERVO_FRAME_MS = 20
 PLAN = Plan(
     seed="",
-    begin_ns=2003 * MS,
+    start_ns=2003 * MS,
     end_ns=2500 * MS,
     until_ns=4000 * MS,
     press_ns=None,
@@ -37,7 +35,7 @@ def pins(*rests_ms: tuple[float, float], until_ms: int = 4300, crooked: bool = F
     """Servo frames of a car that drives but for the spans (from, to) in which its motor is neutral."""
     made = []
     for t_ms in range(0, until_ms, SERVO_FRAME_MS):
-        rests = any(begin <= t_ms < end for begin, end in rests_ms)
+        rests = any(start <= t_ms < end for start, end in rests_ms)
         made.append((t_ms * MS, 1400.0 if crooked or not rests else 1500.0, 1500.0 if rests else 1600.0))
     return made
 
@@ -71,7 +69,7 @@ def test_a_stop_in_time_is_right() -> None:
 
 def test_a_stop_may_take_150_ms_and_no_more() -> None:
     (text,) = judge(STOP, PLAN, seen(pins((2160, 9999)))).violations
-    assert text == "neutral after 157 ms where 150 are allowed"
+    assert text == "neutral after 157 ms, expected at most 150 ms"
     assert judge(fault(Must.STOP, within_s=0.2), PLAN, seen(pins((2160, 9999)))).violations == ()
 
 
@@ -85,23 +83,23 @@ def test_neutral_at_the_end_of_the_run_is_no_stop() -> None:
 
 def test_a_car_that_drives_off_by_itself_is_found() -> None:
     text, wheels = judge(STOP, PLAN, seen(pins((2100, 2980), (3000, 9999)))).violations  # for one servo frame
-    assert text == "it drove off by itself, 0.98 s after the fault began"
+    assert text == "it drove off by itself, 0.98 s after the fault started"
     assert wheels.startswith("the wheels were not straight")
 
 
 def test_a_car_that_is_armed_in_time_must_drive_and_not_before() -> None:
     assert judge(STOP, ARMED_AGAIN, seen(pins((2100, 3540)))).violations == ()
     (text,) = judge(STOP, ARMED_AGAIN, seen(pins((2100, 9999)))).violations
-    assert text == "it was armed in time, and did not drive"
+    assert text == "it was armed in time and did not drive"
     text, _ = judge(STOP, ARMED_AGAIN, seen(pins((2100, 3480)))).violations
-    assert text == "it drove off by itself, 1.48 s after the fault began"
+    assert text == "it drove off by itself, 1.48 s after the fault started"
 
 
 def test_a_request_that_comes_too_early_must_be_refused() -> None:
     plan = replace(PLAN, press_ns=2700 * MS)
     assert judge(STOP, plan, seen(pins((2100, 9999)))).violations == ()
     text, *_ = judge(STOP, plan, seen(pins((2100, 2720)))).violations
-    assert text == "it drove off by itself, 0.72 s after the fault began"
+    assert text == "it drove off by itself, 0.72 s after the fault started"
 
 
 def test_the_wheels_of_a_stopped_car_are_straight() -> None:
@@ -111,7 +109,7 @@ def test_the_wheels_of_a_stopped_car_are_straight() -> None:
 
 def test_a_car_that_did_not_drive_tells_nothing() -> None:
     verdict = judge(STOP, PLAN, seen(pins((1900, 9999))))
-    assert verdict.violations == ("the car did not drive when the fault began",)
+    assert verdict.violations == ("the car did not drive when the fault started",)
     assert verdict.reaction_s is None
 
 
@@ -156,15 +154,15 @@ def test_no_pulse_goes_beyond_the_cars_limits(wrong: tuple[float, float]) -> Non
     assert judge(NOTHING, PLAN, seen(made)).violations == ("a pulse beyond the car's limits was at a pin",)
 
 
-def test_what_a_person_must_be_told_is_told_after_the_fault_began() -> None:
-    told = fault(Must.NOTHING, told="vehicle-fault")
-    assert judge(told, PLAN, seen(pins(), events=[event(2100, "vehicle-fault")])).violations == ()
+def test_an_event_is_reported_after_the_fault_started() -> None:
+    warned = fault(Must.NOTHING, event="vehicle-fault")
+    assert judge(warned, PLAN, seen(pins(), events=[event(2100, "vehicle-fault")])).violations == ()
     for events in ((), [event(1990, "vehicle-fault")], [event(2100, "end")]):
-        assert judge(told, PLAN, seen(pins(), events=events)).violations == ("no 'vehicle-fault' was told",)
+        assert judge(warned, PLAN, seen(pins(), events=events)).violations == ("no 'vehicle-fault' was reported",)
 
 
 def test_what_must_change_nothing_gives_the_same_pulses() -> None:
-    same = fault(Must.NOTHING, the_same=True)
+    same = fault(Must.NOTHING, same_pulses=True)
     assert judge(same, PLAN, seen(pins()), seen(pins())).violations == ()
     other = pins()
     other[-1] = (other[-1][0], 1400.5, 1600.0)
@@ -173,13 +171,13 @@ def test_what_must_change_nothing_gives_the_same_pulses() -> None:
 
 
 def test_a_fault_that_must_show_first_counts_from_then() -> None:
-    shown = fault(Must.STOP, when_shown=True, within_s=0.45)
+    shown = fault(Must.STOP, timed_from_motion=True, within_s=0.45)
     assert judge(shown, PLAN, seen(pins())).violations == ()  # it never showed
     verdict = judge(shown, PLAN, seen(pins((2900, 9999)), shown_ns=2600 * MS))
     assert verdict.violations == ()
     assert verdict.reaction_s == pytest.approx(0.3)
     (text,) = judge(shown, PLAN, seen(pins((3100, 9999)), shown_ns=2600 * MS)).violations
-    assert text == "neutral after 500 ms where 450 are allowed"
+    assert text == "neutral after 500 ms, expected at most 450 ms"
     before = judge(shown, PLAN, seen(pins((2500, 9999)), shown_ns=2600 * MS))
     assert (before.violations, before.reaction_s) == ((), 0.0)
 

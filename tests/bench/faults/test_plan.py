@@ -6,7 +6,7 @@ import pytest
 
 from automodel.bench.faults.catalogue import FAULTS, NOMINAL, chosen
 from automodel.bench.faults.fault import Kind, Must
-from automodel.bench.faults.plan import BEGIN_NS, REARM_S, draw_plan
+from automodel.bench.faults.judge import REARM_S, START_NS, draw_plan
 
 PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in FAULTS for index in range(30)]
 
@@ -19,11 +19,11 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another() -> None:
         assert plan.hooks_random().random() == plan.hooks_random().random()
 
 
-def test_a_fault_begins_at_any_time_of_a_servo_frame_and_of_a_picture() -> None:
-    begins = [plan.begin_ns for _, plan in PLANS]
-    assert all(BEGIN_NS[0] <= begin <= BEGIN_NS[1] for begin in begins)
+def test_a_fault_starts_at_any_time_of_a_servo_frame_and_of_a_frame() -> None:
+    starts = [plan.start_ns for _, plan in PLANS]
+    assert all(START_NS[0] <= start <= START_NS[1] for start in starts)
     for period_ns in (20_000_000, 16_666_667):
-        assert {begin % period_ns * 8 // period_ns for begin in begins} == set(range(8))
+        assert {start % period_ns * 8 // period_ns for start in starts} == set(range(8))
 
 
 def test_a_request_is_either_too_early_or_in_time() -> None:
@@ -35,7 +35,7 @@ def test_a_request_is_either_too_early_or_in_time() -> None:
         if plan.drives_again:
             assert plan.press_ns >= plan.end_ns + (REARM_S + fault.recovery_s) * 1e9
         else:
-            assert fault.heard
+            assert fault.host_notices
             assert not fault.ends or plan.press_ns < plan.end_ns + REARM_S * 1e9
         assert plan.press_ns < plan.until_ns
         seen.add(plan.drives_again)
@@ -54,7 +54,7 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
     assert len(names) == len(set(names))
     assert len(FAULTS) <= 60  # a run of each in the fast lane
     for fault in FAULTS:
-        assert fault.lasting_s[0] <= fault.lasting_s[1]
+        assert fault.duration_s[0] <= fault.duration_s[1]
         assert math.isfinite(fault.recovery_s)
 
 

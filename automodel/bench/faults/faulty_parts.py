@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import os
+import tempfile
+import threading
 from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Protocol
 
-from automodel.bench.faults.hooks import At, CameraHook, Hooks, LaneHook, Stall
-from automodel.bench.faults.plan import DRIVEN_BY_NS, PICTURES_NS, Plan
-from automodel.interfaces import Pipeline, Source
+from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
+from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
+from automodel.config import RecordingConfig
+from automodel.interfaces import Pipeline, Recorder, Source
+from automodel.recording.run_file import RunFile
+from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import BoardSensors, Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import BoardSensors, Frame, LaneEstimate, Motion, StereoFrame
 
 
 class Staller:
-    """Takes the time of a `Stall` at its place, where the fault's time has come."""
+    """Takes the time of a `Stall` at its place, while the fault lasts."""
 
     def __init__(self, stall: Stall | None, plan: Plan, clock: VirtualClock) -> None:
         self._stall, self._plan, self._clock = stall, plan, clock
         self._done = False
 
     def __call__(self, at: At) -> None:
-        """Called at each place where time may be taken."""
+        """Called at each place where a stall may happen."""
         stall, now_ns = self._stall, self._clock.now_ns()
-        if stall is None or stall.at is not at or now_ns < self._plan.begin_ns:
+        if stall is None or stall.at is not at or now_ns < self._plan.start_ns:
             return
         if self._done if not stall.again else now_ns >= self._plan.end_ns:
             return
@@ -31,7 +41,7 @@ class Staller:
 
 
 class FaultySource:
-    """Implements `Source`: frames that were taken while the fault lasts go through its hook."""
+    """A `Source`; frames that were taken while the fault lasts go through its hook."""
 
     def __init__(
         self, source: Source, hook: CameraHook | None, plan: Plan, clock: VirtualClock, staller: Staller
@@ -57,7 +67,7 @@ class FaultySource:
 
     def _take(self, frame: Frame) -> None:
         delivery: tuple[int, Frame] | None = (0, frame)
-        if self._hook is not None and self._plan.begin_ns <= frame.t_ns < self._plan.end_ns:
+        if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
             delivery = self._hook(frame)
         if delivery is not None:
             due_ns, out = delivery
@@ -69,8 +79,8 @@ class FaultySource:
         self._source.close()
 
 
-class Seer(Protocol):
-    """A pipeline that is told the truth."""
+class TruePipeline(Protocol):
+    """A pipeline that reads the truth."""
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane."""
@@ -78,31 +88,33 @@ class Seer(Protocol):
 
 
 class FaultyPipeline:
-    """Implements `Pipeline`: the truth's estimates until `seen` has got used to the road, then its own.
+    """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
-    Estimates of the time while the fault lasts go through its hook. `seen` is None where the truth is to be used
-    throughout.
+    Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
+    hook.
     """
 
     name = "faulty"
 
-    def __init__(self, truth: Seer, seen: Pipeline | None, hook: LaneHook | None, plan: Plan, staller: Staller) -> None:
+    def __init__(
+        self, truth: TruePipeline, seen: Pipeline | None, hook: LaneHook | None, plan: Plan, staller: Staller
+    ) -> None:
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """The lane, or what the fault makes of it."""
+        """The lane, perhaps spoilt."""
         self._staller(At.PIPELINE)
-        estimate = self._look(frame, motion)
-        if self._hook is not None and self._plan.begin_ns <= frame.t_ns < self._plan.end_ns:
+        estimate = self._estimate(frame, motion)
+        if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
             estimate = self._hook(estimate)
         return estimate
 
-    def _look(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        if self._seen is None or frame.t_ns < PICTURES_NS:
+    def _estimate(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        if self._seen is None or frame.t_ns < RENDERED_NS:
             return self._truth.step(frame, motion)
         seen = self._seen.step(frame, motion)
-        return seen if frame.t_ns >= DRIVEN_BY_NS else self._truth.step(frame, motion)
+        return seen if frame.t_ns >= PIPELINE_NS else self._truth.step(frame, motion)
 
     def reset(self) -> None:
         """As the pipeline's."""
@@ -111,19 +123,19 @@ class FaultyPipeline:
 
 
 class Peripherals(Protocol):
-    """What hangs on a board's pins."""
+    """What is connected to a board's pins."""
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
         """The pulses [us] at the pins from `t_ns` on."""
         ...
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
-        """What the sensors read at `t_ns`."""
+        """The sensors' readings at `t_ns`."""
         ...
 
 
 class FaultyPeripherals:
-    """Notes the pulses at the pins; lets a servo stick and sensors lie while the fault lasts."""
+    """Logs the pulses at the pins; a stuck servo and wrong sensors while the fault lasts."""
 
     def __init__(self, real: Peripherals, hooks: Hooks, plan: Plan) -> None:
         self._real, self._hooks, self._plan = real, hooks, plan
@@ -131,56 +143,80 @@ class FaultyPeripherals:
         self.pins: list[tuple[int, float, float]] = []  # t_ns, servo_us, motor_us
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """The board's pulses; a servo that is stuck does not follow."""
+        """Pass the board's pulses on; a servo that is stuck does not follow."""
         self.pins.append((t_ns, servo_us, motor_us))
         if not (self._hooks.servo_stuck and self._lasts(t_ns)):
             self._servo_us = servo_us
         self._real.set_pulses(t_ns, self._servo_us, motor_us)
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
-        """What the sensors say."""
+        """The readings, perhaps spoilt."""
         sensors = self._real.read_sensors(t_ns)
         hook = self._hooks.sensors
         return sensors if hook is None or not self._lasts(t_ns) else hook(sensors)
 
     def _lasts(self, t_ns: int) -> bool:
-        return self._plan.begin_ns <= t_ns < self._plan.end_ns
+        return self._plan.start_ns <= t_ns < self._plan.end_ns
 
 
 class RaisingRecorder:
-    """Implements `Recorder`: keeps nothing, and raises from the fault's begin on."""
+    """A `Recorder` that keeps nothing, and raises from the fault's start on."""
 
     def __init__(self, plan: Plan, clock: VirtualClock) -> None:
         self._plan, self._clock = plan, clock
 
-    def _put(self) -> None:
-        if self._clock.now_ns() >= self._plan.begin_ns:
+    def _put(self, value: object = None) -> None:
+        if self._clock.now_ns() >= self._plan.start_ns:
             raise OSError("run.mcap: no space left on the device")
 
+    frame = motion = state = estimate = command = event = close = _put
+
+
+class FullDisk(RunFile):
+    """A recording's file on a disk without space."""
+
     def frame(self, frame: Frame | StereoFrame) -> None:
-        """Nothing, or the error."""
-        self._put()
+        """Raise the error of a full disk."""
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    def motion(self, motion: Motion) -> None:
-        """Nothing, or the error."""
-        self._put()
 
-    def state(self, state: VehicleState) -> None:
-        """Nothing, or the error."""
-        self._put()
+class SlowDisk(RunFile):
+    """A recording's file that writes nothing before `released` is set."""
 
-    def estimate(self, estimate: LaneEstimate) -> None:
-        """Nothing, or the error."""
-        self._put()
+    released: threading.Event
 
-    def command(self, command: Command) -> None:
-        """Nothing, or the error."""
-        self._put()
+    def frame(self, frame: Frame | StereoFrame) -> None:
+        """Wait, then write a frame."""
+        self.released.wait()
+        super().frame(frame)
 
-    def event(self, event: Event) -> None:
-        """Nothing, or the error."""
-        self._put()
+
+class SlowRecorder(McapRecorder):
+    """A recorder whose disk writes nothing before it is closed."""
+
+    def __init__(self, path: Path, config: RecordingConfig) -> None:
+        released = threading.Event()
+        self._released = released
+        super().__init__(path, "", config, type("ThisDisk", (SlowDisk,), {"released": released}))
 
     def close(self) -> None:
-        """Nothing, or the error."""
-        self._put()
+        """Let the disk write, then close."""
+        self._released.set()
+        super().close()
+
+
+@contextlib.contextmanager
+def faulty_recorder(disk: Disk | None, plan: Plan, clock: VirtualClock) -> Iterator[Recorder | None]:
+    """A recorder with this fault; None where there is none."""
+    if disk is None or disk is Disk.RAISES:
+        yield None if disk is None else RaisingRecorder(plan, clock)
+        return
+    config = RecordingConfig(image="jpeg")
+    with tempfile.TemporaryDirectory(prefix="faults-") as folder:
+        path = Path(folder) / "run.mcap"
+        slow = disk is Disk.SLOW
+        recorder = SlowRecorder(path, config) if slow else McapRecorder(path, "", config, FullDisk)
+        try:
+            yield recorder
+        finally:
+            recorder.close()
