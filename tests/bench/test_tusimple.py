@@ -205,5 +205,5 @@ def test_a_wrong_label_is_refused_by_line(line: str, why: str) -> None:
 
 
 def test_no_labels_at_all_are_refused() -> None:
-    with pytest.raises(ConfigError, match="no labels in it"):
+    with pytest.raises(ConfigError, match="got no labels"):
         parse_labels("\n", "labels")
