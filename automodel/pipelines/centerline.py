@@ -1,17 +1,16 @@
-"""`centerline`: Cudrano et al. 2020, "Advances in centerline estimation for autonomous lateral control" (seed 001).
+"""`centerline`: Cudrano et al. 2020, "Advances in centerline estimation for autonomous lateral control".
 
-Line mask (U-Net) -> bird's-eye view, feature points -> window line following with recovery -> memory by odometry,
-smoothing spline, s-theta, RLS with forgetting -> centerline -> relative pose -> EKF.
+Line mask (U-Net) -> feature points in the bird's-eye view -> window line following with recovery -> of each line:
+memory by odometry, smoothing spline, s-theta model, recursive least squares -> centerline -> relative pose -> EKF.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.theta.tracked_lane import TrackedLane
@@ -25,16 +24,24 @@ from automodel.perception.windows.line_initialisation import LineInitialisation
 from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
-from automodel.types import FloatArray, Image
+from automodel.types import Bools, FloatArray, Image
 
 NO_POINTS: FloatArray = np.empty((0, 2))
 
 
 class Markings(Protocol):
-    """What finds line markings: a grey picture (h, w) -> how sure each pixel is one (any size), 0 .. 255."""
+    """Finds line markings: a grey image (h, w) -> a mask of any size, the probability of a marking, 0 .. 255."""
 
     def step(self, grey: Image) -> Image:
-        """The mask of one picture."""
+        """The mask of one image."""
+
+
+class Lines(NamedTuple):
+    """A frame's left and right line, and which of them the lane's estimate uses."""
+
+    left: SeenLine
+    right: SeenLine
+    used: tuple[bool, bool]
 
 
 def make_markings(car: CarConfig) -> Markings:
@@ -49,30 +56,31 @@ def make_markings(car: CarConfig) -> Markings:
 
 
 class Centerline:
-    """Seed 001 as a pipeline: `step` one frame, `reset`."""
+    """The pipeline of Cudrano et al. 2020; `notice` is a line for the user, which may be empty."""
 
     name = "centerline"
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
-    MAX_WAY_LANES, MAX_TURN_RAD = 6.0, 1.5  # between two frames; more is no motion of a car
+    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
+    MAX_DISTANCE_LANES, MAX_TURN_RAD = 6.0, 1.5  # between two frames; a larger motion is not a car's
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
-    LEAST_MARKING_LANES = 0.03  # a mask shows no thinner lines: far out its pixels are broader than a marking
+    MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
     SEEN_POINTS = 2  # that make a line seen
-    START_POINTS = 4  # a line of a pair that starts a lane
-    SINGLE_POINTS = 6  # and of a line alone
-    CONFIRM_FRAMES = 3  # running in which a lane that started from one line must be seen before it is told
-    BREADTH_LANES, BLIND_LANES = 0.1, 0.1  # how far beside its place a line is looked for; growth with the blind way
-    UNKNOWN_LANES = 0.25  # the same while the car's motion is not known
-    PARTED_LANES = 0.4  # the two lines are never nearer to each other
-    SHORT_POINTS = 6  # a line of fewer is looked for a second way
-    END_LANES = 0.8  # a line that is not seen so far on, where it should be in the picture, has ended
-    RIVAL_LANES = 0.4  # blind way from which another lane may take over
-    RIVAL_FRAMES = 3  # running in which it must be seen
-    RIVAL_ALONE = 0.2, 0.2  # how far off [lane widths, rad] a lane of which one line is seen may be
+    START_POINTS = 4  # on each line of a pair that starts a lane
+    SINGLE_POINTS = 6  # on a single line that starts a lane
+    CONFIRM_FRAMES = 3  # consecutive, in which a lane started from one line must be seen before it is reported
+    REACH_LANES = 0.1  # lateral distance from its expected place in which a line is searched
+    BLIND_REACH = 0.1  # growth of that per distance without a line
+    UNKNOWN_REACH_LANES = 0.25  # that distance while the car's motion is unknown
+    MIN_SPACING_LANES = 0.4  # between the two lines
+    SHORT_POINTS = 6  # a line of fewer is also searched beside the centerline
+    END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
+    REPLACE_LANES = 0.4  # distance without a line from which on another lane may replace the tracked one
+    REPLACE_FRAMES = 3  # consecutive, in which it must be seen
+    REPLACE_BY_LINE = 0.2, 0.2  # largest difference of a lane with one line: offset [lane widths], heading [rad]
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
         near = GroundCamera.from_config(car.camera).first_visible_x_m()
-        marking = max(lane.marking_width_m, self.LEAST_MARKING_LANES * lane.width_m)
+        marking = max(lane.marking_width_m, self.MIN_MARKING_LANES * lane.width_m)
         across = marking / options.marking_px
         self.view = View(
             x_near_m=near,
@@ -88,7 +96,7 @@ class Centerline:
         self._features = FeaturePoints(car.camera, self.view, lane.marking_width_m, options.threshold)
         self._initialisation = LineInitialisation(self.view, lane.width_m, marking, self._reference_x_m)
         self._following = LineFollowing(self.view, lane.width_m, marking, self._features.visible)
-        self.notice = _worth_telling(self._markings, options)
+        self.notice = _provider_notice(self._markings, options)
         self.stages = StageClock()
         self.reset()
 
@@ -97,45 +105,38 @@ class Centerline:
         self._lane: TrackedLane | None = None
         self._last_t_ns: int | None = None
         self._seen_t_ns = 0
-        self._unconfirmed = self._rivals = 0
+        self._unconfirmed = self._replacing = 0  # frames: until the lane is reported; with another lane
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """The lane in this frame (LOST for a picture of another size than the camera's)."""
-        self.stages.begin()
-        self._advance(frame.t_ns, motion)
+        """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
+        self.stages.start()
+        self._predict(frame.t_ns, motion)  # odometry: lines, centerline and pose
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
-        grey = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
-        mask = self._markings.step(np.asarray(grey, dtype=np.uint8))
+        mask = self._line_mask(frame.image)  # U-Net, or ridge filter
         self.stages.lap("markings")
-        if isinstance(self._markings, MarkingNetwork):
-            mask = adaptive_threshold(mask)
-        features = self._features.step(mask)
+        features = self._feature_points(mask)  # adaptive threshold, bird's-eye view, morphological cleaning
         self.stages.lap("birdseye")
         if self._lane is None:
-            found = self._find(features)
+            found = self._find(features)  # line initialisation, first lane
             if found is None:
                 return self._lost(frame)
-            self._lane, left, right = found
+            self._lane, lines = found
             self._unconfirmed = 0 if self._lane.left.line and self._lane.right.line else self.CONFIRM_FRAMES
-            seen = len(left.points_m) > 0, len(right.points_m) > 0
             self.stages.lap("following")
         else:
-            left, right = (self._follow(features, self._lane, side) for side in (+1.0, -1.0))
-            left, right = self._parted(left, right)
+            followed = self._follow_lines(features, self._lane)  # window line following
             self.stages.lap("following")
-            seen = self._lane.update(left, right)
-            if not any(seen) and self._in_view(self._lane):
-                self._lane.end()
-            left, right, seen = self._challenged(features, left, right, seen)
+            lines = self._update(self._lane, *followed)  # spline, s-theta, RLS, centerline, relative pose, EKF
+            lines = self._replaced(features, self._lane, lines)
         self.stages.lap("estimation")
-        estimate = self._estimate(frame, self._lane, (left, right), seen)
+        estimate = self._estimate(frame, self._lane, lines)
         self.stages.lap("estimate")
         return estimate
 
-    def _advance(self, t_ns: int, motion: Motion) -> None:
-        """Carry the lane over the motion since the frame before; a gap or time that goes back starts again."""
+    def _predict(self, t_ns: int, motion: Motion) -> None:
+        """Move the lane by the motion since the last frame; a gap, or time that goes back, drops it."""
         last, self._last_t_ns = self._last_t_ns, t_ns
         if last is None or self._lane is None:
             return
@@ -144,14 +145,23 @@ class Centerline:
             self._lane = None
             return
         dt_s = dt_ns * 1e-9
-        way_m, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        known = motion.known and abs(way_m) < self.MAX_WAY_LANES * self._unit and abs(turn) < self.MAX_TURN_RAD
-        if not known:  # nor is what no car can have done between two frames, or is not finite
-            way_m = turn = 0.0
-        self._lane.move(SE2.arc(way_m, turn).inverse(), way_m, dt_s, known)
+        distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
+        known = motion.known and abs(distance) < self.MAX_DISTANCE_LANES * self._unit and abs(turn) < self.MAX_TURN_RAD
+        if not known:  # also where it is not finite
+            distance = turn = 0.0
+        self._lane.move(SE2.arc(distance, turn).inverse(), distance, dt_s, known)
 
-    def _find(self, features: Image) -> tuple[TrackedLane, SeenLine, SeenLine] | None:
-        """A lane from this frame alone: a pair of lines, or one."""
+    def _line_mask(self, image: Image) -> Image:
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return self._markings.step(np.asarray(grey, dtype=np.uint8))
+
+    def _feature_points(self, mask: Image) -> Image:
+        if isinstance(self._markings, MarkingNetwork):
+            mask = adaptive_threshold(mask)
+        return self._features.step(mask)
+
+    def _find(self, features: Image) -> tuple[TrackedLane, Lines] | None:
+        """A lane from this frame alone: from a pair of lines, or from one."""
         starts = self._initialisation.step(features)
         seen = [SeenLine(points_m=NO_POINTS, sigma_m=np.empty(0)) for _ in starts]
         for i, start in enumerate(starts):
@@ -159,96 +169,99 @@ class Centerline:
                 followed = self._following.follow(features, start)
                 if len(followed) >= (self.SINGLE_POINTS if None in starts else self.START_POINTS):
                     seen[i] = self._seen(followed)
+        left, right = seen
         lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.start(*seen) or not self._plausible(lane):
+        if not lane.start(left, right) or not self._plausible(lane):
             return None
-        return lane, seen[0], seen[1]
+        return lane, Lines(left, right, (len(left.points_m) > 0, len(right.points_m) > 0))
 
-    def _follow(self, features: Image, lane: TrackedLane, side: float) -> SeenLine:
-        """A line's points from where it is expected; where its own model soon loses it, the centerline's may not."""
-        seen = self._guided(features, lane, side, True)
-        if len(seen.points_m) < self.SHORT_POINTS and lane.on_its_own(side):
-            other = self._guided(features, lane, side, False)
-            if len(other.points_m) > len(seen.points_m) + self.START_POINTS:
-                return other
-        return seen
-
-    def _guided(self, features: Image, lane: TrackedLane, side: float, alone: bool) -> SeenLine:
-        points, heading, known_m = lane.expected(side, self._ahead_m + 0.5 * self._unit, alone)
-        breadth = self.BREADTH_LANES if lane.motion_known else self.UNKNOWN_LANES
-        breadth = breadth * self._unit + self.BLIND_LANES * min(lane.blind_m, 2.0 * self._unit)
-        expected = ExpectedLine(points_m=points, heading_rad=heading, known_m=known_m)
-        return self._seen(self._following.follow(features, expected=expected, reach_m=breadth))
-
-    def _parted(self, left: SeenLine, right: SeenLine) -> tuple[SeenLine, SeenLine]:
-        """Both lines; where they come so near to each other that they must be one, the longer keeps it."""
+    def _follow_lines(self, features: Image, lane: TrackedLane) -> tuple[SeenLine, SeenLine]:
+        """Both lines; where they are so close that they must be one, the longer keeps it."""
+        left, right = (self._follow_line(features, lane, side) for side in (+1.0, -1.0))
         if not (len(left.points_m) and len(right.points_m)):
             return left, right
         apart = left.points_m[:, None] - right.points_m
-        near = np.einsum("ijk,ijk->ij", apart, apart) < (self.PARTED_LANES * self._unit) ** 2
+        near = np.einsum("ijk,ijk->ij", apart, apart) < (self.MIN_SPACING_LANES * self._unit) ** 2
         if not near.any():
             return left, right
         if len(left.points_m) >= len(right.points_m):
             return left, _cut(right, int(near.any(axis=0).argmax()))
         return _cut(left, int(near.any(axis=1).argmax())), right
 
+    def _follow_line(self, features: Image, lane: TrackedLane, side: float) -> SeenLine:
+        """A line's points from where its own model expects it; from the centerline's if that gives clearly more."""
+        seen = self._follow_expected(features, lane, side, True)
+        if len(seen.points_m) < self.SHORT_POINTS and lane.on_its_own(side):
+            other = self._follow_expected(features, lane, side, False)
+            if len(other.points_m) > len(seen.points_m) + self.START_POINTS:
+                return other
+        return seen
+
+    def _follow_expected(self, features: Image, lane: TrackedLane, side: float, alone: bool) -> SeenLine:
+        points, heading, known_m = lane.expected(side, self._ahead_m + 0.5 * self._unit, alone)
+        reach = self.REACH_LANES if lane.motion_known else self.UNKNOWN_REACH_LANES
+        reach = reach * self._unit + self.BLIND_REACH * min(lane.blind_m, 2.0 * self._unit)
+        expected = ExpectedLine(points_m=points, heading_rad=heading, known_m=known_m)
+        return self._seen(self._following.follow(features, expected=expected, reach_m=reach))
+
     def _seen(self, followed: FollowedLine) -> SeenLine:
+        """The line, and whether it ended within the view."""
         points = followed.points_m
         ended = False
         if len(points) > 1:
-            way = points[-1] - points[max(len(points) - 4, 0)]
-            beyond = points[-1] + way * (self.END_LANES * self._unit / max(float(np.hypot(*way)), 1e-9))
+            last = points[-1] - points[max(len(points) - 4, 0)]
+            beyond = points[-1] + last * (self.END_LANES * self._unit / max(float(np.hypot(*last)), 1e-9))
             ended = bool(self._inside(np.array((beyond, 0.5 * (points[-1] + beyond)))).all())
         return SeenLine(points_m=points, sigma_m=followed.sigma_m, ended=ended)
 
-    def _inside(self, points_m: FloatArray) -> NDArray[np.bool_]:
-        """Which points (n, 2) [m] are in the picture and the view."""
+    def _inside(self, points_m: FloatArray) -> Bools:
+        """Which points (n, 2) [m] the camera sees within the view."""
         column, row = np.rint(self.view.to_px(points_m)).astype(np.intp).T
         inside = (column >= 0) & (column < self.view.width_px) & (row >= 0) & (row < self.view.height_px)
         inside[inside] = self._features.visible[row[inside], column[inside]] > 0
         return inside
 
+    def _update(self, lane: TrackedLane, left: SeenLine, right: SeenLine) -> Lines:
+        """Correct the lane; one that should be visible and is not goes straight on."""
+        used = lane.update(left, right)
+        if not any(used) and self._in_view(lane):
+            lane.end()
+        return Lines(left, right, used)
+
     def _in_view(self, lane: TrackedLane) -> bool:
-        """Whether one of the lines should be seen for a while."""
+        """Whether one of the lines should be visible over more than `END_LANES`."""
         for side in (+1.0, -1.0):
             points, _, _ = lane.expected(side, self._ahead_m)
             if self._inside(points).mean() * self._ahead_m > self.END_LANES * self._unit:
                 return True
         return False
 
-    def _challenged(
-        self, features: Image, left: SeenLine, right: SeenLine, seen: tuple[bool, bool]
-    ) -> tuple[SeenLine, SeenLine, tuple[bool, bool]]:
-        """Lines that were seen several frames running beside a lane that nothing supports take over."""
-        lane = self._lane
-        if lane is None or any(seen) or lane.blind_m < self.RIVAL_LANES * self._unit:
-            self._rivals = 0
-            return left, right, seen
+    def _replaced(self, features: Image, lane: TrackedLane, lines: Lines) -> Lines:
+        """The lines of another lane, once it was seen in `REPLACE_FRAMES` beside one without a line, else `lines`."""
+        replacing, self._replacing = self._replacing, 0
+        if any(lines.used) or lane.blind_m < self.REPLACE_LANES * self._unit:
+            return lines
         found = self._find(features)
-        if found is None or not self._rivals_with(found[0], lane):
-            self._rivals = 0
-            return left, right, seen
-        self._rivals += 1
-        if self._rivals < self.RIVAL_FRAMES:
-            return left, right, seen
-        self._rivals = 0
-        self._lane, left, right = found
-        return left, right, (len(left.points_m) > 0, len(right.points_m) > 0)
+        if found is None or not self._may_be(found[0], lane):
+            return lines
+        if replacing + 1 < self.REPLACE_FRAMES:
+            self._replacing = replacing + 1
+            return lines
+        self._lane, lines = found
+        return lines
 
-    def _rivals_with(self, other: TrackedLane, lane: TrackedLane) -> bool:
-        """Whether what was found may be the lane: what dead reckoning cannot have got so wrong is another lane."""
+    def _may_be(self, other: TrackedLane, lane: TrackedLane) -> bool:
+        """Whether `other` may be the tracked lane: a larger difference than dead reckoning's error is another lane."""
         blind = lane.blind_m / self._unit
-        aside = abs(other.pose.offset_m - lane.pose.offset_m) / self._unit
+        lateral = abs(other.pose.offset_m - lane.pose.offset_m) / self._unit
         turned = abs(other.pose.heading_rad - lane.pose.heading_rad)
         if other.left.line is None or other.right.line is None:
-            return aside < self.RIVAL_ALONE[0] and turned < self.RIVAL_ALONE[1]
-        return aside < min(0.15 + 0.1 * blind, 0.3) and turned < 0.25
+            return lateral < self.REPLACE_BY_LINE[0] and turned < self.REPLACE_BY_LINE[1]
+        return lateral < min(0.15 + 0.1 * blind, 0.3) and turned < 0.25
 
-    def _estimate(
-        self, frame: Frame, lane: TrackedLane, lines: tuple[SeenLine, SeenLine], taken: tuple[bool, bool]
-    ) -> LaneEstimate:
+    def _estimate(self, frame: Frame, lane: TrackedLane, lines: Lines) -> LaneEstimate:
         left, right = (
-            there and len(line.points_m) >= self.SEEN_POINTS for there, line in zip(taken, lines, strict=True)
+            used and len(line.points_m) >= self.SEEN_POINTS for used, line in zip(lines.used, lines[:2], strict=True)
         )
         if left or right:
             self._seen_t_ns = frame.t_ns
@@ -264,25 +277,25 @@ class Centerline:
             return self._lost(frame)
         if self._unconfirmed:
             return self._lost(frame)
-        middle, pose = lane.centerline, lane.pose
+        centerline, pose = lane.centerline, lane.pose
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left) + int(right)],
-            left=self._line(lane.left, lines[0], left, lane, +0.5),
-            right=self._line(lane.right, lines[1], right, lane, -0.5),
-            centerline=middle.deferred(-lane.REACH_LANES * self._unit, self._ahead_m),
+            left=self._line(lane.left, lines.left, left, lane, +0.5),
+            right=self._line(lane.right, lines.right, right, lane, -0.5),
+            centerline=centerline.deferred(-lane.REACH_LANES * self._unit, self._ahead_m),
             pose=LanePose(
                 offset_m=pose.offset_m,
                 heading_rad=pose.heading_rad,
                 width_m=pose.width_m,
-                curvature_per_m=middle.curvature_at(0.0),
+                curvature_per_m=centerline.curvature_at(0.0),
                 covariance=pose.covariance,
             ),
             frame_age_ns=blind_ns,
         )
 
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:
-        """A line's own curve, or the lane's edge where it is not kept."""
+        """A line's own curve, or the lane's edge where there is none."""
         if tracked.line is not None:
             curve = tracked.line.deferred(0.0, self._ahead_m)
         else:
@@ -302,10 +315,10 @@ class Centerline:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
 
 
-def _worth_telling(markings: Markings, options: CenterlineConfig) -> str:
-    """Which provider runs the network and why, where that was chosen; nothing on a computer that has only the CPU."""
-    chosen = options.providers != CenterlineConfig().providers
-    if not isinstance(markings, MarkingNetwork) or (markings.provider == "cpu" and not chosen):
+def _provider_notice(markings: Markings, options: CenterlineConfig) -> str:
+    """The provider of the network and why; empty where it is the CPU and no provider was configured."""
+    configured = options.providers != CenterlineConfig().providers
+    if not isinstance(markings, MarkingNetwork) or (markings.provider == "cpu" and not configured):
         return ""
     return markings.notice
 

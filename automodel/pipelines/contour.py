@@ -113,7 +113,7 @@ class Contour:
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame (LOST for a picture of another size than the camera's)."""
-        self.stages.begin()
+        self.stages.start()
         self._advance(frame.t_ns, motion)
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:

@@ -6,21 +6,21 @@ from collections.abc import Callable
 
 
 class StageClock:
-    """`lap(name)` books the time since the last lap; without a stopwatch nothing is measured."""
+    """`lap(name)` adds the time since the last lap to a stage; without a stopwatch nothing is measured."""
 
     def __init__(self) -> None:
-        self.stopwatch: Callable[[], int] | None = None
+        self.stopwatch: Callable[[], int] | None = None  # [ns]
         self.durations_ns: dict[str, int] = {}
         self._last_ns = 0
 
-    def begin(self) -> None:
-        """A new frame."""
+    def start(self) -> None:
+        """Start a new frame."""
         if self.stopwatch is not None:
             self.durations_ns = {}
             self._last_ns = self.stopwatch()
 
     def lap(self, stage: str) -> None:
-        """The end of a stage."""
+        """End a stage."""
         if self.stopwatch is not None:
             now_ns = self.stopwatch()
             self.durations_ns[stage] = self.durations_ns.get(stage, 0) + now_ns - self._last_ns

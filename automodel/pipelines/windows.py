@@ -1,9 +1,9 @@
-"""`windows`: lane lines for the AutoModelCar category (seed 003), in metres and over time.
+"""`windows`: lane lines for the AutoModelCar category (the AutoModelCar paper), in metres and over time.
 
-Bird's-eye view -> binarisation -> white-areas filter -> histogram start / prediction -> sliding windows ->
-regression -> lane fit (width, offset, heading, curvature) -> crossing. Where the paper treats every frame alone, the
-lane is carried from frame to frame by odometry (estimation/lane_tracker.py), because the nearest ground the camera sees
-lies ahead of the car, and because at a crossing there is nothing to see.
+Bird's-eye view -> binarisation, white-areas filter -> crossing search -> histogram start or prediction -> sliding
+windows -> regression -> lane fit (width, offset, heading, curvature). The paper treats every frame alone. Here the lane
+is carried from frame to frame by odometry, because the nearest ground that the camera sees lies ahead of the car, and
+because no line is visible at a crossing.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose,
 from automodel.types import FloatArray, Image
 
 NO_POINTS: FloatArray = np.empty((0, 2))
+Fitted = tuple[Observation, LaneSolution, Support]  # a frame's points, the lane fitted to them, and how many agree
 
 
 class Windows:
-    """Seed 003 as a pipeline: `step` one frame, `reset`."""
+    """The pipeline of the AutoModelCar paper."""
 
     name = "windows"
-    CROSSING_TURN = 0.5  # how much a line's slope may differ from the lane's near a crossing
-    MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is told (the paper's tolerance)
-    CONFIRM_NS = 250_000_000  # a lane started from one line is not told before it was seen for so long
+    CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
+    MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
+    CONFIRM_NS = 250_000_000  # a lane started from one line is reported once it was seen for so long
     MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
+    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
 
     def __init__(self, car: CarConfig) -> None:
         options, lane = car.pipeline.windows, car.lane
@@ -55,10 +56,10 @@ class Windows:
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
         self._birdseye = BirdsEye(camera, self.view)
-        self._white = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
-        self._lines = LaneWindows(self.view, lane.marking_width_m)
+        self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
+        self._paint_check = TemporalPaintCheck(self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m)
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
-        self._ground = TemporalPaintCheck(self.view, self._white.mask, lane.width_m, lane.marking_width_m)
+        self._windows = LaneWindows(self.view, lane.marking_width_m)
         self._tracker = LaneTracker(
             LaneFitConfig(
                 lane_width_m=lane.width_m,
@@ -67,86 +68,102 @@ class Windows:
             ),
             near,
         )
-        self._fresh = LaneInitialiser(self._lines, self._tracker)
+        self._initialiser = LaneInitialiser(self._windows, self._tracker)
         self.stages = StageClock()
         self.reset()
 
     def reset(self) -> None:
         """Forget the lane."""
-        self._tracker.forget()
-        self._ground.forget()
+        self._forget()
         self._last_t_ns: int | None = None
         self._seen_t_ns = self._confirmed_ns = 0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """The lane in this frame (LOST for a picture of another size than the camera's)."""
-        self.stages.begin()
-        self._advance(frame.t_ns, motion)
+        """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
+        self.stages.start()
+        self._predict(frame.t_ns, motion)  # odometry
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
-        grey = frame.image if frame.image.ndim == 2 else cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY)
-        view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
+        view = self._birdseye_view(frame.image)
         self.stages.lap("birdseye")
-        bright, lines = self._white.step(view)
-        painted = self._ground.step(lines)
-        self._ground.remember(bright)
+        bright, lines = self._white_areas.step(view)  # binarisation, white-areas filter
+        lines = self._painted(lines, bright)  # temporal paint check
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
-            fresh = self._fresh.find(painted)
-            if fresh is None or not self._plausible(fresh.solution):
+            candidate = self._initialiser.find(lines)  # histogram start, sliding windows, regression, lane fit
+            if candidate is None or not self._plausible(candidate.solution):
                 return self._lost(frame)
-            seen, solution, support = self._take(fresh)
-            self._confirmed_ns = frame.t_ns + (0 if fresh.pair else self.CONFIRM_NS)
+            fitted = self._start(candidate)
+            self._confirmed_ns = frame.t_ns + (0 if candidate.pair else self.CONFIRM_NS)
         else:
-            crossed = self._cross(bright)
-            crossing = crossed.crossing
+            scan = self._scan_crossing(bright)
+            crossing = scan.crossing
             self.stages.lap("crossing")
-            seen = self._observe(painted, crossed)
+            seen = self._observe(lines, scan)  # sliding windows
             self.stages.lap("windows")
-            solution, support = self._tracker.update(seen)
+            fitted = seen, *self._tracker.update(seen)  # lane fit
             self.stages.lap("lane_fit")
-            rival = self._fresh.replacement(painted, crossed, support)
-            if rival is not None and self._plausible(rival.solution):
-                seen, solution, support = self._take(rival)
-        estimate = self._estimate(frame, crossing, seen, solution, support)
+            fitted = self._replaced(lines, scan, fitted)
+        estimate = self._estimate(frame, crossing, *fitted)
         self.stages.lap("estimate")
         return estimate
 
-    def _advance(self, t_ns: int, motion: Motion) -> None:
-        """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
+    def _predict(self, t_ns: int, motion: Motion) -> None:
+        """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         last, self._last_t_ns = self._last_t_ns, t_ns
         if last is None:
             return
         dt_ns = t_ns - last
         if not 0 < dt_ns <= self.MAX_GAP_NS:
-            self._tracker.forget()
-            self._ground.forget()
+            self._forget()
             return
         distance = motion.speed_mps * dt_ns * 1e-9 if motion.known else 0.0
         turn = motion.yaw_rate_radps * dt_ns * 1e-9 if motion.known else 0.0
         before_from_after = SE2.arc(distance, turn)
         self._tracker.move(before_from_after.inverse(), distance, motion.known)
         if motion.known:
-            self._ground.move(before_from_after, distance)
+            self._paint_check.move(before_from_after, distance)
         else:
-            self._ground.forget()
+            self._paint_check.forget()
 
-    def _take(self, fresh: LaneCandidate) -> tuple[Observation, LaneSolution, Support]:
-        self._tracker.start(fresh.seen, fresh.solution)
-        return fresh.seen, fresh.solution, fresh.support
+    def _birdseye_view(self, image: Image) -> Image:
+        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
 
-    def _observe(self, lines: Image, crossed: CrossingScan) -> Observation:
-        """Both lines' points from where the lane is predicted, without those where paint covers the lane."""
+    def _painted(self, lines: Image, bright: Image) -> Image:
+        """The lines (h, w) that may be paint; `bright` (h, w) is remembered."""
+        painted = self._paint_check.step(lines)
+        self._paint_check.remember(bright)
+        return painted
+
+    def _start(self, candidate: LaneCandidate) -> Fitted:
+        self._tracker.start(candidate.seen, candidate.solution)
+        return candidate.seen, candidate.solution, candidate.support
+
+    def _replaced(self, lines: Image, scan: CrossingScan, fitted: Fitted) -> Fitted:
+        """Another lane that was seen beside a lane with little support, else `fitted`."""
+        candidate = self._initialiser.replacement(lines, scan, fitted[2])
+        return self._start(candidate) if candidate is not None and self._plausible(candidate.solution) else fitted
+
+    def _scan_crossing(self, bright: Image) -> CrossingScan:
+        """Search for a crossing; its angle gives the tracker the lane's direction there."""
+        scan = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
+        if scan.crossing is not None:
+            self._tracker.add_crossing(scan.crossing.distance_m, scan.crossing.angle_rad - 0.5 * math.pi)
+        return scan
+
+    def _observe(self, lines: Image, scan: CrossingScan) -> Observation:
+        """Both lines' points about the predicted lane, without those where paint covers the lane."""
         lane = self._tracker.shape
-        breadth = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
-        left, right = self._lines.expected(lane, +1), self._lines.expected(lane, -1)
+        widening = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
+        left, right = self._windows.expected(lane, +1), self._windows.expected(lane, -1)
         turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
-        seen = self._lines.observe(lines, left, right, breadth, turn)
-        if not crossed.covered.any():
+        seen = self._windows.observe(lines, left, right, widening, turn)
+        if not scan.covered.any():
             return seen
-        keep = [crossed.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]
+        keep = [scan.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]
         return Observation(
             left_m=seen.left_m[keep[0]],
             right_m=seen.right_m[keep[1]],
@@ -157,10 +174,7 @@ class Windows:
     def _estimate(
         self, frame: Frame, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> LaneEstimate:
-        left_seen, right_seen = (
-            support.left >= self._fresh.LINE_WINDOWS,
-            support.right >= self._fresh.LINE_WINDOWS,
-        )
+        left_seen, right_seen = (n >= LaneInitialiser.LINE_WINDOWS for n in (support.left, support.right))
         if left_seen or right_seen:
             self._seen_t_ns = frame.t_ns
         blind_ns = frame.t_ns - self._seen_t_ns
@@ -192,12 +206,12 @@ class Windows:
             right=self._line(seen.right_m, right_seen, -1),
             centerline=shape.curve(),
             pose=pose,
-            crossing=self._told(crossing, p),
+            crossing=self._reported(crossing, p),
             frame_age_ns=blind_ns,
         )
 
     def _line(self, points_m: FloatArray, seen: bool, side: int) -> LaneLine:
-        """The paper's regression x(row) of degree 2 through a line that is seen, else the lane's edge."""
+        """The paper's regression of degree 2 through a line that is seen, else the lane's edge."""
         curve: Curve
         if seen and float(points_m[-1, 0] - points_m[0, 0]) > 2 * self.view.m_per_row:
             x = points_m[:, 0]
@@ -207,14 +221,8 @@ class Windows:
             curve = shape.curve(side * 0.5 * shape.width_m)
         return LaneLine(curve=curve, points_m=points_m if seen else NO_POINTS, seen=seen)
 
-    def _cross(self, bright: Image) -> CrossingScan:
-        """Look for a crossing; one that is found tells the tracker the lane's direction there."""
-        crossed = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
-        if crossed.crossing is not None:
-            self._tracker.add_crossing(crossed.crossing.distance_m, crossed.crossing.angle_rad - 0.5 * math.pi)
-        return crossed
-
-    def _told(self, crossing: Crossing | None, parameters: FloatArray) -> Crossing | None:
+    def _reported(self, crossing: Crossing | None, parameters: FloatArray) -> Crossing | None:
+        """The crossing, unless it is too far from square to the lane."""
         if crossing is None:
             return None
         skew = crossing.angle_rad - 0.5 * math.pi - self._tracker.fit.direction(parameters, crossing.distance_m)
@@ -228,6 +236,10 @@ class Windows:
             and abs(solution.offset_m) < 0.9 * unit
             and abs(solution.heading_rad) < math.radians(60.0)
         )
+
+    def _forget(self) -> None:
+        self._tracker.forget()
+        self._paint_check.forget()
 
     def _lost(self, frame: Frame) -> LaneEstimate:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))

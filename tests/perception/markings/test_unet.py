@@ -127,7 +127,7 @@ def test_an_output_that_cannot_be_used_is_an_empty_mask_and_counted(
 def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
     assert refusal(tmp_path / "missing.onnx") == "no such file"
     assert refusal(tmp_path) == "cannot be read: Is a directory"
-    assert refusal(tmp_path / "large.onnx", bytes(unet.MAX_BYTES + 1)).startswith("more than 8 MB")
+    assert refusal(tmp_path / "large.onnx", bytes(unet.MAX_BYTES + 1)).startswith("larger than 8 MB")
     assert refusal(tmp_path / "text.onnx", b"hello\n")
 
 
@@ -171,7 +171,7 @@ def test_a_graph_that_makes_no_sense_is_refused(path: Path, data: bytes) -> None
 @pytest.mark.parametrize(
     ("nodes", "said"),
     [
-        ((files.node("Identity", "image", "marking"),), "of what lies beside them"),
+        ((files.node("Identity", "image", "marking"),), "of all other pixels"),
         ((files.node("Sub", "image image", "marking"),), "marks 0% of two drawn lines"),
     ],
     ids=["the picture itself", "nothing"],
