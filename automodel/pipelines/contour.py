@@ -1,8 +1,8 @@
-"""`contour`: a clothoid pair followed on a few image rows (seed 004), for the cheapest board.
+"""`contour`: a clothoid pair tracked on a few image rows, after the active contour of Smith (thesis).
 
-Prediction by speed and yaw rate -> nodes of the pair into the picture -> ridges on short runs of rows about them ->
-robust least squares -> pose. Nothing touches the whole picture, and nothing of the picture is carried to the ground:
-under 2 % of the pixels are read while tracking, about as many when a lane is looked for on whole rows.
+Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
+them -> robust least squares -> pose. The whole image is never processed, and nothing of it is projected onto the
+ground: under 2 % of the pixels are read while tracking, about as many when a lane is searched on whole rows.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,42 +21,51 @@ from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTrac
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.rows.row_hough import InitialLane, LaneSearchConfig, RowHough
-from automodel.perception.rows.row_ridges import Brightness, RunRidges
+from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig
+from automodel.perception.rows.row_hough import RowHough
+from automodel.perception.rows.row_ridges import Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import Bools, FloatArray, Floats, Image
 
-Followed = tuple[PairShape, NodeMeasurements, Bools]
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
 
 
-class Contour:
-    """Seed 004 as a pipeline: `step` one frame, `reset`.
+class Tracked(NamedTuple):
+    """A frame's clothoid pair, what was measured about it, and which measurements (k,) are inliers."""
 
-    `iterations` counts those of the update law in the last step.
-    """
+    shape: PairShape
+    measured: NodeMeasurements
+    inliers: Bools
+
+    def counts(self) -> tuple[int, int]:
+        """The number of inliers on the left and on the right line."""
+        return self.measured.count(self.shape, self.inliers)
+
+
+class Contour:
+    """The pipeline of Smith's thesis."""
 
     name = "contour"
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames: start again
-    CONFIRM_NS = 50_000_000  # a lane that is not sure is not told before it was seen for so long
-    ROUNDS, START_ROUNDS = 3, 4  # of looking and correcting, at most
-    SETTLED = 0.5  # markings: a correction that moves no node further is the last
-    SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # that start a lane; that make it sure: on each line, on both
-    START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: who stands further off stands in no lane of his own
+    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
+    CONFIRM_NS = 50_000_000  # an uncertain lane is reported once it was seen for so long
+    ROUNDS, START_ROUNDS = 3, 4  # iterations of measurement and correction, at most
+    SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
+    SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # of a new lane: on one line; of a certain one: on each, on both
+    START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: limits of a car's pose in its own lane
     LINE_NODES = 2  # that make a line seen
-    FITTED = 0.15  # of a guess's sigmas where it was fitted to both lines
-    MOST_WAY, MOST_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: what is said beyond is not believed
-    MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, its direction
-    BLIND = 0.5  # lane widths of way without a line: from then on the lane is looked for on whole rows too
-    EVERY = 8  # frames: so often both lines are looked for while one alone was ever seen
-    ASIDE, TURNED_RAD = 0.3, 0.3  # how far from where it is expected it may be found there: lane widths, its direction
-    UNSURE = 0.25  # lane widths: a lane that is not seen and whose offset is less sure is lost
-    PIECES = 7  # stations' spacings in the look-ahead, at most
-    FARTHEST, FARTHEST_NEW = 0.9, 0.55  # lane widths that the car may be off the middle: at all, and of a new lane
-    NEW = 2.0  # lane widths of way for which a lane is new
-    STEEPEST_RAD = math.radians(60.0)
+    FITTED = 0.15  # factor on the sigmas of an initial lane that was fitted to both lines
+    MAX_DISTANCE, MAX_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: a larger motion is not a car's
+    MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
+    BLIND = 0.5  # lane widths of distance without a line from which on the lane is also searched on whole rows
+    EVERY = 8  # frames between two searches for both lines while only one was ever seen
+    LATERAL, TURNED_RAD = 0.3, 0.3  # largest difference of such a lane from the tracked one: lane widths, direction
+    UNSURE = 0.25  # lane widths: a lane without a line whose offset has a larger sigma is lost
+    PIECES = 7  # maximum number of the pair's stations ahead
+    MAX_OFFSET, MAX_NEW_OFFSET = 0.9, 0.55  # lane widths: of the car from the middle, and of a new lane
+    NEW = 2.0  # lane widths of distance for which a lane is new
+    MAX_HEADING_RAD = math.radians(60.0)
     BEHIND = 1.0  # lane widths of centerline behind the reference point
 
     def __init__(self, car: CarConfig) -> None:
@@ -69,9 +78,9 @@ class Contour:
         nodes = self._nodes(camera, car)
         self._tracker = self._make_tracker(nodes, car, dtype)
         self._pair = self._tracker.pair
-        ridges = RunRidges(brightness, options.contrast)
-        self._search = RowSearch(LineProjection(camera, dtype), ridges, nodes, marking, self._size)
-        tried = LaneSearchConfig(
+        projection = LineProjection(camera, dtype)
+        self._search = RowSearch(projection, brightness, options.contrast, nodes, marking, self._size)
+        searched = LaneSearchConfig(
             lane_width_m=unit,
             marking_m=marking,
             reference_x_m=car.vehicle.reference_x_m,
@@ -79,7 +88,7 @@ class Contour:
             radius_lanes=options.radius_lanes,
             ahead=min(options.look_ahead_lanes, 2.0),
         )
-        self._start = RowHough(camera, tried, brightness)
+        self._lane_search = RowHough(camera, searched, brightness)
         self.stages = StageClock()
         self.reset()
         self._warm_up()
@@ -100,9 +109,9 @@ class Contour:
         """Forget the lane."""
         self._last_t_ns: int | None = None
         self._odometry.reset()
-        self._led = self._misled = False  # by the motion: in this frame, up to this frame
+        self._odometry_used = self._odometry_rejected = False  # in this frame; up to this frame
         self._seen_t_ns = self._confirmed_ns = 0
-        self._new_m = 0.0  # of way, for which the lane is new
+        self._new_m = 0.0  # distance for which the lane is still new
         self._paired = False
         self._forget()
 
@@ -112,139 +121,136 @@ class Contour:
         return self._tracker.iterations
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """The lane in this frame (LOST for a picture of another size than the camera's)."""
+        """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
-        self._advance(frame.t_ns, motion)
+        self._predict(frame.t_ns, motion)  # speed and yaw rate
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
         fitted = False
         if self._tracker.parameters is None:
-            begun = self._begin(frame)
-            if begun is None:
+            started = self._start(frame)  # line integrals, row Hough transform
+            if started is None:
                 self._forget()
                 return self._lost(frame)
-            followed, fitted = begun
+            tracked, fitted = started
         else:
-            followed = self._follow(frame.image, self.ROUNDS, self._led)
-            if self._wants_pair(frame.index, self._count(followed)):
-                followed = self._recover(frame.image) or followed
-        left, right = self._count(followed)
-        self._search.learn(followed[1], followed[2])
-        # A fitted start has seen both lines, on more rows than there are nodes.
+            # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
+            tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
+            if self._needs_search(frame.index, tracked.counts()):
+                tracked = self._reacquire(frame.image) or tracked
+        left, right = tracked.counts()
+        self._search.learn(tracked.measured, tracked.inliers)
+        # A fitted initial lane has seen both lines, on more rows than there are nodes.
         seen = (fitted or left >= self.LINE_NODES, fitted or right >= self.LINE_NODES)
-        estimate = self._estimate(frame, followed, seen)
+        estimate = self._estimate(frame, tracked, seen)
         self.stages.lap("estimate")
         return estimate
 
     def _warm_up(self) -> None:
-        """Have everything compiled that a step calls, so that none has to wait for it."""
+        """Compile everything that a step calls, so that no step waits for it."""
         nothing = np.zeros(self._size, np.uint8)
-        self._start.step(nothing)
+        self._lane_search.step(nothing)
         straight = ArcLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
         self._tracker.start(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
         self._tracker.pose()
-        followed = self._follow(nothing, 1, True)
-        self._count(followed)
-        self._search.learn(followed[1], followed[2])
-        followed[1].points(followed[0], followed[2], self._unit)
+        tracked = self._track(nothing, 1, True)
+        tracked.counts()
+        self._search.learn(tracked.measured, tracked.inliers)
+        tracked.measured.points(tracked.shape, tracked.inliers, self._unit)
         self.reset()
 
-    def _advance(self, t_ns: int, motion: Motion) -> None:
-        """Move the lane by the odometry since the frame before; a gap or time that goes back starts again."""
+    def _predict(self, t_ns: int, motion: Motion) -> None:
+        """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         last, self._last_t_ns = self._last_t_ns, t_ns
         if last is None or self._tracker.parameters is None:
             return
         dt_ns = t_ns - last
-        if self._misled or not 0 < dt_ns <= self.MAX_GAP_NS:
+        if self._odometry_rejected or not 0 < dt_ns <= self.MAX_GAP_NS:
             self._forget()
             return
         dt_s = dt_ns * 1e-9
         distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        possible = motion.known and abs(distance) < self.MOST_WAY * self._unit and abs(turn) < self.MOST_TURN_RAD
-        self._led = led = possible and self._odometry.trusted(t_ns)
-        self._tracker.move(distance if led else 0.0, turn if led else 0.0, dt_s, led)
+        possible = motion.known and abs(distance) < self.MAX_DISTANCE * self._unit and abs(turn) < self.MAX_TURN_RAD
+        self._odometry_used = used = possible and self._odometry.trusted(t_ns)
+        self._tracker.move(distance if used else 0.0, turn if used else 0.0, dt_s, used)
         self._new_m -= self._tracker.advance_m
 
-    def _wants_pair(self, index: int, counts: tuple[int, int]) -> bool:
-        """Whether to look on whole rows too: no line is seen, or one alone ever was, and any width is possible."""
-        if max(counts) < self.LINE_NODES:
-            return self._tracker.blind_m > self.BLIND * self._unit
-        self._paired = self._paired or self._sure(counts)
-        return not self._paired and index % self.EVERY == 0
+    def _start(self, frame: Frame) -> tuple[Tracked, bool] | None:
+        """A lane from this frame alone, and whether it was fitted; None where the frame shows none."""
+        lane = self._search_lane(frame.image)
+        if lane is None:
+            return None
+        self._restart(lane)
+        tracked = self._track(frame.image, self.START_ROUNDS)
+        counts = tracked.counts()
+        if (max(counts) < self.SINGLE_NODES and not lane.fitted) or not self._within():
+            return None
+        self._confirmed_ns = frame.t_ns + (0 if lane.fitted or self._sure(counts) else self.CONFIRM_NS)
+        return tracked, lane.fitted
 
-    def _begin(self, frame: Frame) -> tuple[Followed, bool] | None:
-        """A lane from nothing, and whether the start saw enough of it by itself."""
-        guess = self._look_for(frame.image)
-        if guess is None:
-            return None
-        self._restart(guess)
-        followed = self._follow(frame.image, self.START_ROUNDS)
-        counts = self._count(followed)
-        if (max(counts) < self.SINGLE_NODES and not guess.fitted) or not self._within():
-            return None
-        self._confirmed_ns = frame.t_ns + (0 if guess.fitted or self._sure(counts) else self.CONFIRM_NS)
-        return followed, guess.fitted
+    def _search_lane(self, image: Image) -> InitialLane | None:
+        """A lane on whole rows, without prediction."""
+        lane = self._lane_search.step(image)
+        self.stages.lap("start")
+        return lane
+
+    def _restart(self, lane: InitialLane) -> None:
+        self._tracker.start(lane.arc_lane(self.FITTED))
+        self._new_m = self.NEW * self._unit
+        self._search.forget(lane.edge)
+        self._paired = lane.pair
 
     def _within(self) -> bool:
-        """Whether the car stands in the lane, about along it; else it is the neighbour's, or no lane at all."""
+        """Whether the car is in the lane and about parallel to it; else it is the neighbouring lane, or none."""
         offset, heading, width, _ = self._tracker.pose()
         return math.hypot(offset / (self.START_OFFSET * width), heading / self.START_HEADING_RAD) < 1.0
 
-    def _look_for(self, image: Image) -> InitialLane | None:
-        """A lane on whole rows, from nothing."""
-        guess = self._start.step(image)
-        self.stages.lap("start")
-        return guess
-
-    def _restart(self, guess: InitialLane) -> None:
-        self._tracker.start(guess.rough(self.FITTED))
-        self._new_m = self.NEW * self._unit
-        self._search.forget(guess.edge)
-        self._paired = guess.pair
-
-    def _recover(self, image: Image) -> Followed | None:
-        """Where no line is seen look for both on whole rows; they must lie about where they are expected."""
-        guess = self._look_for(image)
-        if guess is None or not guess.pair:
-            return None
-        aside, turned = self._tracker.difference(guess.rough(self.FITTED))
-        if abs(aside) > self.ASIDE * self._unit or abs(turned) > self.TURNED_RAD:
-            return None
-        before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
-        self._restart(guess)
-        followed = self._follow(image, self.START_ROUNDS)
-        if self._sure(self._count(followed)):
-            return followed
-        self._tracker, self._search, self._paired, self._new_m = before
-        return None
-
-    def _follow(self, image: Image, rounds: int, led: bool = False) -> Followed:
-        """Look around the pair and correct it until it stays where it is; `led`: the motion brought it there."""
+    def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
+        """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""
         tracker, stages = self._tracker, self.stages
         for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
             seen = self._search.look(image, shape, tracker.width_m)
-            if led and k == 0:
-                self._misled = self._odometry.rejects(self._last_t_ns or 0, seen.nodes, seen.residual, seen.found)
+            if predicted and k == 0:
+                t_ns = self._last_t_ns or 0
+                self._odometry_rejected = self._odometry.rejects(t_ns, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
-            carrying = tracker.update(shape, seen.nodes, seen.residual, seen.found)
+            inliers = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")
             if tracker.moved_m < self._settled_m:
                 break
-        return shape, seen, carrying
+        return Tracked(shape, seen, inliers)
 
-    def _count(self, followed: Followed) -> tuple[int, int]:
-        """How many nodes of each line, left and right, carry the lane."""
-        shape, sighting, carrying = followed
-        return sighting.count(shape, carrying)
+    def _needs_search(self, index: int, counts: tuple[int, int]) -> bool:
+        """Whether to search on whole rows too: no line is seen, or only one ever was, and the width is unknown."""
+        if max(counts) < self.LINE_NODES:
+            return self._tracker.blind_m > self.BLIND * self._unit
+        self._paired = self._paired or self._sure(counts)
+        return not self._paired and index % self.EVERY == 0
+
+    def _reacquire(self, image: Image) -> Tracked | None:
+        """Both lines, searched on whole rows near the tracked lane; None, and no change, where they are not found."""
+        lane = self._search_lane(image)
+        if lane is None or not lane.pair:
+            return None
+        lateral, turned = self._tracker.difference(lane.arc_lane(self.FITTED))
+        if abs(lateral) > self.LATERAL * self._unit or abs(turned) > self.TURNED_RAD:
+            return None
+        before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
+        self._restart(lane)
+        tracked = self._track(image, self.START_ROUNDS)
+        if self._sure(tracked.counts()):
+            return tracked
+        self._tracker, self._search, self._paired, self._new_m = before
+        return None
 
     def _sure(self, counts: tuple[int, int]) -> bool:
         return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
 
-    def _estimate(self, frame: Frame, followed: Followed, seen: tuple[bool, bool]) -> LaneEstimate:
+    def _estimate(self, frame: Frame, tracked: Tracked, seen: tuple[bool, bool]) -> LaneEstimate:
         if seen[0] or seen[1]:
             self._seen_t_ns = frame.t_ns
             self._tracker.blind_m = 0.0
@@ -255,7 +261,7 @@ class Contour:
         if frame.t_ns < self._confirmed_ns:
             return self._lost(frame)
         half = 0.5 * pose.width_m
-        points = followed[1].points(followed[0], followed[2], half)
+        points = tracked.measured.points(tracked.shape, tracked.inliers, half)
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[seen[0] + seen[1]],
@@ -267,7 +273,7 @@ class Contour:
         )
 
     def _too_blind(self, t_ns: int, pose: LanePose) -> bool:
-        """Whether too little was seen for too long."""
+        """Whether the lane is lost: no line was seen for too long, or its offset is too uncertain."""
         blind_ns = t_ns - self._seen_t_ns
         if blind_ns == 0:
             return False
@@ -279,14 +285,14 @@ class Contour:
         )
 
     def _pose(self) -> LanePose | None:
-        """The car's pose in the lane, None where it is none that a car in a lane can have.
+        """The car's pose in the lane, None where a car in its lane cannot have it.
 
-        A lane that the car would leave as soon as it was found is a neighbour's.
+        A new lane that the car is about to leave is the neighbouring lane.
         """
         offset, theta, width, covariance = self._tracker.pose()
         unit = self._unit
-        farthest = (self.FARTHEST_NEW if self._new_m > 0.0 else self.FARTHEST) * unit
-        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < farthest and abs(theta) < self.STEEPEST_RAD):
+        max_offset = (self.MAX_NEW_OFFSET if self._new_m > 0.0 else self.MAX_OFFSET) * unit
+        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < max_offset and abs(theta) < self.MAX_HEADING_RAD):
             return None
         return LanePose(
             offset_m=offset,
@@ -298,22 +304,22 @@ class Contour:
 
     @staticmethod
     def _nodes(camera: GroundCamera, car: CarConfig) -> FloatArray:
-        """Arc lengths ahead of the reference point, log-spaced so that they are about even in the picture."""
+        """Arc lengths (n,) [m] ahead of the reference point, log-spaced so that they are about even in the image."""
         options, reference, eye = car.pipeline.contour, car.vehicle.reference_x_m, car.camera.extrinsics
         near = max(camera.first_visible_x_m() - reference, 0.2 * car.lane.width_m)
         back = eye.z_m + reference - eye.x_m
         far = near + options.look_ahead_lanes * car.lane.width_m
         return np.geomspace(0.85 * near + back, far + back, options.nodes) - back
 
-    def _curve(self, aside_m: float) -> DeferredCurve:
+    def _curve(self, left_m: float) -> DeferredCurve:
         tracker = self._tracker
         behind = self.BEHIND * self._unit
-        return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, aside_m, behind))
+        return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, left_m, behind))
 
     def _forget(self) -> None:
         self._tracker.forget()
         self._search.forget()
-        self._paired = self._misled = False
+        self._paired = self._odometry_rejected = False
 
     def _lost(self, frame: Frame) -> LaneEstimate:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))

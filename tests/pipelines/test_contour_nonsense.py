@@ -120,7 +120,7 @@ def test_a_picture_smaller_than_the_search_is_refused_or_no_lane(width_px: int, 
     """The road's ridges must be there: either a clear error, or a pipeline that says LOST."""
     car = with_camera(camera(width_px, height_px, 0.75 * width_px))
     if height_px == 1:  # no row of it shows the ground
-        with pytest.raises(ValueError, match="pitch_rad: the picture shows no ground"):
+        with pytest.raises(ValueError, match="pitch_rad: the image shows no ground"):
             Contour(car)
         return
     pipeline = Contour(car)

@@ -1,14 +1,11 @@
-"""A lane found from nothing on a few image rows: its two lines, or one.
+"""A lane without prediction, by a Hough transform on a few image rows: its two lines, or one.
 
-Ridges of a marking's width are looked for along whole rows, in steps of a sixth of that width. Then every lane out of a
-table is tried: the places where its lines cross the rows were computed beforehand, and ridges that lie there speak for
-it. So no ridge is ever carried back to the ground.
+Ridges of a marking's width are searched along whole rows. Then every lane of a table is tried: the image columns at
+which its lines cross the rows are precomputed, and each row with a ridge there votes for it. So no ridge is projected
+onto the ground. A line of the table is a circle with a curvature c, a heading h and a lateral place a; an accumulator
+(c, h, a) holds the votes.
 
-On roads that hardly bend `LineIntegralSearch` looks first: there lines are often rows of dots, and further ahead.
-
-The loops of a start from nothing: peaks of rows, what they say for lines of a table, and the best lane of them.
-
-A table's lines have a curvature c, a heading h and a lateral place a; `lines` (c, h, a) is what rows say for each.
+On roads with large radii `LineIntegralSearch` is tried first: lines there are often rows of dots, and further ahead.
 """
 
 from __future__ import annotations
@@ -32,8 +29,8 @@ Best = tuple[float, int, int, int, int]
 
 
 @compiled
-def peaks(height: Votes, within: Bools, least: float, reach: int) -> tuple[Ints, Ints]:
-    """Row and column (n,) of what is above `least`, `within`, and no lower than anything `reach` columns beside it."""
+def row_peaks(height: Votes, within: Bools, least: float, reach: int) -> tuple[Ints, Ints]:
+    """Row and column (n,) of the values above `least`, where `within`, that no value within `reach` columns exceeds."""
     rows, columns = np.empty(height.size, np.intp), np.empty(height.size, np.intp)
     count, last = 0, height.shape[1] - 1
     for r in range(len(height)):
@@ -52,41 +49,48 @@ def peaks(height: Votes, within: Bools, least: float, reach: int) -> tuple[Ints,
 
 
 @compiled
-def votes(row: Ints, place: Floats, tolerance: Ints, rows: int, samples: int, near: int) -> Votes:
-    """What samples (rows * samples + 1,) say for a line that passes there; the last one stands for nowhere.
+def row_votes(row: Ints, place: Floats, tolerance: Ints, rows: int, samples: int, near: int) -> Votes:
+    """The votes (rows * samples + 1,) of the samples for a line that passes there; the last is for lines out of view.
 
     1 within the `tolerance` of a row about a ridge's place (n,), `near` within half of it.
     """
-    said = np.zeros(rows * samples + 1, np.int32)
+    votes = np.zeros(rows * samples + 1, np.int32)
     for share in range(1, 3):
         for i in range(len(row)):
             reach, middle = tolerance[row[i]] // share, int(np.rint(place[i]))
             for k in range(max(middle - reach, 0), min(middle + reach + 1, samples)):
-                said[row[i] * samples + k] = 1 if share == 1 else near
-    return said
+                votes[row[i] * samples + k] = 1 if share == 1 else near
+    return votes
 
 
 @compiled
-def summed(said: Votes, table: Votes) -> Votes:
-    """What all rows say for the lines: `table` (rows, c, h, a) tells which sample a line passes."""
+def accumulate(votes: Votes, table: Votes) -> Votes:
+    """The accumulator (c, h, a): the sum of all rows' votes; `table` (rows, c, h, a) is the sample a line passes."""
     lines = np.zeros(table.shape[1:], np.int32)
     for r in range(table.shape[0]):
         for c in range(table.shape[1]):
             for h in range(table.shape[2]):
                 for a in range(table.shape[3]):
-                    lines[c, h, a] += said[table[r, c, h, a]]
+                    lines[c, h, a] += votes[table[r, c, h, a]]
     return lines
 
 
 @compiled
 def best_pair(
-    lines: Votes, fewest: int, loss: Floats, aside: Floats, lateral: Floats, apart: Ints, width_loss: Floats, off: float
+    lines: Votes,
+    fewest: int,
+    loss: Floats,
+    place: Floats,
+    lateral: Floats,
+    apart: Ints,
+    width_loss: Floats,
+    offset_loss: float,
 ) -> Best:
-    """The score of the best lane whose two lines both have `fewest` votes, its right line, and how far its left one is.
+    """The best lane whose two lines have at least `fewest` votes each: score, (c, h, a) of its right line, and w.
 
-    Steps of `lateral` (a,) [m] lie between the two, one of `apart` (w,), which lose `width_loss` (w,). A lane loses
-    `loss` (c, h), and `off` for the square of the car's distance from its middle; the car at `aside` (c, h) [m] must
-    stand in it.
+    The left line lies `apart` (w,) steps of `lateral` (a,) [m] to the left of the right one. The score is the votes
+    less `loss` (c, h), `width_loss` (w,), and `offset_loss` times the square of the car's offset; the car, at `place`
+    (c, h) [m], must be in the lane.
     """
     best, at_c, at_h, at_a, at_w = -np.inf, 0, 0, 0, 0
     for c in range(lines.shape[0]):
@@ -101,8 +105,10 @@ def best_pair(
                     if lines[c, h, left] < fewest:
                         continue
                     half = 0.5 * (lateral[left] - lateral[a])
-                    offset = aside[c, h] - lateral[a] - half
-                    total = lines[c, h, a] + lines[c, h, left] - loss[c, h] - off * offset * offset - width_loss[w]
+                    offset = place[c, h] - lateral[a] - half
+                    total = (
+                        lines[c, h, a] + lines[c, h, left] - loss[c, h] - offset_loss * offset * offset - width_loss[w]
+                    )
                     if abs(offset) <= half and total > best:
                         best, at_c, at_h, at_a, at_w = total, c, h, a, w
     return best, at_c, at_h, at_a, at_w
@@ -110,11 +116,18 @@ def best_pair(
 
 @compiled
 def best_single(
-    lines: Votes, fewest: int, loss: Floats, aside: Floats, lateral: Floats, half_m: float, most_m: float, off: float
+    lines: Votes,
+    fewest: int,
+    loss: Floats,
+    place: Floats,
+    lateral: Floats,
+    half_m: float,
+    most_m: float,
+    offset_loss: float,
 ) -> Best:
-    """The score of the best line, its place, and the side of the car (1: left) that it lies on.
+    """The best single line: score, (c, h, a), and the side of the car on which it lies (1: left, -1: right).
 
-    As in `best_pair`; the middle of its lane is `half_m` beside it, on the car's side, and `most_m` from it at most.
+    As in `best_pair`; the middle of its lane is `half_m` beside it on the car's side, at most `most_m` from the car.
     """
     best, at_c, at_h, at_a, side = -np.inf, 0, 0, 0, 0
     for c in range(lines.shape[0]):
@@ -122,42 +135,39 @@ def best_single(
             for a in range(lines.shape[2]):
                 if lines[c, h, a] < fewest:
                     continue
-                distance = lateral[a] - aside[c, h]
+                distance = lateral[a] - place[c, h]
                 offset = half_m - distance if distance > 0.0 else -half_m - distance
-                total = lines[c, h, a] - loss[c, h] - off * offset * offset
+                total = lines[c, h, a] - loss[c, h] - offset_loss * offset * offset
                 if abs(offset) <= most_m and total > best:
                     best, at_c, at_h, at_a, side = total, c, h, a, 1 if distance > 0.0 else -1
     return best, at_c, at_h, at_a, side
 
 
-__all__ = ["InitialLane", "LaneSearchConfig", "RowHough"]
-
-
 class RowHough:
-    """Looks for a lane on some rows of single pictures of one camera."""
+    """Searches a lane on some rows of single images of one camera. Raises ValueError where no row shows the ground."""
 
-    TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: how far a ridge may lie from a lane's line, near and per way ahead
-    HIT = 2  # score of a row whose ridge lies within half the tolerance; 1 within the whole
-    # What is usual, one sigma: relative width, offset (lane widths), heading [rad], curvature (shares); and what
-    # a lane loses for one sigma of each.
+    TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: distance of a ridge from a lane's line: near, growth with distance
+    HIT = 2  # votes of a row whose ridge lies within half the tolerance; 1 within the whole
+    # One sigma of the prior: relative width, offset (lane widths), heading [rad], curvature (relative to the tightest
+    # bend's); and the loss of a lane at one sigma of each.
     WIDTH, OFFSET, HEADING_RAD, CURVATURE, LOSS = 0.15, 0.2, 0.25, 0.44, 2.5
-    ALONE = 4.0  # a single line loses
-    THIRD = 0.6  # of the score of a pair's weaker line: a line between them that has so much denies the lane
-    GENTLE_LANES = 15.0  # radius of the tightest bend, in lane widths, from which on rows are summed along lines first
-    GENTLE_ROWS = 12  # that are searched one by one after that, so that both together read few pixels
-    SHARP, BLURRED = 0.75, 0.5  # the quantile of edges that stands for paint, and the share of it that is none
-    DULL, FINE_PX = 0.42, 2.0  # of its height: a reflection's edge; tells where a sample has so many pixels
+    SINGLE_LOSS = 4.0  # of a single line
+    THIRD = 0.6  # relative to the weaker line of a pair: a line between the two with so many votes rejects the lane
+    GENTLE_LANES = 15.0  # radius of the tightest bend from which on `LineIntegralSearch` is tried first
+    GENTLE_ROWS = 12  # that are searched after that, so that both together read few pixels
+    SHARP, BLURRED = 0.75, 0.5  # quantile of the edges that represents paint, and the share of it below which none is
+    DULL, FINE_PX = 0.42, 2.0  # edge of a reflection relative to its height, where a sample has so many pixels
 
     def __init__(self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness) -> None:
         self.config, self._brightness = config, brightness
         gentle = config.radius_lanes >= self.GENTLE_LANES
-        self._sums = LineIntegralSearch(camera, config, brightness) if gentle else None
+        self._integrals = LineIntegralSearch(camera, config, brightness) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
         x, self._rows, self._steps = self._choose_rows(camera, near, self.GENTLE_ROWS if gentle else config.rows)
         width = camera.camera.width_px
         samples = max(math.ceil(width / self._steps.min()), 2 * MARGIN + 1)
-        self._judge = RowRidgeFilter(len(x), samples, config.contrast)
+        self._filter = RowRidgeFilter(len(x), samples, config.contrast)
         columns = np.minimum(np.rint(np.arange(samples) * self._steps[:, None]), width - 1.0)
         self._pixels: Ints = (self._rows[:, None] * width + columns).astype(np.intp)
         self._within = np.arange(samples) <= ((width - 1.0) / self._steps)[:, None] - MARGIN
@@ -166,113 +176,115 @@ class RowHough:
         grids = [
             np.linspace(-most, most, count) for most, count in (config.curvatures, config.headings_rad, config.lateral)
         ]
-        bend = 1.0 / (config.radius_lanes * unit)
-        self._kappa, self._theta, self._lateral = grids[0] * bend, grids[1], grids[2] * unit
+        tightest = 1.0 / (config.radius_lanes * unit)
+        self._kappa, self._theta, self._lateral = grids[0] * tightest, grids[1], grids[2] * unit
         self._kappa[self._kappa == 0.0] = 1e-6 / unit
         self._table = self._crossings(camera)
         self._edge = 0.0
         kappa, theta = self._kappa[:, None, None], self._theta[None, :, None]
         ahead = config.reference_x_m - self._axis_x_m
         feet = np.vectorize(foot_on_circle)(ahead * np.cos(theta), -ahead * np.sin(theta), kappa)
-        self._way, self._aside = (np.ascontiguousarray(part[..., 0]) for part in feet)  # (c, h), of each axis
-        heading = theta[..., 0] + kappa[..., 0] * self._way
-        self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / bend / self.CURVATURE) ** 2)
-        self._off = self.LOSS / (self.OFFSET * unit) ** 2
+        self._s, self._d = (
+            np.ascontiguousarray(part[..., 0]) for part in feet
+        )  # (c, h) of the reference point, each axis
+        heading = theta[..., 0] + kappa[..., 0] * self._s
+        self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / tightest / self.CURVATURE) ** 2)
+        self._offset_loss = self.LOSS / (self.OFFSET * unit) ** 2
         step = float(self._lateral[1] - self._lateral[0])
         narrow, wide = (round(width * unit / step) for width in config.widths)
         self._apart: Ints = np.arange(narrow, wide + 1)
         self._width_loss = self.LOSS * (np.log(self._apart * step / unit) / self.WIDTH) ** 2
 
     def step(self, image: Image) -> InitialLane | None:
-        """The lane that most rows speak for; None where they speak for none."""
-        fitted = self._sums.step(image) if self._sums is not None else None
+        """The lane with the most votes, less its prior loss; None where no lane has enough."""
+        fitted = self._integrals.step(image) if self._integrals is not None else None
         if fitted is not None:
             return fitted
-        lines = summed(self._score(image), self._table)
+        lines = accumulate(self._votes(image), self._table)
         return max(self._pair(lines), self._single(lines), key=lambda found: found[0])[1]
 
     def _choose_rows(self, camera: GroundCamera, near_m: float, count: int) -> tuple[Floats, Ints, Floats]:
-        """Rows, evenly spaced in the picture: ground ahead [m], row, and a sixth of a marking's width there [px]."""
+        """Rows evenly spaced in the image: ground ahead (r,) [m], row indices (r,), and width of a sample (r,) [px]."""
         config, unit = self.config, self.config.lane_width_m
         x = np.geomspace(near_m, near_m + config.ahead * unit, 8 * config.rows)
         line = LineProjection(camera).project(x + 0j, np.ones_like(x) + 0j, 0.0)
         v = line.place[1, : len(x)]
         good = (v >= 0.0) & (v <= camera.camera.height_px - 1.0)
         if np.count_nonzero(good) < 2:
-            raise ValueError("pitch_rad: the picture shows no ground where the lane's lines begin")
+            raise ValueError("pitch_rad: the image shows no ground where the lane's lines start")
         wanted = np.linspace(v[good].max(), v[good].min(), count)
         rows = np.unique(np.rint(wanted).astype(np.intp))
         at = [int(np.argmin(np.where(good, np.abs(v - row), np.inf))) for row in rows]
         step = -line.area[at] / line.along[1, at] * (config.marking_m / PER_MARKING)
         return x[at], rows, np.abs(step)
 
-    def _score(self, image: Image) -> Votes:
-        """What each sample (rows * samples + 1,) says for a line that passes there; the last one stands for nowhere."""
+    def _votes(self, image: Image) -> Votes:
+        """The votes (rows * samples + 1,) of each sample, as in `row_votes`."""
         values = self._brightness.read(image, self._pixels)
-        height = self._judge.heights(values, MARGIN, values.shape[1] - MARGIN)
+        height = self._filter.heights(values, MARGIN, values.shape[1] - MARGIN)
         within = self._within[:, MARGIN:-MARGIN]
-        row, at = peaks(height, within, self.config.contrast * WINDOW, PER_MARKING // 2)
+        row, at = row_peaks(height, within, self.config.contrast * WINDOW, PER_MARKING // 2)
         at += MARGIN
-        judged = self._judge.judge(values, row, at)
-        line = judged.flags[LINE]
-        edges = judged.edge[line]
+        ridges = self._filter.measure(values, row, at)
+        line = ridges.flags[LINE]
+        edges = ridges.edge[line]
         self._edge = float(np.sort(edges)[int(self.SHARP * len(edges))]) if len(edges) else 0.0
-        dull = (self.DULL / WINDOW) * judged.height * (self._steps[row] > self.FINE_PX)
-        line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint, and blurred
-        return votes(row[line], (at + judged.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
+        dull = (self.DULL / WINDOW) * ridges.height * (self._steps[row] > self.FINE_PX)
+        line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint and blurred
+        return row_votes(row[line], (at + ridges.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
 
     def _pair(self, lines: Votes) -> tuple[float, InitialLane | None]:
-        """The best lane whose two lines are seen on rows enough, and its score."""
+        """The score of the best lane whose two lines are seen on enough rows, and the lane."""
         fewest = self.config.pair_rows * self.HIT
-        grid = self._loss, self._aside, self._lateral
-        score, c, h, a, w = best_pair(lines, fewest, *grid, self._apart, self._width_loss, self._off)
+        grid = self._loss, self._d, self._lateral
+        score, c, h, a, w = best_pair(lines, fewest, *grid, self._apart, self._width_loss, self._offset_loss)
         if score == -math.inf:
             return score, None
         left = a + int(self._apart[w])
-        if self._crossed(lines[c, h], a, left):
+        if self._has_third_line(lines[c, h], a, left):
             return score, None
         right_m, left_m = float(self._lateral[a]), float(self._lateral[left])
-        offset = float(self._aside[c, h]) - 0.5 * (right_m + left_m)
-        return score, self._guess(c, h, offset, left_m - right_m, True)
+        offset = float(self._d[c, h]) - 0.5 * (right_m + left_m)
+        return score, self._lane(c, h, offset, left_m - right_m, True)
 
-    def _crossed(self, lines: Votes, right: int, left: int) -> bool:
-        """Whether a line of much the same score runs amid the lane between two places of `lines`: joints of tiles."""
+    def _has_third_line(self, lines: Votes, right: int, left: int) -> bool:
+        """Whether a similarly strong line lies amid the lane between two places of `lines` (a,): joints of tiles."""
         margin = (left - right) // 4
         amid = int(lines[max(right + margin, 0) : max(left - margin, 0)].max(initial=0))
         beside = min(int(lines[place]) for place in (right, left) if 0 <= place < len(lines))
         return amid >= max(self.THIRD * beside, self.config.pair_rows * self.HIT)
 
     def _single(self, lines: Votes) -> tuple[float, InitialLane | None]:
-        """The best single line with the car within a lane's width of it, and its score."""
+        """The score of the best single line within a lane width of the car, and its lane."""
         unit, fewest = self.config.lane_width_m, self.config.single_rows * self.HIT
-        grid = self._loss, self._aside, self._lateral
-        score, c, h, a, side = best_single(lines, fewest, *grid, 0.5 * unit, 0.45 * unit, self._off)
+        grid = self._loss, self._d, self._lateral
+        score, c, h, a, side = best_single(lines, fewest, *grid, 0.5 * unit, 0.45 * unit, self._offset_loss)
         if score == -math.inf:
             return score, None
         apart = round(unit / float(self._lateral[1] - self._lateral[0]))
         right = a if side < 0 else a - apart
-        if self._crossed(lines[c, h], right, right + apart):
-            return score - self.ALONE, None
-        offset = float(self._aside[c, h] - self._lateral[a]) + 0.5 * side * unit
-        return score - self.ALONE, self._guess(c, h, offset, unit, False)
+        if self._has_third_line(lines[c, h], right, right + apart):
+            return score - self.SINGLE_LOSS, None
+        offset = float(self._d[c, h] - self._lateral[a]) + 0.5 * side * unit
+        return score - self.SINGLE_LOSS, self._lane(c, h, offset, unit, False)
 
-    def _guess(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> InitialLane:
-        """The lane of a curvature and a heading in the table, at the reference point's foot."""
-        kappa, way = float(self._kappa[c]), float(self._way[c, h])
+    def _lane(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> InitialLane:
+        """The lane at the foot of the reference point, for a curvature and a heading of the table."""
+        kappa, s = float(self._kappa[c]), float(self._s[c, h])
         return InitialLane(
             offset_m=offset_m,
-            heading_rad=float(self._theta[h]) + kappa * way,
+            heading_rad=float(self._theta[h]) + kappa * s,
             width_m=width_m,
-            curvature_per_m=kappa / (1.0 - kappa * (float(self._aside[c, h]) - offset_m)),
-            sure_m=abs(way),
+            curvature_per_m=kappa / (1.0 - kappa * (float(self._d[c, h]) - offset_m)),
+            sure_m=abs(s),
             pair=pair,
             edge=self._edge,
         )
 
-    def _crossings(self, camera: GroundCamera) -> NDArray[np.int32]:
-        """Where (rows, curvature, heading, lateral) the lines beside the axes cross the rows: indices of the score.
+    def _crossings(self, camera: GroundCamera) -> Votes:
+        """The samples (rows, c, h, a) at which the lines cross the rows: indices of the votes.
 
-        The axes are arcs through a point on body x ahead of the car; a line beside one is a circle of radius
+        The axes are arcs through a point on body x ahead of the car; a line a to the left of one is a circle of radius
         1 / kappa - a about the same centre.
         """
         kappa, theta, a = self._kappa[:, None, None], self._theta[None, :, None], self._lateral[None, None, :]
@@ -286,11 +298,11 @@ class RowHough:
         for r, row in enumerate(self._rows.tolist()):
             ground = camera.px_to_ground(np.stack((u, np.full_like(u, row)), axis=-1))
             known = np.isfinite(ground[:, 0])
-            if not known.any():  # rounded to a row above the horizon, in a picture of a few rows
+            if not known.any():  # rounded to a row above the horizon, in an image of a few rows
                 continue
             ground_x, ground_y, ground_u = ground[known, 0][::-1], ground[known, 1][::-1], u[known][::-1]
             x: Any = float(np.median(ground_x))
-            for _ in range(3):  # a row of a tilted or distorted picture is no line of equal distance ahead
+            for _ in range(3):  # a row of a tilted or distorted image is no line of equal distance ahead
                 sine = (x - centre_x) / radius
                 y = centre_y - radius * np.sqrt(np.maximum(1.0 - sine * sine, 0.0))
                 x = np.interp(y, ground_y, ground_x)

@@ -1,8 +1,8 @@
-"""Where the nodes of a clothoid pair really lie: two short runs of image rows about each, and nothing else is read.
+"""Measurements of a clothoid pair's nodes: ridges on two short runs of image rows about each; nothing else is read.
 
-Only the model is projected into the picture, never the picture onto the ground. A node is a short piece of line: its
-ridge is looked for on two rows, so that its direction is measured too, and what runs elsewhere (another road's line, a
-reflection) is told from the line.
+After the active contour of Smith (thesis): only the model is projected into the image, never the image onto the ground.
+A node is a short piece of line. Its ridge is searched on two rows, which also gives its direction, so that a line with
+another direction (another road's, a reflection) is rejected.
 """
 
 from __future__ import annotations
@@ -14,22 +14,22 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.estimation.clothoid.clothoid_pair import PairShape
 from automodel.geometry.line_projection import LineProjection, View, project_lines
-from automodel.perception.rows.row_ridges import BAR, LINE, MARGIN, PER_MARKING, REACH, RunRidges, best_ridges, lay_run
+from automodel.perception.rows.row_ridges import BAR, LINE, MARGIN, PER_MARKING, REACH, Brightness, best_ridges, lay_run
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
 
-FLATTEST = 6.0  # pixels across for one down: a line that lies flatter in the picture is not looked at
-TURN, SLACK = 0.4, 0.5  # how much a ridge may be turned [rad], and be torn (samples): else it is another line's
-EDGE = 0.05  # of the picture's height: rows there are not read about a node, but for a node's second
-BESIDE = 0.1  # of the picture's width: how far outside it a node may lie and still be looked for
+MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not searched
+MAX_TURN, SLACK = 0.4, 0.5  # of a ridge: turn from the node's direction [rad], and tear between ridges [samples]
+EDGE = 0.05  # of the image's height: nodes nearer to its upper or lower edge are not searched
+BESIDE = 0.1  # of the image's width: how far outside it a node may lie and still be searched
 
 
 @dataclass(slots=True, eq=False)
 class NodeMeasurements:
-    """What one frame shows around a pair of n nodes a line.
+    """One frame's measurements of a pair with n nodes on each line.
 
-    `nodes` (k,) are those that were looked for, of 2 n, the left line's first. `residual` (2 k,): how far to the left
-    of them the line was found [m], and how far it is turned to the left of them [rad], where `found` (2 k,) is 1.
-    `edge` (k,): how sharp their ridges are, as `Ridges` has it, the less sharp one.
+    `nodes` (k,) are the indices of the nodes that were searched, of 2 n, the left line's first. Where `found` (2 k,) is
+    1, `residual` (2 k,) is the line's offset to the left of the node [m], and then its turn to the left [rad].
+    `edge` (k,): the less sharp edge of a node's two ridges, as in `Ridges`.
     """
 
     nodes: Ints
@@ -37,58 +37,65 @@ class NodeMeasurements:
     found: Floats
     edge: Floats
 
-    def count(self, shape: PairShape, carrying: Bools) -> tuple[int, int]:
-        """How many of the `carrying` nodes (k,) are the left line's and the right line's."""
-        return _count(carrying, self.nodes, len(shape.place))
+    def count(self, shape: PairShape, inliers: Bools) -> tuple[int, int]:
+        """The number of `inliers` (k,) on the left and on the right line."""
+        return _count(inliers, self.nodes, len(shape.place))
 
-    def points(self, shape: PairShape, carrying: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
-        """The ridges (j, 2) [m] of `carrying` nodes (k,), left and right line's; lines lie `half_m` from `shape`."""
-        return _points(shape.place, shape.along, self.nodes, self.residual, carrying, half_m)
+    def points(self, shape: PairShape, inliers: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
+        """The points (j, 2) [m] measured at `inliers` (k,) on the left and the right line, `half_m` from `shape`."""
+        return _points(shape.place, shape.along, self.nodes, self.residual, inliers, half_m)
 
 
 class RowSearch:
-    """Looks for nodes at arc lengths `nodes_m` (n,) on each line in pictures of `size` (height, width) px.
+    """Searches nodes at arc lengths `nodes_m` (n,) on each line in images of `size` (height, width) px.
 
-    It remembers how sharp markings are, so that what is much less so (a reflection) is not taken for one.
-    `forget` drops that.
+    `contrast` [grey levels] is a ridge's minimum. The search remembers how sharp markings are, so that a much blurrier
+    ridge (a reflection) is rejected; `forget` drops that.
     """
 
-    HALF_LENGTH = 0.5  # markings: half the way along the line between a node's two rows, a row apart at least
-    BLURRED = 0.5  # of the usual edge: what has less is no paint
+    HALF_LENGTH = 0.5  # markings: half the distance along the line between a node's two rows; one row at least
+    BLURRED = 0.5  # of the usual edge: a blurrier ridge is no paint
     LEARN, FADE = 0.1, 0.02  # share a frame
-    FEWEST = 3  # nodes from which the usual edge is learnt
+    MIN_NODES = 3  # from which the usual edge is learnt
 
     def __init__(
-        self, projection: LineProjection, ridges: RunRidges, nodes_m: Floats, marking_m: float, size: tuple[int, int]
+        self,
+        projection: LineProjection,
+        brightness: Brightness,
+        contrast: float,
+        nodes_m: Floats,
+        marking_m: float,
+        size: tuple[int, int],
     ) -> None:
-        self._projection, self._ridges = projection, ridges
+        self._projection, self._brightness, self._contrast = projection, brightness, contrast
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
         self._size = size
-        tear = np.diff(nodes_m, append=nodes_m[-1]) * (TURN / self._sample_m)
-        tear[-1] = -1.0  # what comes next is the other line
+        tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / self._sample_m)
+        tear[-1] = -1.0  # the next node is the other line's
         self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
         self.forget()
 
     def forget(self, edge: float = 0.0) -> None:
-        """Forget how sharp markings are, or start anew with an `edge` as `Ridges` has it."""
+        """Forget how sharp markings are, or start again with an `edge` as in `Ridges`."""
         self._usual = edge
 
     def look(self, image: Image, shape: PairShape, width_m: float) -> NodeMeasurements:
-        """The pair `shape` with lines `width_m` apart."""
+        """Measure the pair `shape` whose lines are `width_m` apart."""
         nodes, pixels, column, step, half_m = _lay(
             self._projection.view, shape.place, shape.along, 0.5 * width_m, self._half_m, self._sample_m, self._size
         )
-        values = self._ridges.read(image, pixels)
-        least, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
+        # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
+        values = self._brightness.read(image, pixels).astype(np.float32)
+        min_edge, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
         found, residual, edge = _agree(
-            values, self._ridges.contrast, nodes, column, step, half_m, tear, self._sample_m, least, width
+            values, self._contrast, nodes, column, step, half_m, tear, self._sample_m, min_edge, width
         )
         return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
 
-    def learn(self, sighting: NodeMeasurements, carrying: Bools) -> None:
-        """Remember how sharp the ridges are of the nodes (k,) that carry the lane."""
-        edge, count = _mean(sighting.edge, carrying)
-        if count >= self.FEWEST:
+    def learn(self, measured: NodeMeasurements, inliers: Bools) -> None:
+        """Remember how sharp the ridges of the `inliers` (k,) are."""
+        edge, count = _mean(measured.edge, inliers)
+        if count >= self.MIN_NODES:
             self._usual += (self.LEARN if self._usual > 0.0 else 1.0) * (edge - self._usual)
         else:
             self._usual *= 1.0 - self.FADE
@@ -99,35 +106,35 @@ def _lay(
     view: View,
     place: Complexes,
     along: Complexes,
-    aside_m: float,
-    most_half_m: float,
+    left_m: float,
+    max_half_m: float,
     sample_m: float,
     size: tuple[int, int],
 ) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """The runs about the nodes that can be looked for: they lie in the picture, and their line is steep there.
+    """The runs about the nodes that can be searched: they lie in the image, and their line is steep enough there.
 
-    The lines lie `aside_m` beside the nodes, as in `LineProjection.project`. Nodes (k,), and of their runs: pixels
-    (2 k, s), all upper ones first; the lower one's middle column (k,); the way from sample to sample (k,) [px], to the
-    left; how far along the line they lie from the node (k,) [m].
+    The lines lie `left_m` beside the nodes, as in `LineProjection.project`. Returns the nodes (k,), and of their runs:
+    pixels (2 k, s), all upper ones first; the lower one's middle column (k,); the signed distance between samples (k,)
+    [px], to the left; their distance along the line from the node (k,) [m].
     """
-    line = project_lines(view, place, along, aside_m)
+    line = project_lines(view, place, along, left_m)
     height, width = size
     margin = EDGE * height
-    most_u, most_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
+    max_u, max_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
     nodes = np.empty(line.shape[1], np.intp)
     k = 0
     for i in range(line.shape[1]):
         u, v, along_u, along_v, _ = line[:, i]
-        near = abs(u - 0.5 * (width - 1)) <= most_u and abs(v - 0.5 * (height - 1)) <= most_v
-        if near and abs(along_u) < -FLATTEST * along_v:
+        near = abs(u - 0.5 * (width - 1)) <= max_u and abs(v - 0.5 * (height - 1)) <= max_v
+        if near and abs(along_u) < -MAX_SLANT * along_v:
             nodes[k] = i
             k += 1
     pixels, column = np.empty((2 * k, 2 * REACH + 1), np.intp), np.empty(k, line.dtype)
     step, half_m = np.empty(k, line.dtype), np.empty(k, line.dtype)
     for i in range(k):
         u, v, along_u, along_v, area = line[:, nodes[i]]
-        down = max(min(along_v * most_half_m, -1.0), -margin)  # the further ahead, the higher up
-        step[i] = -sample_m * area / along_v  # area / along_v is below 0: to the left
+        down = max(min(along_v * max_half_m, -1.0), -margin)  # the further ahead, the higher up
+        step[i] = -sample_m * area / along_v  # area / along_v is negative: to the left
         for end in range(2):
             row = np.rint(v + (down if end == 0 else -down))
             column[i] = u + (row - v) * along_u / along_v + 0.5
@@ -146,12 +153,12 @@ def _agree(
     half_m: Floats,
     tear: Floats,
     sample_m: float,
-    least_edge: float,
+    min_edge: float,
     width: int,
 ) -> tuple[Floats, Floats, Floats]:
-    """What is a line's: nodes (k,) in the picture whose two ridges agree, next to another such node.
+    """The fields `found`, `residual` and `edge` of `NodeMeasurements`, from the values (2 k, s) of the runs of `_lay`.
 
-    `values` (2 k, s) are those of the runs of `_lay`. `found`, `residual` and `edge` as `NodeMeasurements` has them.
+    A node is found if its two ridges agree and lie in the image, next to another such node.
     """
     place, _, edge, flags = best_ridges(values, contrast)
     k = len(nodes)
@@ -164,8 +171,8 @@ def _agree(
         edges[i] = min(edge[i], edge[k + i])
         margin = -step[i] * MARGIN
         inside = margin < column[i] + step[i] * near < width - margin
-        straight = abs(tilt) <= 2.0 * half_m[i] * TURN / sample_m + 2.0 * SLACK
-        if inside and straight and edges[i] > least_edge:
+        straight = abs(tilt) <= 2.0 * half_m[i] * MAX_TURN / sample_m + 2.0 * SLACK
+        if inside and straight and edges[i] > min_edge:
             marks[i] = flags[LINE, i] and flags[LINE, k + i]
             found[k + i] = flags[BAR, i] and flags[BAR, k + i]
     for i in range(k - 1):
@@ -176,18 +183,18 @@ def _agree(
 
 @compiled
 def _points(
-    place: Complexes, along: Complexes, nodes: Ints, residual: Floats, carrying: Bools, half_m: float
+    place: Complexes, along: Complexes, nodes: Ints, residual: Floats, inliers: Bools, half_m: float
 ) -> tuple[FloatArray, FloatArray]:
-    """As `NodeMeasurements.points`."""
+    """See `NodeMeasurements.points`."""
     n, lefts = len(place), 0
     points, count = np.empty((len(nodes), 2)), 0
     for i in range(len(nodes)):
-        if not carrying[i]:
+        if not inliers[i]:
             continue
         left = nodes[i] < n
-        aside = residual[i] + (half_m if left else -half_m)
+        lateral = residual[i] + (half_m if left else -half_m)
         at, t = place[nodes[i] % n], along[nodes[i] % n]
-        points[count, 0], points[count, 1] = at.real - aside * t.imag, at.imag + aside * t.real
+        points[count, 0], points[count, 1] = at.real - lateral * t.imag, at.imag + lateral * t.real
         count += 1
         lefts += left
     return points[:lefts], points[lefts:count]
@@ -195,7 +202,7 @@ def _points(
 
 @compiled
 def _mean(values: Floats, chosen: Bools) -> tuple[float, int]:
-    """The mean of the `chosen` values (k,), and how many they are."""
+    """The mean of the `chosen` values (k,), and their number."""
     total, count = 0.0, 0
     for i in range(len(values)):
         if chosen[i]:
@@ -206,6 +213,7 @@ def _mean(values: Floats, chosen: Bools) -> tuple[float, int]:
 
 @compiled
 def _count(chosen: Bools, nodes: Ints, n: int) -> tuple[int, int]:
+    """See `NodeMeasurements.count`."""
     left = right = 0
     for i in range(len(nodes)):
         if chosen[i]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.perception.rows.row_hough import best_pair, best_single, peaks, summed, votes
+from automodel.perception.rows.row_hough import accumulate, best_pair, best_single, row_peaks, row_votes
 
 LATERAL = np.linspace(-1.0, 1.0, 21)
 FEWEST, OFF, UNIT = 6, 3.0, 0.8
@@ -21,15 +21,15 @@ def table(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_peaks_are_the_highest_around_them_and_above_the_least() -> None:
     height = np.array([[0, 5, 9, 5, 0, 0, 7, 7, 0], [3, 0, 0, 0, 8, 0, 0, 0, 2]], np.int32)
     within = np.ones(height.shape, bool)
-    row, column = peaks(height, within, 2.5, 3)
+    row, column = row_peaks(height, within, 2.5, 3)
     assert list(zip(row.tolist(), column.tolist(), strict=True)) == [(0, 2), (0, 6), (0, 7), (1, 0), (1, 4)]
     within[1, 4] = False
-    assert len(peaks(height, within, 2.5, 3)[0]) == 4
-    assert len(peaks(height, within, 9.0, 3)[0]) == 0
+    assert len(row_peaks(height, within, 2.5, 3)[0]) == 4
+    assert len(row_peaks(height, within, 9.0, 3)[0]) == 0
 
 
 def test_ridges_vote_about_their_place_and_nowhere_else() -> None:
-    said = votes(np.array([0, 1]), np.array([4.4, 9.0]), np.array([2, 3]), 2, 10, 5)
+    said = row_votes(np.array([0, 1]), np.array([4.4, 9.0]), np.array([2, 3]), 2, 10, 5)
     assert said[:10].tolist() == [0, 0, 1, 5, 5, 5, 1, 0, 0, 0]
     assert said[10:].tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 5, 5, 0]
 
@@ -38,7 +38,7 @@ def test_lines_sum_what_their_rows_say() -> None:
     rng = np.random.default_rng(1)
     said = rng.integers(0, 3, 41).astype(np.int32)
     places = rng.integers(0, 41, (4, 2, 3, 5)).astype(np.int32)
-    assert (summed(said, places) == said[places].sum(axis=0)).all()
+    assert (accumulate(said, places) == said[places].sum(axis=0)).all()
 
 
 @pytest.mark.parametrize("seed", range(5))

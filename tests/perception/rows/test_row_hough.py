@@ -121,8 +121,8 @@ def test_what_is_read_does_not_grow_with_the_picture() -> None:
 
 def test_tight_bends_have_no_line_sums() -> None:
     camera = mounted(camera_model(640, 360, 480.0), z_m=0.18, pitch_rad=0.26, x_m=0.2)
-    assert RowHough(camera, SCALE, Brightness("grey", False))._sums is None
-    assert isinstance(RowHough(mounted(), HIGHWAY, Brightness("grey", False))._sums, LineIntegralSearch)
+    assert RowHough(camera, SCALE, Brightness("grey", False))._integrals is None
+    assert isinstance(RowHough(mounted(), HIGHWAY, Brightness("grey", False))._integrals, LineIntegralSearch)
 
 
 @pytest.mark.parametrize(("curvature", "offset"), [(0.0, 0.03), (0.5, 0.0), (-0.6, -0.04)])

@@ -12,11 +12,13 @@ from automodel.perception.rows.row_ridges import (
     GATE,
     LINE,
     PER_MARKING,
+    REACH,
     Brightness,
     Ridges,
     RowRidgeFilter,
-    RunRidges,
-    judge,
+    best_ridges,
+    lay_run,
+    measure_ridges,
 )
 from automodel.types import FloatArray
 
@@ -29,9 +31,18 @@ def covered(at: FloatArray, low: float, high: float) -> FloatArray:
     return np.clip(np.minimum(at + 0.5, high) - np.maximum(at - 0.5, low), 0.0, 1.0)
 
 
-def judged_of(values: NDArray[np.float32]) -> Ridges:
+def ridge_of(values: NDArray[np.float32]) -> Ridges:
     """The ridge in the middle of one column of brightness."""
-    return judge(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), CONTRAST)
+    fields = measure_ridges(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), CONTRAST)
+    return Ridges(*fields)
+
+
+def run_ridges(picture: NDArray[np.uint8], first: FloatArray, step: float = 1.0, dark: bool = False) -> Ridges:
+    """The best ridges of runs about the pixels `first` (n,), with samples every `step` px."""
+    pixels = np.empty((len(first), 2 * REACH + 1), np.intp)
+    for run, middle in zip(pixels, first, strict=True):
+        lay_run(run, middle, step)
+    return Ridges(*best_ridges(Brightness("grey", dark).read(picture, pixels).astype(np.float32), CONTRAST))
 
 
 def around(*markings: tuple[float, float]) -> NDArray[np.float32]:
@@ -50,55 +61,54 @@ def row(middle: float, breadth: float = PER_MARKING, paint: float = PAINT) -> ND
 
 def found(picture: NDArray[np.uint8], pixel: int, step: float = 1.0, dark: bool = False) -> tuple[float, bool]:
     """Pixel of the best ridge about `pixel`, and whether it is a line's; the run has samples every `step` px."""
-    ridges = RunRidges(Brightness("grey", dark), CONTRAST)
-    judged = ridges.find(picture, np.array([pixel + 0.5]), np.array([step]))
-    return pixel + step * float(judged.place[0]), bool(judged.flags[LINE, 0])
+    ridges = run_ridges(picture, np.array([pixel + 0.5]), step, dark)
+    return pixel + step * float(ridges.place[0]), bool(ridges.flags[LINE, 0])
 
 
 @pytest.mark.parametrize("middle", SUB_PIXEL)
 def test_a_marking_is_found_to_a_quarter_of_a_sample(middle: float) -> None:
-    judged = judged_of(around((middle, PER_MARKING)))
-    assert judged.flags[:, 0].tolist() == [True, False]
-    assert judged.place[0] == pytest.approx(middle, abs=0.25)
+    ridges = ridge_of(around((middle, PER_MARKING)))
+    assert ridges.flags[:, 0].tolist() == [True, False]
+    assert ridges.place[0] == pytest.approx(middle, abs=0.25)
 
 
 def test_places_are_right_on_average_and_turn_round_with_the_picture() -> None:
     at = np.linspace(-1.0, 1.0, 41)
-    places = np.array([float(judged_of(around((m, PER_MARKING))).place[0]) for m in at])
+    places = np.array([float(ridge_of(around((m, PER_MARKING))).place[0]) for m in at])
     assert (np.diff(places) > -1e-4).all()
     assert places == pytest.approx(-places[::-1], abs=1e-4)
     assert np.sqrt(np.mean((places - at) ** 2)) < 0.15
 
 
 def test_the_height_is_how_far_the_paint_is_above_the_ground() -> None:
-    one, half = judged_of(around((0.0, PER_MARKING))), judged_of(0.5 * around((0.0, PER_MARKING)))
+    one, half = ridge_of(around((0.0, PER_MARKING))), ridge_of(0.5 * around((0.0, PER_MARKING)))
     assert one.height[0] == pytest.approx(5 * PAINT, rel=1e-5)  # five samples, all of them paint
     assert half.height[0] == pytest.approx(0.5 * one.height[0])
 
 
 @pytest.mark.parametrize("breadth", [2.0, 14.0, 40.0])
 def test_what_is_too_thin_or_too_broad_is_no_line(breadth: float) -> None:
-    assert not judged_of(around((0.0, breadth))).flags[LINE, 0]
+    assert not ridge_of(around((0.0, breadth))).flags[LINE, 0]
 
 
 def test_bars_side_by_side_are_bars_and_no_line() -> None:
     bars = [(k * 2.0 * PER_MARKING, float(PER_MARKING)) for k in range(-2, 3)]
-    assert judged_of(around(*bars)).flags[:, 0].tolist() == [False, True]
+    assert ridge_of(around(*bars)).flags[:, 0].tolist() == [False, True]
     assert (LINE, BAR) == (0, 1)
 
 
 def test_a_uniform_row_and_steps_have_no_ridge() -> None:
-    assert not judged_of(around()).flags.any()
+    assert not ridge_of(around()).flags.any()
     for place in range(-8, 9):
         for low, high in ((place, 99.0), (-99.0, place)):
             step = around((0.5 * (low + high), high - low))
-            assert not judged_of(step).flags.any(), (low, high)
+            assert not ridge_of(step).flags.any(), (low, high)
 
 
 def test_fainter_than_the_contrast_is_nothing() -> None:
     marking = around((0.0, PER_MARKING)) - GROUND
-    assert judged_of(marking * np.float32(1.05 * CONTRAST / PAINT)).flags[LINE, 0]
-    assert not judged_of(marking * np.float32(0.95 * CONTRAST / PAINT)).flags.any()
+    assert ridge_of(marking * np.float32(1.05 * CONTRAST / PAINT)).flags[LINE, 0]
+    assert not ridge_of(marking * np.float32(0.95 * CONTRAST / PAINT)).flags.any()
 
 
 @pytest.mark.parametrize("apart", [-14, -5, 0, 6, 14])
@@ -148,9 +158,9 @@ def test_uniform_rows_and_edges_give_no_line(dark: bool) -> None:
 def test_runs_keep_their_order_and_their_rows() -> None:
     picture = np.concatenate([row(100.0 + 50.0 * k + 0.3 * k) for k in range(4)])
     first = np.array([100.5, WIDTH + 150.5, 2 * WIDTH + 200.5, 3 * WIDTH + 250.5])
-    judged = RunRidges(Brightness("grey", False), CONTRAST).find(picture, first, np.ones(4))
-    assert judged.flags[LINE].all()
-    assert judged.place == pytest.approx(0.3 * np.arange(4), abs=0.25)
+    ridges = run_ridges(picture, first)
+    assert ridges.flags[LINE].all()
+    assert ridges.place == pytest.approx(0.3 * np.arange(4), abs=0.25)
 
 
 @pytest.mark.parametrize(("colour", "weight"), [("blue", (1, 0, 0)), ("green", (0, 1, 0)), ("red", (0, 0, 1))])
@@ -175,14 +185,14 @@ def test_grey_is_the_weighted_sum_of_the_colours_and_reads_no_further_than_the_p
 
 def test_the_filter_along_whole_rows_peaks_in_the_middle_of_the_marking() -> None:
     rows = np.concatenate((row(100.0), row(140.0)))[:, :200]
-    judging = RowRidgeFilter(2, 200, CONTRAST)
-    heights = judging.heights(rows, 20, 180)
+    ridge_filter = RowRidgeFilter(2, 200, CONTRAST)
+    heights = ridge_filter.heights(rows, 20, 180)
     assert (heights.argmax(axis=1) + 20).tolist() == [100, 140]
     wanted = [
         5.0 * (r[m - 2 : m + 3].mean() - max(r[m - 8 : m - 3].mean(), r[m + 4 : m + 9].mean()))
         for r, m in ((rows[0].astype(float), 100), (rows[1].astype(float), 143))
     ]
     assert [heights[0, 80], heights[1, 123]] == pytest.approx(wanted)
-    judged = judging.judge(rows, np.array([0, 1, 1]), np.array([101, 139, 60]))
-    assert judged.place[:2] == pytest.approx([-1.0, 1.0], abs=0.25)
-    assert judged.flags[LINE].tolist() == [True, True, False]
+    ridges = ridge_filter.measure(rows, np.array([0, 1, 1]), np.array([101, 139, 60]))
+    assert ridges.place[:2] == pytest.approx([-1.0, 1.0], abs=0.25)
+    assert ridges.flags[LINE].tolist() == [True, True, False]

@@ -14,7 +14,7 @@ from automodel.config import Extrinsics, Intrinsics
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.rows.row_ridges import REACH, Brightness, RunRidges
+from automodel.perception.rows.row_ridges import REACH, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.types import FloatArray, Image
 
@@ -59,8 +59,8 @@ def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: i
 
 
 def search(lens: str = "none", dark: bool = False) -> RowSearch:
-    ridges = RunRidges(Brightness("grey", dark), 20.0)
-    return RowSearch(LineProjection(camera(lens)), ridges, NODES, MARKING, (HEIGHT, WIDTH))
+    projection, brightness = LineProjection(camera(lens)), Brightness("grey", dark)
+    return RowSearch(projection, brightness, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
 
 
 def shaped(road: str, offset: float = 0.0, heading: float = 0.0) -> PairShape:
@@ -68,13 +68,13 @@ def shaped(road: str, offset: float = 0.0, heading: float = 0.0) -> PairShape:
     return pair.shape(np.array([offset, heading, LANE, *[ROADS[road]] * pair.stations]), 0.0)
 
 
-def seen(sighting: NodeMeasurements) -> NDArray[np.bool_]:
+def seen(measured: NodeMeasurements) -> NDArray[np.bool_]:
     """Which of the 2 n nodes were found."""
     all_of_them = np.zeros(2 * COUNT, bool)
-    k = len(sighting.nodes)
-    assert sighting.residual.shape == sighting.found.shape == (2 * k,)
-    assert np.array_equal(sighting.found[:k], sighting.found[k:] * sighting.found[:k])
-    all_of_them[sighting.nodes[sighting.found[:k] > 0.0]] = True
+    k = len(measured.nodes)
+    assert measured.residual.shape == measured.found.shape == (2 * k,)
+    assert np.array_equal(measured.found[:k], measured.found[k:] * measured.found[:k])
+    all_of_them[measured.nodes[measured.found[:k] > 0.0]] = True
     return all_of_them
 
 
@@ -83,18 +83,18 @@ def seen(sighting: NodeMeasurements) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("offset", [0.0, 0.02, -0.015])
 def test_distances_to_the_left_are_those_on_the_ground(lens: str, road: str, offset: float) -> None:
     shape = shaped(road, offset)  # the car is said to be left of the centerline: so the lines lie left of the nodes
-    sighting = search(lens).look(drawn(lens, road), shape, LANE)
-    k = len(sighting.nodes)
-    assert np.count_nonzero(seen(sighting)) >= 14
-    side = np.where(sighting.nodes < COUNT, 0.5, -0.5) * LANE
-    node = sighting.nodes % COUNT
+    measured = search(lens).look(drawn(lens, road), shape, LANE)
+    k = len(measured.nodes)
+    assert np.count_nonzero(seen(measured)) >= 14
+    side = np.where(measured.nodes < COUNT, 0.5, -0.5) * LANE
+    node = measured.nodes % COUNT
     place = shape.place[node] + 1j * side * shape.along[node]
     points = np.stack((place.real, place.imag), axis=-1)
     wanted = side - from_the_centerline(points, 0.0, ROADS[road])
-    found = sighting.found[:k] > 0.0
-    assert sighting.residual[:k][found] == pytest.approx(wanted[found], abs=0.1 * MARKING)
+    found = measured.found[:k] > 0.0
+    assert measured.residual[:k][found] == pytest.approx(wanted[found], abs=0.1 * MARKING)
     assert abs(float(wanted.mean())) == pytest.approx(abs(offset), abs=0.1 * MARKING)  # the test's own geometry
-    assert abs(float((sighting.residual[:k] - wanted)[found].mean())) < 0.03 * MARKING
+    assert abs(float((measured.residual[:k] - wanted)[found].mean())) < 0.03 * MARKING
 
 
 @pytest.mark.parametrize("turn", [0.12, -0.12])
@@ -102,11 +102,11 @@ def test_lines_turned_to_the_left_are_measured_so(turn: float) -> None:
     # The pair swings about its fifth node by -turn: the true lines are turned by +turn against it.
     middle = float(NODES[4])
     shape = shaped("straight", offset=middle * float(np.tan(-turn)), heading=-turn)
-    sighting = search().look(drawn("none", "straight"), shape, LANE)
-    k = len(sighting.nodes)
-    found = sighting.found[k:] > 0.0
+    measured = search().look(drawn("none", "straight"), shape, LANE)
+    k = len(measured.nodes)
+    found = measured.found[k:] > 0.0
     assert np.count_nonzero(found) >= 6
-    assert float(np.median(sighting.residual[k:][found])) == pytest.approx(turn, abs=0.05)
+    assert float(np.median(measured.residual[k:][found])) == pytest.approx(turn, abs=0.05)
 
 
 def test_dark_markings_are_found_where_they_are_looked_for() -> None:
@@ -165,9 +165,9 @@ def test_nodes_outside_the_picture_are_not_looked_for() -> None:
     aside = shaped("straight", offset=-1.2)  # the lane is far to the left of the car
     assert len(search().look(drawn("none", "straight"), aside, LANE).nodes) < COUNT
     away = shaped("straight", heading=np.pi)  # behind the car
-    sighting = search().look(drawn("none", "straight"), away, LANE)
-    assert len(sighting.nodes) == 0
-    assert len(sighting.residual) == 0
+    measured = search().look(drawn("none", "straight"), away, LANE)
+    assert len(measured.nodes) == 0
+    assert len(measured.residual) == 0
 
 
 def test_what_is_much_fainter_than_the_markings_were_is_none() -> None:
@@ -176,8 +176,8 @@ def test_what_is_much_fainter_than_the_markings_were_is_none() -> None:
     assert seen(looking.look(faint, shape, LANE)).any()  # before anything is known
     for known, other, believed in ((usual, faint, False), (faint, usual, True)):
         looking.forget()
-        sighting = looking.look(known, shape, LANE)
-        looking.learn(sighting, sighting.found[: len(sighting.nodes)] > 0.0)
+        measured = looking.look(known, shape, LANE)
+        looking.learn(measured, measured.found[: len(measured.nodes)] > 0.0)
         assert seen(looking.look(known, shape, LANE)).any()
         assert seen(looking.look(other, shape, LANE)).any() == believed
     looking.forget()
@@ -216,7 +216,7 @@ class Noted(Brightness):
 
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     noted, shape = Noted("grey", False), shaped("left")
-    looking = RowSearch(LineProjection(camera("none")), RunRidges(noted, 20.0), NODES, MARKING, (HEIGHT, WIDTH))
+    looking = RowSearch(LineProjection(camera("none")), noted, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
     looking.look(drawn("none", "left"), shape, LANE)
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
