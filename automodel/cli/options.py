@@ -33,7 +33,7 @@ class PartName(click.ParamType):  # type: ignore[type-arg]
         try:
             self._kind.check(self._kind.kind, value)
         except ValueError as error:
-            self.fail(str(error), param, ctx)
+            self.fail(str(error).partition(": ")[2], param, ctx)
         return value
 
 
