@@ -15,7 +15,7 @@ from automodel.signals import Frame
 from automodel.sources.cameras import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import SUFFIXES, natural_key
-from automodel.sources.images import read_picture
+from automodel.sources.images import read_image
 from automodel.types import Image
 
 LIVE = "live"
@@ -56,7 +56,7 @@ def pictures_of(paths: Sequence[Path], car: CarConfig) -> Iterator[tuple[str, Im
         if path.suffix.lower() in SUFFIXES:
             name = path.name if short else str(path)
             try:
-                yield name, read_picture(path, colour=False)
+                yield name, read_image(path, colour=False)
             except SourceError as error:
                 yield name, error
         else:

@@ -30,7 +30,7 @@ from automodel.curves.base import Curve
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.files import natural_key
-from automodel.sources.images import read_picture
+from automodel.sources.images import read_image
 from automodel.types import FloatArray, Image
 from automodel.viewer.plots import GREEN, RED, SheetImage, write_contact_sheet
 from calibration.from_lanes import camera_from_lanes
@@ -273,7 +273,7 @@ def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
     Says on stderr what was found and what was assumed.
     """
     step = -(-len(labels) // ENOUGH_FOR_CAMERA)
-    pictures = [read_picture(root / label.raw_file, False) for label in labels[::step]]
+    pictures = [read_image(root / label.raw_file, False) for label in labels[::step]]
     height, width = pictures[0].shape
     focal = round(0.5 * width / np.tan(np.radians(0.5 * VIEW_DEG)), 2)
     intrinsics = Intrinsics(fx_px=focal, fy_px=focal, cx_px=0.5 * (width - 1), cy_px=0.5 * (height - 1))
@@ -322,7 +322,7 @@ def _run(root: Path, labels: Sequence[Label], car: CarConfig, name: str) -> Iter
     for label in labels:
         pipeline.reset()
         for index, path in enumerate(clip_of(root / label.raw_file)):
-            image = read_picture(path, car.camera.colour)
+            image = read_image(path, car.camera.colour)
             _check_size(path, image, car.camera)
             t_ns = round(index * 1e9 / CLIP_RATE_HZ)
             unknown = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
@@ -410,5 +410,5 @@ def _sheet_image(root: Path, result: Result) -> SheetImage:
     """An image with its labelled and its predicted points."""
     label = result.label
     lines = [(lanes, colour) for lanes, colour in ((label.lanes, GREEN), (result.lanes, RED))]
-    image = read_picture(root / label.raw_file, True)
+    image = read_image(root / label.raw_file, True)
     return SheetImage(image=image, note=f"{label.raw_file} {result.status}", rows=label.rows, lines=lines)

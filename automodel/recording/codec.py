@@ -37,10 +37,10 @@ SCHEMA = "foxglove.CompressedImage"
 
 
 class ImageCodec:
-    """Compresses pictures as `[recording]` says: PNG keeps every bit, JPEG does not.
+    """Compresses images as `[recording]` says: PNG (lossless) or JPEG.
 
-    PNG with run-length matching only (Huffman over filtered rows) is several times faster than zlib's usual search,
-    and hardly larger on pictures with sensor noise.
+    PNG with run-length matching only (Huffman coding of filtered rows) is several times faster than zlib's default
+    strategy, and hardly larger for images with sensor noise.
     """
 
     def __init__(self, config: RecordingConfig) -> None:
@@ -52,7 +52,7 @@ class ImageCodec:
             self._options = [cv2.IMWRITE_JPEG_QUALITY, config.jpeg_quality]
 
     def encode(self, t_ns: int, image: Image) -> bytes:
-        """A serialised CompressedImage; raises ValueError for a picture that cannot be compressed (an empty one)."""
+        """A serialised CompressedImage; raises ValueError for an image that cannot be compressed (an empty one)."""
         from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 
         try:
@@ -65,7 +65,7 @@ class ImageCodec:
 
 
 def decode_image(data: bytes) -> Image:
-    """The picture of a serialised CompressedImage, grey or BGR as it was; raises ValueError where it is none."""
+    """The image of a serialised CompressedImage, grey or BGR; raises ValueError if it is damaged."""
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
     from google.protobuf.message import DecodeError
 
@@ -75,12 +75,12 @@ def decode_image(data: bytes) -> Image:
         raise ValueError("not a CompressedImage message") from None
     image = cv2.imdecode(np.frombuffer(packed, np.uint8), cv2.IMREAD_UNCHANGED) if packed else None
     if image is None or image.dtype != np.uint8 or (image.ndim == 3 and image.shape[2] != 3):
-        raise ValueError("a damaged picture")
+        raise ValueError("a damaged image")
     return np.asarray(image, dtype=np.uint8)
 
 
 def descriptor_set() -> bytes:
-    """The protobuf schema of CompressedImage, as MCAP wants it."""
+    """The protobuf schema of CompressedImage for MCAP."""
     from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
     from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -100,12 +100,12 @@ TOPICS: dict[type[Value], str] = {
 
 
 def encode(value: Value) -> bytes:
-    """The value as JSON; raises ValueError for a number that is not finite and for a curve that is not known here."""
+    """The value as JSON; raises ValueError for a number that is not finite and for an unknown class of curve."""
     return json.dumps(_TO_JSON[type(value)](value), allow_nan=False, separators=(",", ":")).encode()
 
 
 def decode(topic: str, data: bytes) -> Value:
-    """The value in a message of one of `TOPICS`; raises ValueError where the data is not one."""
+    """The value in a message of one of `TOPICS`; raises ValueError for other data."""
     try:
         value: Value = _FROM_JSON[topic](json.loads(data))
     except (KeyError, TypeError, ValueError) as error:
@@ -114,7 +114,7 @@ def decode(topic: str, data: bytes) -> Value:
 
 
 def curve_to_json(curve: Curve) -> Json:
-    """What the curve was made of; its `kind` names the class."""
+    """The parameters of the curve; `kind` names its class."""
     if isinstance(curve, ThetaCurve):
         parts: Json = {"x_m": curve.x_m, "y_m": curve.y_m, "length_m": curve.length_m}
         return {"kind": "theta", "coefficients": curve.coefficients.tolist(), **parts}
@@ -131,7 +131,7 @@ def curve_to_json(curve: Curve) -> Json:
 
 
 def curve_from_json(data: Json) -> Curve:
-    """The curve again, from the same numbers."""
+    """The curve from its parameters."""
     kind = data["kind"]
     if kind == "theta":
         return ThetaCurve(data["x_m"], data["y_m"], data["coefficients"], data["length_m"])
@@ -141,7 +141,7 @@ def curve_from_json(data: Json) -> Curve:
         return TabulatedCurve(data["s_m"], _points_from(data), data["headings_rad"], data["curvatures_per_m"])
     if kind == "joined":
         return JoinedCurve([curve_from_json(piece) for piece in data["pieces"]], closed=data["closed"])
-    raise ValueError(f"curve: kind {kind!r} is not known here; the file is of a newer automodel")
+    raise ValueError(f"curve: unknown kind {kind!r}; the file is from a newer version of automodel")
 
 
 def _points(points_m: FloatArray) -> Json:
@@ -152,33 +152,20 @@ def _points_from(data: Json) -> FloatArray:
     return np.stack((np.array(data["points_x_m"], float), np.array(data["points_y_m"], float)), axis=-1)
 
 
+def _fields(value: Any) -> Json:
+    return {name: getattr(value, name) for name in value.__dataclass_fields__}
+
+
 def _motion(value: Motion) -> Json:
-    return {
-        "t_ns": value.t_ns,
-        "speed_mps": value.speed_mps,
-        "yaw_rate_radps": value.yaw_rate_radps,
-        "source": value.source.value,
-    }
+    return {**_fields(value), "source": value.source.value}
 
 
 def _motion_from(data: Json) -> Motion:
     return Motion(**{**data, "source": MotionSource(data["source"])})
 
 
-def _state(value: VehicleState) -> Json:
-    return {name: getattr(value, name) for name in VehicleState.__dataclass_fields__}
-
-
 def _state_from(data: Json) -> VehicleState:
     return VehicleState(**{**data, "ranges_m": tuple(data["ranges_m"]), "faults": tuple(data["faults"])})
-
-
-def _command(value: Command) -> Json:
-    return {name: getattr(value, name) for name in Command.__dataclass_fields__}
-
-
-def _event(value: Event) -> Json:
-    return {"t_ns": value.t_ns, "kind": value.kind, "text": value.text}
 
 
 def _estimate(value: LaneEstimate) -> Json:
@@ -187,16 +174,8 @@ def _estimate(value: LaneEstimate) -> Json:
         "t_ns": value.t_ns,
         "status": value.status.value,
         "frame_age_ns": value.frame_age_ns,
-        "pose": None
-        if pose is None
-        else {
-            "offset_m": pose.offset_m,
-            "heading_rad": pose.heading_rad,
-            "width_m": pose.width_m,
-            "curvature_per_m": pose.curvature_per_m,
-            "covariance": pose.covariance.ravel().tolist(),
-        },
-        "crossing": None if crossing is None else {"distance_m": crossing.distance_m, "angle_rad": crossing.angle_rad},
+        "pose": None if pose is None else {**_fields(pose), "covariance": pose.covariance.ravel().tolist()},
+        "crossing": None if crossing is None else _fields(crossing),
         "left": None if value.left is None else _line(value.left),
         "right": None if value.right is None else _line(value.right),
         "centerline": None if value.centerline is None else curve_to_json(value.centerline),
@@ -227,10 +206,10 @@ def _line_from(data: Json) -> LaneLine:
 
 _TO_JSON: dict[type[Value], Callable[[Any], Json]] = {
     Motion: _motion,
-    VehicleState: _state,
+    VehicleState: _fields,
     LaneEstimate: _estimate,
-    Command: _command,
-    Event: _event,
+    Command: _fields,
+    Event: _fields,
 }
 
 _FROM_JSON: dict[str, Callable[[Json], Any]] = {

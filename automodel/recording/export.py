@@ -1,7 +1,4 @@
-"""A recording -> poses.csv, and a video with the overlay.
-
-poses.csv: the car's pose in the lane, frame by frame.
-"""
+"""poses.csv (the pose in the lane, one row per frame), and the export of recordings as CSV and overlay video."""
 
 from __future__ import annotations
 
@@ -37,9 +34,9 @@ COLUMNS = (
 
 
 class PosesCsv:
-    """Writes poses.csv, a row a frame; a field that does not exist is empty, never 0.
+    """Writes poses.csv, one row per frame; missing values are empty, never 0.
 
-    Lengths and angles have six decimals (micrometres, microradians). The file is there when the `with` block has ended
+    Lengths and angles have six decimals (micrometres, microradians). The file appears when the `with` block ends
     without an error. Raises ConfigError where it cannot be written.
     """
 
@@ -111,19 +108,19 @@ def export_csv(recording: Recording, path: str | Path, progress: Progress | None
 
 
 def export_video(recording: Recording, path: str | Path, car: CarConfig, progress: Progress | None = None) -> int:
-    """Write the frames of a run with what was estimated on them, at the frames' mean rate; the number of frames.
+    """Write a video of the frames of a run with their estimates, at the frames' mean rate; the number of frames.
 
-    `car` is what the run was driven with (`Recording.car_text`). Raises ConfigError and SourceError.
+    `car` is the configuration of the run (`Recording.car_text`). Raises ConfigError and SourceError.
     """
     camera, rate_hz = GroundCamera.from_config(car.camera), mean_rate_hz(recording)
     frames = 0
     with VideoWriter(path, rate_hz) as video:
         for step in recording.steps():
-            picture = picture_of(step.frame)
-            check_size(Frame(t_ns=step.frame.t_ns, index=step.frame.index, image=picture), car.camera)
+            image = image_of(step.frame)
+            check_size(Frame(t_ns=step.frame.t_ns, index=step.frame.index, image=image), car.camera)
             command = step.commands[0] if step.commands else None
             note = f"frame {step.frame.index}"
-            video.write(draw(picture, step.estimate, camera, command, car.vehicle.reference_x_m, note))
+            video.write(draw(image, step.estimate, camera, command, car.vehicle.reference_x_m, note))
             frames += 1
             if progress is not None:
                 progress(frames)
@@ -131,12 +128,12 @@ def export_video(recording: Recording, path: str | Path, car: CarConfig, progres
 
 
 def latency_ms(step: Step) -> float | None:
-    """From the frame's capture to its first command [ms]; None without one."""
+    """The time from the frame's capture to its first command [ms]; None without a command."""
     return (step.commands[0].t_ns - step.frame.t_ns) * 1e-6 if step.commands else None
 
 
-def picture_of(frame: Frame | StereoFrame) -> Image:
-    """The picture that overlays are drawn on: of two cameras, the left one's."""
+def image_of(frame: Frame | StereoFrame) -> Image:
+    """The image for overlays: that of the left camera if there are two."""
     return frame.left if isinstance(frame, StereoFrame) else frame.image
 
 

@@ -1,4 +1,4 @@
-"""Reading a recording back: its messages in the order in which they were written, and its frames as a source."""
+"""Reading a recording: its messages in the order in which they were written, and its frames as a source."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, MemoryE
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recorded:
-    """One message: the value, its topic, and the index of the frame that it belongs to."""
+    """One message: its value, its topic and the index of its frame."""
 
     topic: str
     frame_index: int
@@ -35,11 +35,10 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """One turn of the loop as it was recorded: a frame, and what belongs to it.
+    """One recorded step of the loop: a frame and its values.
 
-    `motion` is what the pipeline was given with the frame (its source is NONE where none was recorded); `state` is
-    the newest vehicle state when the frame's estimate was made. `states`, `commands` and `events` are all
-    up to the next frame, in order.
+    `motion` is the pipeline's input with the frame (source NONE if none was recorded); `state` is the newest vehicle
+    state at the time of the estimate. `states`, `commands` and `events` are all values up to the next frame, in order.
     """
 
     frame: Frame | StereoFrame
@@ -54,9 +53,9 @@ class Step:
 class Recording:
     """A run's MCAP file.
 
-    `car_text` is the car.toml that it ran with, `calibration` its calibration (JSON), `origin` the versions and the
-    wall time of its start, `counts` what the recorder wrote and dropped. Raises SourceError for a file that is not
-    there, is not MCAP, or is cut (with the command that recovers it), and while reading, for one that is damaged.
+    `car_text` is the car.toml of the run, `calibration` its calibration (JSON), `origin` the versions and the wall time
+    of the start, `counts` the numbers of written and dropped values. Raises SourceError for a file that is missing, not
+    MCAP or cut (with the command that recovers it), and while reading, for a damaged one.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -72,7 +71,7 @@ class Recording:
                 raise self._damaged(error) from None
 
     def __iter__(self) -> Iterator[Recorded]:
-        """All messages, in the order in which they were written; topics of other programs are left out."""
+        """All messages in the order in which they were written, without topics of other programs."""
         channels: dict[int, Channel] = {}
         left: tuple[int, Image] | None = None
         with self._open() as file:
@@ -90,7 +89,7 @@ class Recording:
                 raise self._damaged(error) from None
 
     def steps(self) -> Iterator[Step]:
-        """The turns of the loop, one per frame; what was recorded before the first frame counts to its turn."""
+        """The steps of the loop, one per frame; values recorded before the first frame belong to its step."""
         waiting: list[Recorded] = []
         frame: Frame | StereoFrame | None = None
         state: VehicleState | None = None
@@ -118,11 +117,11 @@ class Recording:
     def _check_ends(self, file: IO[bytes]) -> None:
         size = file.seek(0, 2)
         file.seek(0)
-        begin = file.read(len(MCAP0_MAGIC))
+        start = file.read(len(MCAP0_MAGIC))
         file.seek(max(size - len(MCAP0_MAGIC), 0))
         end = file.read(len(MCAP0_MAGIC))
         file.seek(0)
-        if not begin or not MCAP0_MAGIC.startswith(begin):
+        if not start or not MCAP0_MAGIC.startswith(start):
             raise SourceError(f"{self.path}: not an MCAP file")
         if end != MCAP0_MAGIC or size < 2 * len(MCAP0_MAGIC):
             raise SourceError(f"{self.path}: the file is cut; run: automodel recover {self.path}")
@@ -142,14 +141,11 @@ class Recording:
 
     def _damaged(self, error: BaseException) -> SourceError:
         why = str(error) or type(error).__name__
-        return SourceError(f"{self.path}: damaged ({why}); save what can be read: automodel recover {self.path}")
+        return SourceError(f"{self.path}: damaged ({why}); recover it with: automodel recover {self.path}")
 
 
 class RecordingSource:
-    """The frames of a recording as a source, exactly as the pipeline had them, with all that belongs to them.
-
-    `step` is the turn that the frame read last belongs to.
-    """
+    """The frames of a recording as a source, as the pipeline got them; `step` is that of the last frame read."""
 
     def __init__(self, path: str | Path) -> None:
         self.recording = Recording(path)
@@ -157,7 +153,7 @@ class RecordingSource:
         self._steps: Iterator[Step] | None = self.recording.steps()
 
     def read(self, timeout_s: float) -> Frame | StereoFrame:
-        """The next frame; raises EndOfSource after the last, SourceError when there is none at all."""
+        """The next frame; raises EndOfSource after the last, SourceError if there are none."""
         step = None if self._steps is None else next(self._steps, None)
         if step is None:
             if self._steps is not None and self.step is None:
@@ -165,12 +161,6 @@ class RecordingSource:
             raise EndOfSource
         self.step = step
         return step.frame
-
-    def motion_for(self, frame: Frame | StereoFrame) -> Motion:
-        """The motion that the pipeline was given with the frame read last."""
-        if self.step is None or self.step.frame is not frame:
-            raise ValueError("frame: not the one that was read last")
-        return self.step.motion
 
     def close(self) -> None:
         """Close the file; may be called twice."""
@@ -184,7 +174,7 @@ def _recorded(topic: str, message: Message, left: tuple[int, Image] | None) -> R
         value = Frame(t_ns=t_ns, index=index, image=decode_image(message.data))
     elif topic == RIGHT:
         if left is None or left[0] != index:
-            raise ValueError(f"frame {index} has no left picture")
+            raise ValueError(f"frame {index} has no left image")
         value = StereoFrame(t_ns=t_ns, index=index, left=left[1], right=decode_image(message.data))
     else:
         value = decode(topic, message.data)
@@ -192,7 +182,7 @@ def _recorded(topic: str, message: Message, left: tuple[int, Image] | None) -> R
 
 
 def _step(frame: Frame | StereoFrame, state: VehicleState | None, messages: list[Recorded]) -> Step:
-    """The turn of a frame; values of a frame that was dropped from the recording are not this frame's."""
+    """The step of a frame, without values of frames that the recorder dropped."""
     unknown = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
     step = Step(frame=frame, motion=unknown, state=state)
     for message in messages:

@@ -1,7 +1,4 @@
-"""Making a whole recording out of a cut one.
-
-Reading the records of an MCAP file that may end anywhere, or have a damaged chunk.
-"""
+"""Recovery of cut recordings: reads the records of an MCAP file that may end anywhere or have damaged chunks."""
 
 from __future__ import annotations
 
@@ -30,24 +27,23 @@ from automodel.sources.errors import SourceError
 
 Record: TypeAlias = Schema | Channel | Message | Attachment | Metadata
 
-_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
-_CHUNK_HEAD = struct.Struct("<QQQII")  # start and end time, size, CRC, length of the compression's name
+_HEAD = struct.Struct("<BQ")  # opcode, length of the body
+_CHUNK_HEAD = struct.Struct("<QQQII")  # start and end time, size, CRC, length of the compression name
 _KEPT = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.ATTACHMENT, Opcode.METADATA)
 _DAMAGE = (McapError, ValueError, KeyError, struct.error, RuntimeError, ZstdError)
 
 
 def salvage(file: IO[bytes], size: int) -> Iterator[Record]:
-    """All complete records from the file's place on, in order, up to the end of the data or the cut.
+    """All complete records from the file's position to the end of the data or the cut, in order.
 
-    Of a chunk that is cut, those of its records that are complete are given, unless it is compressed. A complete
-    chunk whose checksum is wrong is left out as a whole.
+    A cut chunk gives its complete records, unless it is compressed. A complete chunk with a wrong checksum is skipped.
     """
     while True:
         head = file.read(_HEAD.size)
         if len(head) < _HEAD.size:
             return
         opcode, length = _HEAD.unpack(head)
-        if opcode in (Opcode.DATA_END, 0):  # 0: blocks of zeros, that some file systems leave after a power cut
+        if opcode in (Opcode.DATA_END, 0):  # 0: blocks of zeros, which some file systems leave after a power cut
             return
         body = file.read(min(length, size))
         if opcode == Opcode.CHUNK:
@@ -97,7 +93,7 @@ def _parse(opcode: int, body: bytes) -> Record | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """What was saved: messages of all kinds, frames among them, and the time that they span [s]."""
+    """The number of recovered messages, frames among them, and the time that they span [s]."""
 
     path: Path
     messages: int
@@ -106,22 +102,22 @@ class Recovered:
 
 
 def recovered_path(path: str | Path) -> Path:
-    """Where the recovered file goes by default: `run.mcap` -> `run.recovered.mcap`."""
+    """The default path of the recovered file: `run.mcap` -> `run.recovered.mcap`."""
     return Path(path).with_suffix(".recovered.mcap")
 
 
 def recover(path: str | Path, out: str | Path | None = None, force: bool = False) -> Recovered:
-    """Write all complete messages of a cut recording into a new file; the old one is left as it is.
+    """Write all complete messages of a cut recording into a new file; the old file is not changed.
 
-    Raises SourceError when there is nothing to save, ConfigError when `out` is there already (unless `force`) or
-    cannot be written.
+    Raises SourceError if there is nothing to recover, ConfigError if `out` exists (unless `force`) or cannot be
+    written.
     """
     source, target = Path(path), recovered_path(path) if out is None else Path(out)
     if target.exists():
         if source.exists() and target.samefile(source):
             raise ConfigError(f"{target}: is the file to recover; choose another name for the output")
         if not force:
-            raise ConfigError(f"{target}: is there already; choose another name, or overwrite it with --force")
+            raise ConfigError(f"{target}: already exists; choose another name, or overwrite it with --force")
     with _open(source) as file, output_path(target) as part, open(part, "wb") as stream:
         copy = _Copy(stream)
         for record in salvage(file, source.stat().st_size):
@@ -133,7 +129,7 @@ def recover(path: str | Path, out: str | Path | None = None, force: bool = False
 
 
 class _Copy:
-    """A new MCAP file that records are put into, channels and schemas numbered anew."""
+    """A new MCAP file; channels and schemas get new numbers."""
 
     def __init__(self, stream: IO[bytes]) -> None:
         self.messages = self.frames = 0
@@ -150,7 +146,7 @@ class _Copy:
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
     def add(self, record: object) -> None:
-        """Copy a record; one that refers to a channel or schema that is lost is left out."""
+        """Copy a record, unless its channel or schema is lost."""
         if isinstance(record, Schema) and record.id not in self._schemas:
             self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel) and record.id not in self._channels and record.schema_id in self._schemas:

@@ -1,8 +1,6 @@
-"""The MCAP file of one run, as it is being written.
+"""Writing the MCAP file of a run, with JSON schemas of its topics for Foxglove.
 
-JSON schemas of the topics, so that Foxglove shows and plots them.
-
-Foxglove reads a plain type per property: no unions (any value here may be null all the same), no arrays of arrays.
+Foxglove expects one plain type per property: no unions (although values may be null), no arrays of arrays.
 """
 
 from __future__ import annotations
@@ -24,6 +22,9 @@ from mcap.writer import CompressionType, Writer
 from automodel.config import ConfigError, RecordingConfig, parse_car
 from automodel.recording.codec import CAMERA, LEFT, RIGHT, SCHEMA, TOPICS, ImageCodec, Value, descriptor_set, encode
 from automodel.signals import Frame, StereoFrame
+
+CHUNK_BYTES = 512 * 1024  # not compressed, so that only the end of a cut chunk is lost
+CAR_TOML, CALIBRATION, METADATA, END_METADATA = "car.toml", "calibration.json", "automodel", "automodel end"
 
 _Schema = dict[str, Any]
 
@@ -88,29 +89,25 @@ def schema_text(topic: str) -> tuple[str, bytes]:
     return name, json.dumps({"title": name, **schema}).encode()
 
 
-CHUNK_BYTES = 512 * 1024  # a cut in the middle of a chunk loses that chunk's end only: it is not compressed
-CAR_TOML, CALIBRATION, METADATA, END_METADATA = "car.toml", "calibration.json", "automodel", "automodel end"
-
-
 class RunFile:
-    """Writes values into a new MCAP file; on disk for good after `sync`.
+    """Writes values into a new MCAP file; after `sync` they are on the disk.
 
-    The log time of a message is its value's `t_ns`; its sequence number is the index of the frame that it belongs to.
-    Chunks are not compressed: pictures are already, and records in a half-written chunk can then be read one by one.
-    Raises ConfigError for a file that is there already or cannot be made, OSError when writing fails, and ValueError
-    for a value that cannot be written (nothing of it is in the file then).
+    The log time of a message is the value's `t_ns`; its sequence number is the index of its frame. Chunks are not
+    compressed: images already are, and the records of a half-written chunk can still be read. Raises ConfigError for a
+    file that exists or cannot be created, OSError when writing fails, and ValueError for a value that cannot be written
+    (then the file is unchanged).
     """
 
     def __init__(self, path: str | Path, car_text: str, config: RecordingConfig) -> None:
         self.path = Path(path)
         calibration = _calibration(car_text)
         if self.path.exists():
-            raise ConfigError(f"{path}: is there already; choose another name or delete it")
+            raise ConfigError(f"{path}: already exists; choose another name or delete it")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._stream = open(self.path, "xb")  # noqa: SIM115 - open as long as the run lasts
         except OSError as error:
-            raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
+            raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
         self._images = ImageCodec(config)
         self._writer: Any = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
         self._writer.start(library=f"automodel {_version()}")
@@ -124,18 +121,18 @@ class RunFile:
     def frame(self, frame: Frame | StereoFrame) -> None:
         """Write a frame."""
         if isinstance(frame, StereoFrame):
-            pictures = {LEFT: frame.left, RIGHT: frame.right}
+            images = {LEFT: frame.left, RIGHT: frame.right}
         else:
-            pictures = {CAMERA: frame.image}
-        for topic, image in pictures.items():
+            images = {CAMERA: frame.image}
+        for topic, image in images.items():
             self._add(topic, frame.t_ns, frame.index, self._images.encode(frame.t_ns, image))
 
     def value(self, value: Value, frame_index: int) -> None:
-        """Write any other value, as belonging to a frame."""
+        """Write any other value with the index of its frame."""
         self._add(TOPICS[type(value)], value.t_ns, frame_index, encode(value))
 
     def sync(self) -> None:
-        """Put all that was written on the disk."""
+        """Flush everything to the disk."""
         self._writer.flush()
         os.fsync(self._stream.fileno())
 
@@ -168,7 +165,7 @@ class RunFile:
 
 
 def _calibration(car_text: str) -> str:
-    """What the car was calibrated to, the defaults filled in."""
+    """The car's calibration with defaults, as JSON."""
     car = parse_car(car_text, CAR_TOML)
     link = {"servo": dataclasses.asdict(car.link.servo), "motor": dataclasses.asdict(car.link.motor)}
     return json.dumps({"camera": dataclasses.asdict(car.camera), **link}, indent=1)
@@ -191,7 +188,7 @@ def _version() -> str:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Put the new file's name on the disk, too."""
+    """Flush the folder entry of the new file to the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

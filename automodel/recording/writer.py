@@ -1,4 +1,4 @@
-"""The recorder of a run: a queue and a thread that writes it down."""
+"""The recorder of a run: a queue and a writer thread."""
 
 from __future__ import annotations
 
@@ -12,20 +12,19 @@ from automodel.recording.codec import Value
 from automodel.recording.run_file import RunFile
 from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
 
-_SYNC_NS = 500_000_000  # with the time that the disk takes, a power cut costs less than a second
-_POLL_S = 0.02  # the thread wakes for a batch, not for every message: each wake-up takes the interpreter's lock
-_MAX_WAITING_BYTES = 48 * 1024 * 1024  # of pictures
+_SYNC_NS = 500_000_000  # a power cut loses less than a second, including the disk's delay
+_POLL_S = 0.02  # the thread wakes up for batches: each wake-up takes the interpreter's lock
+_MAX_WAITING_BYTES = 48 * 1024 * 1024  # of images
 _MAX_WAITING = 20_000  # messages of any kind
 
 
 class McapRecorder:
     """Implements `Recorder` on an MCAP file (see `RunFile`).
 
-    Calls append to a queue and return. When the disk is too slow, new frames are dropped first and counted, other
-    values only far later. An error while writing (the disk is full) ends the recording, never the run: `error` says
-    it. A value that cannot be written is left out; `refused` counts those, `refusal` says the first one's reason.
-    `file` is what writes to the disk.
-    Raises ConfigError when the file cannot be made.
+    Calls append to a queue and return. If the disk is too slow, new frames are dropped and counted; other values are
+    dropped much later. A write error (the disk is full) ends the recording, not the run: `error` has its text. A value
+    that cannot be written is left out: `refused` counts them, `refusal` is the reason of the first. `file` writes to
+    the disk. Raises ConfigError if the file cannot be created.
     """
 
     def __init__(self, path: str | Path, car_text: str, config: RecordingConfig, file: type[RunFile] = RunFile) -> None:
@@ -42,7 +41,7 @@ class McapRecorder:
         self._thread.start()
 
     def frame(self, frame: Frame | StereoFrame) -> None:
-        """A frame that the pipeline was given."""
+        """Record a frame as the pipeline got it."""
         self._frame_index = frame.index
         if self._closed or self._bytes_in - self._bytes_out > _MAX_WAITING_BYTES:
             self.dropped_frames += 1
@@ -51,32 +50,32 @@ class McapRecorder:
         self._waiting.append((frame.index, frame))
 
     def motion(self, motion: Motion) -> None:
-        """The motion that the pipeline was given with the frame before."""
+        """Record the motion that the pipeline got with the previous frame."""
         self._put(motion)
 
     def state(self, state: VehicleState) -> None:
-        """A state that the vehicle sent."""
+        """Record a state from the vehicle."""
         self._put(state)
 
     def estimate(self, estimate: LaneEstimate) -> None:
-        """A pipeline's estimate."""
+        """Record an estimate of the pipeline."""
         self._put(estimate)
 
     def command(self, command: Command) -> None:
-        """A command as it was sent, after the limits."""
+        """Record a command as it was sent, after the limits."""
         self._put(command)
 
     def event(self, event: Event) -> None:
-        """A safety event."""
+        """Record a safety event."""
         self._put(event)
 
     def close(self) -> None:
-        """Write what is left, the index, and close the file; may be called twice."""
+        """Write the remaining values and the index, and close the file; may be called twice."""
         self._stopping.set()
         self._thread.join()
 
     def summary(self) -> str:
-        """One line for the end of a run: what was recorded, and what was not."""
+        """One line for the end of a run: the numbers of recorded and lost values."""
         parts = [f"{self.path}: {self.frames} frames, {self.written} messages"]
         if self.dropped_frames or self.dropped_values:
             why = "the disk is too slow" if self.error is None else "after the error"
@@ -84,7 +83,7 @@ class McapRecorder:
         if self.refused:
             parts.append(f"{self.refused} values left out ({self.refusal})")
         if self.error is not None:
-            parts.append(f"stopped early: {self.error}; keep what there is with: automodel recover {self.path}")
+            parts.append(f"stopped early: {self.error}; recover it with: automodel recover {self.path}")
         return "; ".join(parts)
 
     @property
@@ -116,7 +115,7 @@ class McapRecorder:
                 self._waiting.clear()
 
     def _write_waiting(self) -> None:
-        """Write all that waits, and put it on the disk when that is due."""
+        """Write all queued values, and sync when it is due."""
         while True:
             if self._waiting:
                 self._write(*self._waiting.popleft())

@@ -1,11 +1,4 @@
-"""A USB camera (V4L2) as a source.
-
-A CSI camera of a Jetson as a source: GStreamer in a process of its own, frames through a pipe.
-
-The pip wheels of OpenCV are built without GStreamer; `gst-launch-1.0` comes with every Jetson.
-
-A thread that always has the newest frame.
-"""
+"""Cameras as sources: USB (V4L2), CSI on a Jetson, and a capture thread that always has the newest frame."""
 
 from __future__ import annotations
 
@@ -24,18 +17,22 @@ from automodel.config import CameraConfig
 from automodel.interfaces import Source
 from automodel.signals import Frame, StereoFrame
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import in_colour, opencv_silenced
+from automodel.sources.images import opencv_silenced, with_channels
 from automodel.types import Image
 
-_OLDEST_NS = 1_000_000_000  # a driver's time of capture older than this is on another clock
+_OLDEST_NS = 1_000_000_000  # a driver's capture time older than this is on another clock
+_PIPE_BYTES = 1 << 20  # room for a whole frame; with the kernel's 64 KiB, every piece costs a context switch
+_STOP_S = 2.0
+_POLL_S = 0.1  # timeout of a read in the capture thread, after which it checks whether to stop
+_JOIN_S = 2.0
 
 
 class UsbSource:
-    """Frames of /dev/videoN as they come, stamped with the driver's time of capture, or on arrival without one.
+    """Frames of /dev/videoN with the driver's capture time, or the time of arrival if the driver has none.
 
-    Asks for MJPG (`fourcc` "YUYV" for cameras that have no MJPG) and one buffer only, so that no old frame waits.
-    Raises SourceError for a camera that is not there, has another size, or stops. `read` stays in the driver for up to
-    its own timeout; wrap the source in a `CaptureThread` to bound the wait.
+    Requests MJPG (`fourcc` "YUYV" for cameras without MJPG) and a single buffer, so that no old frame is queued. Raises
+    SourceError for a camera that is missing, has another size, or stops. `read` may block for the driver's timeout;
+    wrap the source in a `CaptureThread` to limit the wait.
     """
 
     def __init__(self, camera: CameraConfig, fourcc: str = "MJPG") -> None:
@@ -58,47 +55,43 @@ class UsbSource:
                 there, image = self._capture.retrieve()
         if not there or image is None:
             raise SourceError(f"{self.device}: no more frames; is the camera still plugged in?")
-        frame = Frame(t_ns=t_ns, index=self._next, image=in_colour(np.asarray(image, dtype=np.uint8), self.colour))
+        frame = Frame(t_ns=t_ns, index=self._next, image=with_channels(np.asarray(image, dtype=np.uint8), self.colour))
         self._next += 1
         return frame
 
     def close(self) -> None:
-        """Give the camera back; may be called twice."""
+        """Release the camera; may be called twice."""
         self._capture.release()
 
     def _configure(self, camera: CameraConfig, fourcc: str) -> None:
-        wanted = (camera.width_px, camera.height_px)
+        size = (camera.width_px, camera.height_px)
         for key, value in (
             (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc)),
-            (cv2.CAP_PROP_FRAME_WIDTH, wanted[0]),
-            (cv2.CAP_PROP_FRAME_HEIGHT, wanted[1]),
+            (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
+            (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
             (cv2.CAP_PROP_FPS, camera.rate_hz),
             (cv2.CAP_PROP_BUFFERSIZE, 1),
         ):
             self._capture.set(key, value)
         got = tuple(int(self._capture.get(k)) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if got != wanted:
+        if got != size:
             self.close()
             raise SourceError(
-                f"{self.device}: gives {got[0]}x{got[1]} pixels where car.toml asks for {wanted[0]}x{wanted[1]}; "
-                f"choose a size that the camera has (v4l2-ctl --list-formats-ext) and calibrate for it"
+                f"{self.device}: expected {size[0]}x{size[1]} pixels (car.toml), got {got[0]}x{got[1]}; "
+                f"choose a size that the camera supports (v4l2-ctl --list-formats-ext) and calibrate for it"
             )
 
 
 def captured_ns(driver_ms: float, now_ns: int) -> int:
-    """The driver's time of capture [ns] where it is on the monotonic clock, else the time of arrival."""
+    """The driver's capture time [ns] if it is on the monotonic clock, else the time of arrival."""
     if not np.isfinite(driver_ms):
         return now_ns
     driver_ns = round(driver_ms * 1e6)
     return driver_ns if 0 <= now_ns - driver_ns <= _OLDEST_NS else now_ns
 
 
-_PIPE_BYTES = 1 << 20  # a frame fits in one go; the kernel's default of 64 KiB takes a switch per piece
-_STOP_S = 2.0
-
-
 def jetson_elements(camera: CameraConfig) -> str:
-    """The head of the pipeline on a Jetson: the sensor, and its pictures out of the ISP's memory."""
+    """The head of the pipeline on a Jetson: the sensor, and its frames copied from the ISP's memory."""
     return (
         f"nvarguscamerasrc sensor-id={camera.device} "
         f"! video/x-raw(memory:NVMM),width={camera.width_px},height={camera.height_px},"
@@ -107,12 +100,12 @@ def jetson_elements(camera: CameraConfig) -> str:
 
 
 def synthetic_elements(camera: CameraConfig) -> str:
-    """The head of the pipeline on any machine: GStreamer's test picture at the camera's rate."""
+    """The head of the pipeline on any machine: GStreamer's test image at the camera's rate."""
     return f"videotestsrc is-live=true ! video/x-raw,framerate={_fraction(camera.rate_hz)} ! videoconvert"
 
 
 def gst_command(camera: CameraConfig, elements: str) -> list[str]:
-    """The whole command: `elements`, then the wanted format, the newest frame only, to stdout."""
+    """The whole command: `elements`, conversion to the configured format, and the newest frame to stdout."""
     pixel = "BGRx" if camera.colour else "GRAY8"
     caps = f"video/x-raw,format={pixel},width={camera.width_px},height={camera.height_px}"
     tail = f"! {caps} ! queue leaky=downstream max-size-buffers=1 ! fdsink sync=false"
@@ -120,9 +113,10 @@ def gst_command(camera: CameraConfig, elements: str) -> list[str]:
 
 
 class CsiSource:
-    """Frames of a CSI camera as they come, stamped on arrival with the monotonic clock.
+    """Frames of a CSI camera with the monotonic time of arrival, through a pipe from a `gst-launch-1.0` process.
 
-    Raises SourceError where GStreamer is missing, cannot open the camera, or stops; the text has its last words.
+    (The pip wheels of OpenCV are built without GStreamer.) Raises SourceError with GStreamer's error message where
+    GStreamer is missing, cannot open the camera, or stops.
     """
 
     def __init__(self, camera: CameraConfig, elements: str | None = None) -> None:
@@ -152,7 +146,7 @@ class CsiSource:
         os.set_blocking(self._pipe.fileno(), False)
 
     def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None when it was not complete within `timeout_s`; what has come of it is kept."""
+        """The next frame, or None if it was not complete within `timeout_s`; the part received so far is kept."""
         if self._pipe.closed:
             raise SourceError(f"{self._name}: closed")
         deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
@@ -162,7 +156,7 @@ class CsiSource:
                 return None
             got = os.readv(self._pipe.fileno(), [self._buffer[self._filled :].data])
             if got == 0:
-                raise SourceError(f"{self._name}: no more frames: {self._last_words()}")
+                raise SourceError(f"{self._name}: no more frames: {self._error_text()}")
             self._filled += got
         frame = Frame(t_ns=time.monotonic_ns(), index=self._next, image=self._image())
         self._buffer, self._filled = self._empty(), 0
@@ -170,7 +164,7 @@ class CsiSource:
         return frame
 
     def close(self) -> None:
-        """Stop GStreamer and give the camera back; may be called twice."""
+        """Stop GStreamer and release the camera; may be called twice."""
         self._pipe.close()
         if self._process.poll() is None:
             self._process.terminate()
@@ -190,7 +184,7 @@ class CsiSource:
             return np.ascontiguousarray(rows[:, : self._width])
         return np.ascontiguousarray(rows.reshape(self._height, self._width, 4)[:, :, :3])
 
-    def _last_words(self) -> str:
+    def _error_text(self) -> str:
         try:
             self._process.wait(_STOP_S)
         except subprocess.TimeoutExpired:
@@ -206,16 +200,12 @@ def _fraction(rate_hz: float) -> str:
     return f"{milli // 1000}/1" if milli % 1000 == 0 else f"{milli}/1000"
 
 
-_POLL_S = 0.1  # how long the thread stays in the wrapped source before it looks whether to stop
-_JOIN_S = 2.0
-
-
 class CaptureThread:
-    """Wraps a source: reads it in a daemon thread and hands out the newest frame only.
+    """Reads a source in a daemon thread and delivers only the newest frame.
 
-    A frame that is replaced before it was read counts in `drops`. An error or the end of the wrapped source is passed
-    on by `read`, after the frame that came before it. The thread closes the wrapped source itself, so that a driver
-    is never closed while it is being read.
+    `drops` counts the frames that were replaced before they were read. `read` passes on an error or the end of the
+    wrapped source after its last frame. The thread itself closes the wrapped source, so that a driver is never closed
+    during a read.
     """
 
     def __init__(self, source: Source) -> None:
@@ -229,7 +219,7 @@ class CaptureThread:
         self._thread.start()
 
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
-        """The newest frame that was not delivered yet, or None when none came within `timeout_s`."""
+        """The newest frame that was not delivered yet, or None if none came within `timeout_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._end is not None, timeout_s)
             frame, self._newest = self._newest, None
@@ -238,7 +228,7 @@ class CaptureThread:
             return frame
 
     def close(self) -> None:
-        """Stop the thread and give the device back; may be called twice."""
+        """Stop the thread and release the device; may be called twice."""
         with self._changed:
             self._stopping = True
         self._thread.join(_JOIN_S)

@@ -1,14 +1,4 @@
-"""A video file as a source.
-
-A folder of pictures as a source.
-
-A donkeycar tub (version 2) as a source.
-
-A tub is a folder: `manifest.json` with five JSON lines (inputs, types, metadata, manifest metadata, catalogs),
-`catalog_N.catalog` with one JSON object a line, and `images/`.
-
-motion.csv: the car's motion beside a video or a folder of pictures.
-"""
+"""Files as sources: videos, folders of images and donkeycar tubs (version 2); and the motion in motion.csv."""
 
 from __future__ import annotations
 
@@ -23,29 +13,32 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.config.toml_reader import ConfigError
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import in_colour, opencv_silenced, read_picture
+from automodel.sources.images import opencv_silenced, read_image, with_channels
+from automodel.types import FloatArray
 
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once by OpenCV; the errors raised here say it instead
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read once by OpenCV: the errors raised here replace its log
 
-_COUNT_TOLERANCE = 0.02  # containers give the number of frames by duration, which may be off by a few
+SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".pgm", ".ppm")
+HEADER = ("t_s", "speed_mps", "yaw_rate_radps")  # of motion.csv
+_COUNT_TOLERANCE = 0.02  # containers derive the number of frames from the duration, which is not exact
+_IMAGE, _ANGLE, _THROTTLE = "cam/image_array", "user/angle", "user/throttle"  # keys of a tub's records
 
 
 class VideoSource:
-    """The frames of a video file at the file's rate, or at `rate_hz` where given; the first at time 0.
+    """The frames of a video file at the file's rate or at `rate_hz`, the first at time 0.
 
-    Raises SourceError for a file that is not there, is no video or says no rate, and (from `read`) at the end of one
-    that is cut: when clearly fewer frames came than the file promises.
+    Raises SourceError for a file that is missing, is no video or has no frame rate, and (from `read`) at the end of a
+    cut file, which has clearly fewer frames than its header says.
     """
 
     def __init__(self, path: str | Path, rate_hz: float | None = None, colour: bool = False) -> None:
         self.path, self.colour = Path(path), colour
         if rate_hz is not None and not rate_hz > 0:
-            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+            raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.is_file():
             raise SourceError(f"{path}: no such file")
         with opencv_silenced():
@@ -55,10 +48,10 @@ class VideoSource:
         own_hz = float(self._capture.get(cv2.CAP_PROP_FPS))
         if rate_hz is None and not (math.isfinite(own_hz) and 0 < own_hz <= 1000):
             self.close()
-            raise SourceError(f"{path}: the file does not say its frame rate; give it with --rate")
+            raise SourceError(f"{path}: the file has no frame rate; give it with --rate")
         self.rate_hz = own_hz if rate_hz is None else rate_hz
         count = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        self.frame_count = int(count) if math.isfinite(count) and 0 < count < 1e9 else None  # None: not known
+        self.frame_count = int(count) if math.isfinite(count) and 0 < count < 1e9 else None  # None: unknown
         self._next = 0
 
     def read(self, timeout_s: float) -> Frame:
@@ -71,7 +64,7 @@ class VideoSource:
         frame = Frame(
             t_ns=round(self._next * 1e9 / self.rate_hz),
             index=self._next,
-            image=in_colour(np.asarray(image, dtype=np.uint8), self.colour),
+            image=with_channels(np.asarray(image, dtype=np.uint8), self.colour),
         )
         self._next += 1
         return frame
@@ -89,46 +82,43 @@ class VideoSource:
             raise SourceError(f"{self.path}: ends after {self._next} of {self.frame_count} frames: the file is cut")
 
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".pgm", ".ppm")
-
-
 def natural_key(name: str) -> tuple[tuple[int, int, str], ...]:
-    """Sorts `2.png` before `10.png`."""
+    """A sort key that puts `2.png` before `10.png`."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name.lower())
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
 
 
 class ImageSource:
-    """The pictures of a folder in natural order at a fixed rate, the first at time 0.
+    """The images of a folder in natural order at a fixed rate, the first at time 0.
 
-    Raises SourceError for a folder that is not there or holds no picture, and (from `read`) for a damaged picture or
-    one of another size than the first, by name.
+    Raises SourceError for a folder that is missing or has no images, and (from `read`) for a damaged image or one whose
+    size differs from the first, by name.
     """
 
     def __init__(self, folder: str | Path, rate_hz: float = 20.0, colour: bool = False) -> None:
         self.folder, self.rate_hz, self.colour = Path(folder), rate_hz, colour
         if not rate_hz > 0:
-            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+            raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.folder.is_dir():
             raise SourceError(f"{folder}: no such folder")
         found = (p for p in self.folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
         self.files = sorted(found, key=lambda p: (natural_key(p.name), p.name))
         if not self.files:
-            raise SourceError(f"{folder}: no pictures in this folder ({', '.join(SUFFIXES)})")
+            raise SourceError(f"{folder}: no images in this folder ({', '.join(SUFFIXES)})")
         self._next = 0
         self._shape: tuple[int, ...] | None = None
 
     def read(self, timeout_s: float) -> Frame:
-        """The next picture; raises EndOfSource after the last."""
+        """The next image; raises EndOfSource after the last."""
         if self._next >= len(self.files):
             raise EndOfSource
         path = self.files[self._next]
-        image = read_picture(path, self.colour)
+        image = read_image(path, self.colour)
         shape = image.shape[:2]
         if self._shape is not None and shape != self._shape:
             raise SourceError(
-                f"{path}: {shape[1]}x{shape[0]} pixels where the pictures before have "
-                f"{self._shape[1]}x{self._shape[0]}; keep one size a folder"
+                f"{path}: expected {self._shape[1]}x{self._shape[0]} pixels as in the other images, got "
+                f"{shape[1]}x{shape[0]}; use one size per folder"
             )
         self._shape = shape
         frame = Frame(t_ns=round(self._next * 1e9 / self.rate_hz), index=self._next, image=image)
@@ -140,54 +130,53 @@ class ImageSource:
         self._next = len(self.files)
 
 
-_IMAGE, _ANGLE, _THROTTLE = "cam/image_array", "user/angle", "user/throttle"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TubRecord:
-    """One line of a catalog: the picture's file and what the person did, -1 .. 1, None where not recorded.
+    """One line of a catalog: the image file and the driver's input, -1 .. 1, None where not recorded.
 
-    Donkeycar's angle is positive to the *right*; it is given as recorded.
+    `angle` is as recorded: donkeycar's is positive to the *right*.
     """
 
     index: int
-    picture: Path
+    image: Path
     angle: float | None
     throttle: float | None
 
 
 def is_tub(folder: str | Path) -> bool:
-    """Whether the folder is a tub (of version 2)."""
+    """Whether the folder is a tub of version 2."""
     return (Path(folder) / "manifest.json").is_file()
 
 
 class TubSource:
-    """The pictures of a tub at a given rate: the timestamps in tubs are those of the file writer, not the camera's.
+    """The images of a donkeycar tub at a given rate (a tub's timestamps are those of the file writer, not the camera).
 
-    Records in `deleted_indexes` are left out and leave a gap in time. Raises SourceError with file and line for a
-    manifest or catalog that is missing or damaged, and (from `read`) for a damaged picture.
+    A tub is a folder with `manifest.json` (five JSON lines: inputs, types, metadata, manifest metadata, catalogs),
+    `catalog_N.catalog` (one JSON object per line) and `images/`. Records in `deleted_indexes` are skipped and leave a
+    gap in time. Raises SourceError with file and line for a missing or damaged manifest or catalog, and (from `read`)
+    for a damaged image.
     """
 
     def __init__(self, folder: str | Path, rate_hz: float = 20.0, colour: bool = False) -> None:
         self.folder, self.rate_hz, self.colour = Path(folder), rate_hz, colour
         if not rate_hz > 0:
-            raise ValueError(f"rate_hz: {rate_hz} where a positive number is wanted")
+            raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         self.records = read_tub(self.folder)
         self._next = 0
 
     def read(self, timeout_s: float) -> Frame:
-        """The next picture; raises EndOfSource after the last."""
+        """The next image; raises EndOfSource after the last."""
         if self._next >= len(self.records):
             raise EndOfSource
         record = self.records[self._next]
         since = record.index - self.records[0].index
-        image = read_picture(record.picture, self.colour)
+        image = read_image(record.image, self.colour)
         frame = Frame(t_ns=round(since * 1e9 / self.rate_hz), index=self._next, image=image)
         self._next += 1
         return frame
 
     def record_of(self, frame: Frame) -> TubRecord:
-        """What the tub says beside a frame that this source delivered."""
+        """The record of a frame that this source delivered."""
         return self.records[frame.index]
 
     def close(self) -> None:
@@ -196,7 +185,7 @@ class TubSource:
 
 
 def read_tub(folder: Path) -> tuple[TubRecord, ...]:
-    """The records of a tub in order, the deleted ones left out; raises SourceError."""
+    """The records of a tub in order without the deleted ones; raises SourceError."""
     manifest = folder / "manifest.json"
     lines = _json_lines(manifest)
     catalogs = lines[-1][1] if lines else None
@@ -241,7 +230,7 @@ def _record(folder: Path, path: Path, number: int, entry: Any) -> TubRecord:
         raise SourceError(f"{path}:{number}: a record without _index")
     return TubRecord(
         index=index,
-        picture=folder / "images" / entry[_IMAGE],
+        image=folder / "images" / entry[_IMAGE],
         angle=_number(path, number, entry, _ANGLE),
         throttle=_number(path, number, entry, _THROTTLE),
     )
@@ -252,21 +241,18 @@ def _number(path: Path, number: int, entry: dict[str, Any], key: str) -> float |
     if value is None:
         return None
     if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise SourceError(f"{path}:{number}: {key} is {value!r} where a number is wanted")
+        raise SourceError(f"{path}:{number}: {key}: expected a number, got {value!r}")
     return float(value)
 
 
-HEADER = ("t_s", "speed_mps", "yaw_rate_radps")
-
-
 class MotionTable:
-    """Speed [m/s] and yaw rate [rad/s] over time, linear in between; outside the table nothing is known."""
+    """Speed [m/s] and yaw rate [rad/s] over time, linearly interpolated; unknown outside the table."""
 
-    def __init__(self, t_s: NDArray[np.float64], speed_mps: NDArray[np.float64], yaw_rate_radps: NDArray[np.float64]):
+    def __init__(self, t_s: FloatArray, speed_mps: FloatArray, yaw_rate_radps: FloatArray):
         self._t_s, self._speed_mps, self._yaw_rate_radps = t_s, speed_mps, yaw_rate_radps
 
     def at(self, t_ns: int) -> Motion:
-        """The motion at a frame's time; its source is RECORDED, or NONE before the first row and after the last."""
+        """The motion at a frame's time; its source is RECORDED, or NONE outside the table."""
         t_s = t_ns * 1e-9
         if not self._t_s[0] - 1e-9 <= t_s <= self._t_s[-1] + 1e-9:
             return Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
@@ -295,13 +281,13 @@ def read_motion_csv(path: str | Path) -> MotionTable:
     values = np.array(table, dtype=np.float64)
     backwards = np.flatnonzero(np.diff(values[:, 0]) <= 0)
     if len(backwards):
-        raise ConfigError(f"{path}:{int(backwards[0]) + 3}: t_s must rise from row to row")
+        raise ConfigError(f"{path}:{int(backwards[0]) + 3}: t_s must increase from row to row")
     return MotionTable(values[:, 0], values[:, 1], values[:, 2])
 
 
 def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
     if len(row) != len(HEADER):
-        raise ConfigError(f"{path}:{line}: {len(row)} values where {len(HEADER)} are wanted")
+        raise ConfigError(f"{path}:{line}: expected {len(HEADER)} values, got {len(row)}")
     values = []
     for name, cell in zip(HEADER, row, strict=True):
         try:
@@ -309,6 +295,6 @@ def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise ConfigError(f"{path}:{line}: {name} is {cell.strip()!r} where a finite number is wanted")
+            raise ConfigError(f"{path}:{line}: {name}: expected a finite number, got {cell.strip()!r}")
         values.append(value)
     return values

@@ -1,4 +1,4 @@
-"""Pictures as the stages want them: decoded whole, grey or BGR, and of the configured size."""
+"""Decoding of image files, and checks of size and colour."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from automodel.signals import Frame
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 
-_TAIL_BYTES = 4096  # cameras may write a few bytes after a picture's end mark
+_TAIL_BYTES = 4096  # cameras may write a few bytes after an image's end marker
 _JPEG = (b"\xff\xd8", b"\xff\xd9")
 _PNG = (b"\x89PNG", b"IEND")
 
 
 @contextmanager
 def opencv_silenced() -> Iterator[None]:
-    """Keep OpenCV's own log lines off stderr: the error that is raised instead says it in one line."""
+    """Suppress OpenCV's log on stderr: the error that is raised replaces it."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -30,10 +30,10 @@ def opencv_silenced() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
-def read_picture(path: Path, colour: bool) -> Image:
-    """The picture in a file, (h, w) grey or (h, w, 3) BGR; raises SourceError where it is missing, cut or no picture.
+def read_image(path: Path, colour: bool) -> Image:
+    """The image in a file, (h, w) grey or (h, w, 3) BGR; raises SourceError if it is missing, cut or not an image.
 
-    Decoders fill the missing part of a cut JPEG with grey and go on; here the end mark is demanded first.
+    The end marker is checked first, as decoders silently fill the missing part of a cut JPEG with grey.
     """
     try:
         data = path.read_bytes()
@@ -41,19 +41,19 @@ def read_picture(path: Path, colour: bool) -> Image:
         raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
     for begin, end in (_JPEG, _PNG):
         if data.startswith(begin) and end not in data[-_TAIL_BYTES:]:
-            raise SourceError(f"{path}: the picture is cut; replace it or take it out")
+            raise SourceError(f"{path}: the image is cut; replace or remove it")
     image: Image | None = None
     if data:
         with opencv_silenced():
             flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)  # type: ignore[assignment]
     if image is None:
-        raise SourceError(f"{path}: not a picture, or a damaged one; replace it or take it out")
+        raise SourceError(f"{path}: not an image, or a damaged one; replace or remove it")
     return image
 
 
-def in_colour(image: Image, colour: bool) -> Image:
-    """The image as (h, w, 3) BGR where `colour`, else as (h, w) grey; unchanged where it is so already."""
+def with_channels(image: Image, colour: bool) -> Image:
+    """The image as (h, w, 3) BGR if `colour`, else as (h, w) grey."""
     if colour == (image.ndim == 3):
         return image
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY), dtype=np.uint8)
@@ -64,6 +64,6 @@ def check_size(frame: Frame, camera: CameraConfig) -> None:
     height, width = frame.image.shape[:2]
     if (width, height) != (camera.width_px, camera.height_px):
         raise SourceError(
-            f"frame {frame.index}: {width}x{height} pixels where car.toml says "
-            f"{camera.width_px}x{camera.height_px}; set [camera] width_px, height_px and the intrinsics for this source"
+            f"frame {frame.index}: expected {camera.width_px}x{camera.height_px} pixels (car.toml), got "
+            f"{width}x{height}; set [camera] width_px, height_px and the intrinsics for this source"
         )

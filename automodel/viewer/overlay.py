@@ -1,4 +1,4 @@
-"""What a pipeline says of a frame, drawn on the frame."""
+"""The estimate of a pipeline drawn on its frame."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STATUS_COLOURS = {
     LaneStatus.LOST: RED,
 }
 
-_LEGIBLE_WIDTH_PX = 640  # smaller pictures are enlarged by a whole factor to about this
+_LEGIBLE_WIDTH_PX = 640  # smaller frames are enlarged by a whole factor to about this width
 _SAMPLES = 80
 _SHIFT = 4  # bits below the pixel in drawing coordinates
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
@@ -42,11 +42,11 @@ def draw(
     reference_x_m: float = 0.0,
     note: str = "",
 ) -> Image:
-    """The picture in BGR with lines (green; dashed where not seen), centerline (orange), points and crossing.
+    """The frame in BGR with lines (green; dashed if not seen), centerline (orange), points and crossing.
 
-    Below it is a strip with status, pose and command. A picture narrower than about 480 px is enlarged first; sizes
-    of the result are even. `reference_x_m` is the vehicle's reference point, from which a crossing's distance counts;
-    `note` is shown at the strip's end.
+    Below it is a strip with status, pose and command. A frame narrower than 480 px is enlarged first; the result has an
+    even size. `reference_x_m` is the vehicle's reference point, from which the distance of a crossing is measured;
+    `note` is shown at the end of the strip.
     """
     scale = scale_of(image.shape[1])
     canvas = _canvas(image, scale)
@@ -66,12 +66,12 @@ def draw(
 
 
 def scale_of(width_px: int) -> int:
-    """The whole factor by which a picture is enlarged: 4 for 160 px, 2 for 320 px, 1 from 480 px on."""
+    """The whole factor by which a frame is enlarged: 4 for 160 px, 2 for 320 px, 1 from 480 px on."""
     return max(1, math.floor(_LEGIBLE_WIDTH_PX / width_px + 0.5)) if width_px < 480 else 1
 
 
 def status_lines(estimate: LaneEstimate | None, command: Command | None, note: str) -> tuple[str, str]:
-    """The two lines of the strip; what does not exist is shown as a dash."""
+    """The two lines of the strip; missing values are shown as a dash."""
     if estimate is None:
         first = "no estimate"
     elif estimate.pose is None:
@@ -107,7 +107,7 @@ def crossing_ends(
 
 
 class _Ground:
-    """Draws things that lie on the ground."""
+    """Draws lines and points of the ground."""
 
     def __init__(self, canvas: Image, camera: GroundCamera, scale: int) -> None:
         self._canvas, self._camera, self._scale = canvas, camera, scale
@@ -137,7 +137,7 @@ class _Ground:
                 cv2.polylines(self._canvas, [ends], False, colour, self._thick, cv2.LINE_AA, _SHIFT)
 
     def _pixels(self, points_m: FloatArray) -> FloatArray:
-        """Pixels (n, 2) of the canvas; NaN where a point is not seen, or far outside."""
+        """Pixels (n, 2) of the canvas; NaN where a point is not visible or far outside."""
         if not len(points_m):
             return np.empty((0, 2))
         pixels = (self._camera.ground_to_px(points_m) + 0.5) * self._scale - 0.5
@@ -155,7 +155,7 @@ def _canvas(image: Image, scale: int) -> Image:
 
 
 def _strip(width_px: int, lines: tuple[str, str], colour: Colour) -> Image:
-    """A dark strip with two lines of text, the first in the status's colour; as large as the width allows."""
+    """A dark strip with two lines of text, the first in the colour of the status; as large as the width allows."""
     size = 0.58 * width_px / _LEGIBLE_WIDTH_PX
     margin = max(4, width_px // 80)
     widest = max(cv2.getTextSize(text, _FONT, size, 1)[0][0] for text in lines)
@@ -169,6 +169,6 @@ def _strip(width_px: int, lines: tuple[str, str], colour: Colour) -> Image:
 
 
 def _even(image: Image) -> Image:
-    """Padded to even sizes: video encoders halve the colours' resolution."""
+    """Padded to an even size: video encoders halve the resolution of the colour channels."""
     height, width = image.shape[:2]
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

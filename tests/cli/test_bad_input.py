@@ -63,7 +63,7 @@ CASES = {  # arguments -> the line on stderr
     "run --truth missing/truth.csv": "automodel: --truth missing/truth.csv: there is no folder missing",
     "run --truth folder": "automodel: --truth folder: is a folder; give the name of a file",
     "run --truth x.csv --record x.csv": "automodel: --truth x.csv: is the same file as --record; choose another name",
-    "run --track oval --record text.mcap": "automodel: text.mcap: is there already; choose another name or delete it",
+    "run --track oval --record text.mcap": "automodel: text.mcap: already exists; choose another name or delete it",
     "replay missing": "automodel: missing: no such file or folder",
     "replay missing.mcap": "automodel: missing.mcap: no such file",
     "replay empty.mcap": "automodel: empty.mcap: not an MCAP file",
@@ -71,16 +71,16 @@ CASES = {  # arguments -> the line on stderr
     "replay cut.mcap": "automodel: cut.mcap: the file is cut; run: automodel recover cut.mcap",
     "replay empty.mp4": "automodel: empty.mp4: cannot be opened as a video: it is cut, damaged or something else",
     "replay text.mp4": "automodel: text.mp4: cannot be opened as a video: it is cut, damaged or something else",
-    "replay folder": "automodel: folder: no pictures in this folder (.jpg, .jpeg, .png, "
+    "replay folder": "automodel: folder: no images in this folder (.jpg, .jpeg, .png, "
     ".bmp, .webp, .tif, .tiff, .pgm, .ppm)",
-    "replay mixed": "automodel: mixed/2.png: 160x120 pixels where the pictures before have "
-    "640x360; keep one size a folder",
-    "replay small": "automodel: small: frame 0: 160x120 pixels where car.toml says "
-    "640x360; set [camera] width_px, height_px and the intrinsics for this source, and give it with --car",
-    "replay cutpng": "automodel: cutpng/0.png: the picture is cut; replace it or take it out",
+    "replay mixed": "automodel: mixed/2.png: expected 640x360 pixels as in the other images, "
+    "got 160x120; use one size per folder",
+    "replay small": "automodel: small: frame 0: expected 640x360 pixels (car.toml), "
+    "got 160x120; set [camera] width_px, height_px and the intrinsics for this source, and give it with --car",
+    "replay cutpng": "automodel: cutpng/0.png: the image is cut; replace or remove it",
     "replay mixed --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
     "replay mixed --motion missing.csv": "automodel: missing.csv: no such file",
-    "replay mixed --motion motion.csv": "automodel: motion.csv:2: yaw_rate_radps is 'nan' where a finite number is wanted",
+    "replay mixed --motion motion.csv": "automodel: motion.csv:2: yaw_rate_radps: expected a finite number, got 'nan'",
     "replay mixed --csv missing/poses.csv": "automodel: --csv missing/poses.csv: there is no folder missing",
     "replay mixed --video x.avi": "automodel: x.avi: videos are written as MP4; choose a name that ends in .mp4",
     "replay run.mcap --csv run.mcap": "automodel: --csv run.mcap: is the same file as SOURCE; choose another name",

@@ -112,7 +112,7 @@ def test_a_recording_exports_to_video(recorded_run: Callable[[int], Path], tmp_p
 
 
 def test_a_car_with_another_camera_is_refused(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match=r"64x36 pixels where car\.toml says 640x360"):
+    with pytest.raises(SourceError, match=r"expected 640x360 pixels \(car\.toml\), got 64x36"):
         export_video(Recording(recorded_run(1)), tmp_path / "run.mp4", parse_car("", "car.toml"))
 
 

@@ -48,9 +48,8 @@ def test_source_gives_frame_and_motion_in_pairs(recorded_run: Run) -> None:
     for index in range(3):
         frame = source.read(0.0)
         assert frame.index == index
-        assert source.motion_for(frame) == make_motion(index)
-    with pytest.raises(ValueError, match="read last"):
-        source.motion_for(make_frame(0))
+        assert source.step is not None
+        assert source.step.motion == make_motion(index)
     with pytest.raises(EndOfSource):
         source.read(0.0)
     source.close()
@@ -128,14 +127,14 @@ def test_stereo_frames_come_back(tmp_path: Path) -> None:
 def test_a_file_that_is_there_is_never_overwritten(recorded_run: Run) -> None:
     path = recorded_run(1)
     before = path.read_bytes()
-    with pytest.raises(ConfigError, match="is there already"):
+    with pytest.raises(ConfigError, match="already exists"):
         McapRecorder(path, "", RecordingConfig())
     assert path.read_bytes() == before
 
 
 def test_a_place_where_no_file_can_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(ConfigError, match="cannot be made"):
+    with pytest.raises(ConfigError, match="cannot be written"):
         McapRecorder(tmp_path / "file" / "run.mcap", "", RecordingConfig())
 
 

@@ -187,7 +187,7 @@ def test_a_usb_camera_is_asked_for_size_rate_and_one_buffer(fake: type[FakeCaptu
 
 def test_a_usb_camera_of_another_size_is_refused(fake: type[FakeCapture]) -> None:
     fake.sizes = (640, 480)
-    with pytest.raises(SourceError, match=r"gives 640x480 pixels where car\.toml asks for 320x180"):
+    with pytest.raises(SourceError, match=r"expected 320x180 pixels \(car\.toml\), got 640x480"):
         UsbSource(CAMERA)
 
 

@@ -12,7 +12,7 @@ from automodel.config import CameraConfig
 from automodel.signals import Frame
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub, natural_key
-from automodel.sources.images import check_size, in_colour, read_picture
+from automodel.sources.images import check_size, read_image, with_channels
 
 
 def picture(number: int, width: int = 64, height: int = 48) -> np.ndarray:
@@ -54,7 +54,7 @@ def test_numbers_in_names_sort_as_numbers() -> None:
 def test_a_folder_plays_at_its_rate_in_order(tmp_path: Path) -> None:
     for number in (0, 1, 2, 10):
         cv2.imwrite(str(tmp_path / f"frame{number}.png"), picture(number))
-    (tmp_path / "notes.txt").write_text("not a picture")
+    (tmp_path / "notes.txt").write_text("not an image")
     frames = drain(ImageSource(tmp_path, rate_hz=30.0))
     assert [level(f) for f in frames] == [0, 1, 2, 10]
     assert [f.t_ns for f in frames] == [0, 33_333_333, 66_666_667, 100_000_000]
@@ -68,12 +68,12 @@ def test_colour_is_bgr(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "blue.png"), blue)
     (frame,) = drain(ImageSource(tmp_path, colour=True))
     np.testing.assert_array_equal(frame.image, blue)
-    np.testing.assert_array_equal(in_colour(blue, False), np.full((4, 4), round(0.114 * 200), np.uint8))
-    assert in_colour(in_colour(blue, False), True).shape == (4, 4, 3)
+    np.testing.assert_array_equal(with_channels(blue, False), np.full((4, 4), round(0.114 * 200), np.uint8))
+    assert with_channels(with_channels(blue, False), True).shape == (4, 4, 3)
 
 
 def test_folders_without_pictures(tmp_path: Path) -> None:
-    with pytest.raises(SourceError, match="no pictures"):
+    with pytest.raises(SourceError, match="no images"):
         ImageSource(tmp_path)
     with pytest.raises(SourceError, match="no such folder"):
         ImageSource(tmp_path / "none")
@@ -86,7 +86,7 @@ def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "2.png"), picture(2, width=32))
     source = ImageSource(tmp_path)
     source.read(0.0)
-    with pytest.raises(SourceError, match=r"2\.png: 32x48 pixels where .* 64x48"):
+    with pytest.raises(SourceError, match=r"2\.png: expected 64x48 pixels .* got 32x48"):
         source.read(0.0)
 
 
@@ -97,7 +97,7 @@ def test_a_cut_picture_is_named(tmp_path: Path, suffix: str, keep: float, capfd:
     noise = np.random.default_rng(0).integers(0, 256, (48, 64), np.uint8)
     cv2.imwrite(str(path), noise)
     data = path.read_bytes()
-    assert read_picture(path, False).shape == (48, 64)
+    assert read_image(path, False).shape == (48, 64)
     path.write_bytes(data[: int(keep * len(data))])
     with pytest.raises(SourceError, match=rf"cut\.{suffix}"):
         ImageSource(tmp_path).read(0.0)
@@ -106,16 +106,16 @@ def test_a_cut_picture_is_named(tmp_path: Path, suffix: str, keep: float, capfd:
 
 def test_what_is_no_picture_is_named(tmp_path: Path) -> None:
     (tmp_path / "text.jpg").write_text("hello")
-    with pytest.raises(SourceError, match=r"text\.jpg: not a picture"):
+    with pytest.raises(SourceError, match=r"text\.jpg: not an image"):
         ImageSource(tmp_path).read(0.0)
     with pytest.raises(SourceError, match="cannot be read"):
-        read_picture(tmp_path / "none.jpg", False)
+        read_image(tmp_path / "none.jpg", False)
 
 
 def test_sizes_are_checked_against_the_camera() -> None:
     camera = CameraConfig(width_px=64, height_px=48)
     check_size(Frame(t_ns=0, index=0, image=np.zeros((48, 64), np.uint8)), camera)
-    with pytest.raises(SourceError, match=r"frame 3: 48x64 pixels where car\.toml says 64x48; set \[camera\]"):
+    with pytest.raises(SourceError, match=r"frame 3: expected 64x48 pixels \(car\.toml\), got 48x64; set \[camera\]"):
         check_size(Frame(t_ns=0, index=3, image=np.zeros((64, 48), np.uint8)), camera)
 
 
@@ -230,7 +230,12 @@ def damage(path: Path, old: str, new: str) -> None:
         ("manifest.json", '"deleted_indexes": []', '"deleted_indexes": 3', r"manifest\.json:5: deleted_indexes"),
         ("manifest.json", '"deleted_indexes": []', '"deleted_indexes": [0, 1, 2, 3, 4, 5]', "holds no records"),
         ("catalog_0.catalog", '"_index": 1', '"_index": "1"', r"catalog_0\.catalog:2: a record without _index"),
-        ("catalog_0.catalog", '"user/angle": 0.1', '"user/angle": NaN', r"catalog_0\.catalog:2: user/angle is nan"),
+        (
+            "catalog_0.catalog",
+            '"user/angle": 0.1',
+            '"user/angle": NaN',
+            r"catalog_0\.catalog:2: user/angle: expected a number, got nan",
+        ),
         ("catalog_1.catalog", "0.5}", "0.5", r"catalog_1\.catalog:1: not JSON"),
         ("catalog_1.catalog", "cam/image_array", "cam", r"catalog_1\.catalog:1: a record without cam/image_array"),
     ],

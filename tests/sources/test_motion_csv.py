@@ -37,10 +37,16 @@ def test_outside_the_table_nothing_is_known(tmp_path: Path) -> None:
         ("", r"motion\.csv:1: the first line must be t_s,speed_mps,yaw_rate_radps"),
         ("t,v,w\n0,1,2\n", r"motion\.csv:1: the first line"),
         ("t_s,speed_mps,yaw_rate_radps\n", r"motion\.csv: no rows"),
-        ("t_s,speed_mps,yaw_rate_radps\n0,1,2\n1,2\n", r"motion\.csv:3: 2 values where 3"),
-        ("t_s,speed_mps,yaw_rate_radps\n0,1,2\n1,x,3\n", r"motion\.csv:3: speed_mps is 'x'"),
-        ("t_s,speed_mps,yaw_rate_radps\n0,1,nan\n", r"motion\.csv:2: yaw_rate_radps is 'nan'"),
-        ("t_s,speed_mps,yaw_rate_radps\n0,1,2\n0,1,2\n", r"motion\.csv:3: t_s must rise"),
+        ("t_s,speed_mps,yaw_rate_radps\n0,1,2\n1,2\n", r"motion\.csv:3: expected 3 values, got 2"),
+        (
+            "t_s,speed_mps,yaw_rate_radps\n0,1,2\n1,x,3\n",
+            r"motion\.csv:3: speed_mps: expected a finite number, got 'x'",
+        ),
+        (
+            "t_s,speed_mps,yaw_rate_radps\n0,1,nan\n",
+            r"motion\.csv:2: yaw_rate_radps: expected a finite number, got 'nan'",
+        ),
+        ("t_s,speed_mps,yaw_rate_radps\n0,1,2\n0,1,2\n", r"motion\.csv:3: t_s must increase"),
     ],
 )
 def test_bad_motion_files_are_named_with_line(tmp_path: Path, text: str, match: str) -> None:

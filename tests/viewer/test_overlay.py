@@ -190,7 +190,7 @@ def test_a_video_is_written_at_its_rate(tmp_path: Path) -> None:
 def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"v\.avi: videos are written as MP4"):
         VideoWriter(tmp_path / "v.avi", 20.0)
-    with pytest.raises(ConfigError, match="is not there"):
+    with pytest.raises(ConfigError, match="there is no folder"):
         VideoWriter(tmp_path / "no" / "v.mp4", 20.0)
     with pytest.raises(ValueError, match="rate_hz"):
         VideoWriter(tmp_path / "v.mp4", 0.0)
@@ -216,5 +216,5 @@ def test_pictures_of_a_video_have_one_even_size(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="even"):
             video.write(np.zeros((47, 64), np.uint8))
         video.write(np.zeros((48, 64), np.uint8))
-        with pytest.raises(ValueError, match="first picture"):
+        with pytest.raises(ValueError, match="first frame"):
             video.write(np.zeros((64, 64), np.uint8))

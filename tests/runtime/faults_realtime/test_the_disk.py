@@ -25,6 +25,6 @@ def test_a_disk_that_is_full(make_car: Callable[..., Car]) -> None:
     car.bench.until(lambda: file.stat().st_size >= full_bytes, "it records no longer")
     check_stop(car.bench, car.struck(lambda: car.kill(signal.SIGINT), phase_ms("disk")), LAST_TURN_MS)
     assert car.ended() in (0, 1)
-    assert "stopped early: File too large; keep what there is with: automodel recover" in car.said
+    assert "stopped early: File too large; recover it with: automodel recover" in car.said
     assert recover(file).frames > 0
     car.bench.check_asked_for()
