@@ -1,4 +1,4 @@
-"""Chessboards and ChArUco boards: what they are, and where their inner corners lie in a picture."""
+"""Chessboards and ChArUco boards, and their inner corners in an image."""
 
 from __future__ import annotations
 
@@ -9,26 +9,23 @@ import numpy as np
 
 from automodel.types import FloatArray, Image, IntArray
 
-__all__ = ["DICTIONARIES", "Board", "FoundBoard", "find_board", "other_dictionary"]
-
-
 DICTIONARIES = (
     *(f"{bits}_{count}" for bits in ("4x4", "5x5", "6x6", "7x7") for count in (50, 100, 250, 1000)),
     "original",
     "apriltag_36h11",
 )
-_BEND = 0.4  # a lattice's second difference in steps: perspective and lens stay below, a corner left out gives 0.67
-_CONTRAST = 0.2  # of the usual one between neighbouring squares: glare leaves more
-_FEWEST = 12  # corners of a chessboard that is cut by the picture's edge
+_BEND = 0.4  # second difference of a lattice, in steps: perspective and lens give less, a missing corner 0.67
+_CONTRAST = 0.2  # of the median contrast between neighbouring squares: glare leaves more
+_FEWEST = 12  # corners of a chessboard that is cut off by the image border
 _FEWEST_CHARUCO = 8
-_SMALL = 500_000  # pixels
+_SMALL = 500_000  # pixels; corners in a smaller image are refined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A board with `columns` x `rows` inner corners, one more square each way.
+    """A board with `columns` x `rows` inner corners, one more square each way; raises ValueError.
 
-    With `marker_m` (the side of a marker) it is a ChArUco board with markers of `dictionary`, else a plain chessboard.
+    With `marker_m` (the side of a marker) it is a ChArUco board with markers of `dictionary`, else a chessboard.
     """
 
     columns: int
@@ -39,30 +36,38 @@ class Board:
 
     def __post_init__(self) -> None:
         if not (3 <= self.columns <= 50 and 3 <= self.rows <= 50):
-            raise ValueError(f"board {self.columns}x{self.rows}: 3 .. 50 inner corners each way are wanted")
+            raise ValueError(f"expected a board of 3 .. 50 inner corners each way, got {self.size}")
         if not 0.0 < self.square_m < 10.0:
-            raise ValueError(f"square {self.square_m} m: a length above 0 is wanted")
+            raise ValueError(f"expected squares of 0 .. 10 m, got {self.square_m} m")
         if self.marker_m is not None and not 0.0 < self.marker_m < self.square_m:
-            raise ValueError(f"marker {self.marker_m} m: must be smaller than its square of {self.square_m} m")
+            raise ValueError(f"expected markers smaller than squares of {self.square_m} m, got {self.marker_m} m")
         if self.dictionary not in DICTIONARIES:
-            raise ValueError(f"dictionary {self.dictionary!r}: none of {', '.join(DICTIONARIES)}")
+            raise ValueError(f"expected a dictionary of {', '.join(DICTIONARIES)}, got {self.dictionary!r}")
+
+    @classmethod
+    def of_mm(
+        cls, size: tuple[int, int], square_mm: float, charuco: bool, marker_mm: float | None, dictionary: str
+    ) -> Board:
+        """The board in millimetres; a marker of a ChArUco board has 3/4 of a square by default."""
+        marker_m = 1e-3 * (marker_mm or 0.75 * square_mm) if charuco else None
+        return cls(columns=size[0], rows=size[1], square_m=1e-3 * square_mm, marker_m=marker_m, dictionary=dictionary)
 
     @property
     def size(self) -> str:
-        """Columns x rows of inner corners, as it is written."""
+        """Columns x rows of inner corners, as text."""
         return f"{self.columns}x{self.rows}"
 
     def points_m(self, grid: IntArray) -> FloatArray:
-        """Columns and rows (n, 2) -> points (n, 3) [m] of the board: x along a row, y down the columns, z away."""
+        """Columns and rows (n, 2) -> points (n, 3) [m]: x along a row, y down a column, z into the board."""
         return np.column_stack((grid * self.square_m, np.zeros(len(grid))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoundBoard:
-    """The inner corners of a board in a picture: `corners_px` (n, 2), and column and row of each, `grid` (n, 2).
+    """The inner corners of a board in an image: `corners_px` (n, 2), and column and row of each, `grid` (n, 2).
 
-    `columns` x `rows` is the size that was seen, less than the board's where its rest lies outside the picture (the
-    columns and rows then count from the first one seen; on a ChArUco board they are always the board's own).
+    `columns` x `rows` is the size of the visible part. Where the rest of a chessboard lies outside the image, its
+    columns and rows count from the first visible ones; those of a ChArUco board are always the board's own.
     """
 
     corners_px: FloatArray
@@ -78,21 +83,21 @@ class FoundBoard:
 
     @property
     def size(self) -> str:
-        """Columns x rows of inner corners, as it is written."""
+        """Columns x rows of inner corners, as text."""
         return f"{self.columns}x{self.rows}"
 
 
 def find_board(image: Image, board: Board) -> FoundBoard | None:
-    """The board in a picture (h, w) grey or (h, w, 3) BGR, or as much of it as is seen; None where there is none.
+    """The board in an image (h, w) grey or (h, w, 3) BGR, or its visible part; None where there is none.
 
-    A chessboard that is larger than `board` is found, too, with its own size: the caller must compare.
+    A chessboard larger than `board` is found, too, with its own size: the caller must compare.
     """
     grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     return _find_chessboard(grey, board) if board.marker_m is None else _find_charuco(grey, board)
 
 
 def _find_chessboard(grey: Image, board: Board) -> FoundBoard | None:
-    """The whole board, or else the largest part of it that is surely one."""
+    """The whole board, or the largest part of it that is recognised with certainty."""
     size = (board.columns, board.rows)
     largest = _lattice(grey, (3, 3), cv2.CALIB_CB_LARGER)
     count = 0 if largest is None else largest.shape[0] * largest.shape[1]
@@ -101,7 +106,7 @@ def _find_chessboard(grey: Image, board: Board) -> FoundBoard | None:
         if whole is None and cv2.checkChessboard(grey, size):
             whole = _lattice(grey, size, cv2.CALIB_CB_EXHAUSTIVE)
         if whole is not None:
-            return _laid_out(_refined(grey, whole), board)
+            return _in_order(_refined(grey, whole), board)
     if not cv2.checkChessboard(grey, (3, 3)):
         return None
     best = largest if count >= _FEWEST else None
@@ -110,20 +115,20 @@ def _find_chessboard(grey: Image, board: Board) -> FoundBoard | None:
         if found is not None:
             best = found
             break
-    return None if best is None else _laid_out(_refined(grey, best), board)
+    return None if best is None else _in_order(_refined(grey, best), board)
 
 
 def _smaller_sizes(board: Board, fewest: int) -> list[tuple[int, int]]:
-    """Sizes from the largest down to half the board: what is less may as well be something else."""
+    """Sizes from the largest down to half the board; a smaller lattice may be something else."""
     fewest = max(fewest, board.columns * board.rows // 2)
     sizes = [(c, r) for c in range(3, board.columns + 1) for r in range(3, board.rows + 1) if c * r >= fewest]
     return sorted((size for size in sizes if size != (board.columns, board.rows)), key=lambda s: -s[0] * s[1])
 
 
 def _lattice(grey: Image, size: tuple[int, int], flags: int) -> FloatArray | None:
-    """Corners (rows, columns, 2) as the detector orders them, where they are those of a chessboard.
+    """Corners (rows, columns, 2) in the detector's order; None where they are not those of a chessboard.
 
-    Where it looks for a part of a board the detector may leave out whole columns, or run askew over the squares.
+    On a part of a board the detector may skip whole columns, or run diagonally over the squares.
     """
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(grey, size, flags)
     if not found:
@@ -133,7 +138,7 @@ def _lattice(grey: Image, size: tuple[int, int], flags: int) -> FloatArray | Non
 
 
 def _refined(grey: Image, lattice: FloatArray) -> FloatArray:
-    """In a small picture, where aliasing shifts corners, the same lattice from the enlarged one, if it is there."""
+    """The same lattice from an enlarged image if that is small, since aliasing shifts its corners."""
     if grey.size >= _SMALL:
         return lattice
     again = _lattice(grey, (lattice.shape[1], lattice.shape[0]), cv2.CALIB_CB_ACCURACY)
@@ -141,9 +146,9 @@ def _refined(grey: Image, lattice: FloatArray) -> FloatArray:
 
 
 def _even(lattice: FloatArray) -> bool:
-    """Whether neighbouring steps are alike along every row and column."""
-    for way in (lattice, lattice.transpose(1, 0, 2)):
-        steps = np.diff(way, axis=0)
+    """Whether neighbouring steps are similar along every row and column."""
+    for columns in (lattice, lattice.transpose(1, 0, 2)):
+        steps = np.diff(columns, axis=0)
         lengths = np.linalg.norm(steps, axis=-1)
         bends = np.linalg.norm(np.diff(steps, axis=0), axis=-1)
         if (bends > _BEND * 0.5 * (lengths[1:] + lengths[:-1])).any():
@@ -152,17 +157,17 @@ def _even(lattice: FloatArray) -> bool:
 
 
 def _chequered(grey: Image, lattice: FloatArray) -> bool:
-    """Whether the squares between the corners are dark and bright in turn."""
+    """Whether the squares between the corners alternate between dark and bright."""
     middles = (0.25 * (lattice[1:, 1:] + lattice[1:, :-1] + lattice[:-1, 1:] + lattice[:-1, :-1])).astype(np.float32)
     seen = np.asarray(cv2.remap(grey, middles[..., 0], middles[..., 1], cv2.INTER_LINEAR), np.float64)
-    turn = 1.0 - 2.0 * (np.indices(seen.shape).sum(axis=0) % 2)
-    rises = np.concatenate([(turn[1:] * np.diff(seen, axis=0)).ravel(), (turn[:, 1:] * np.diff(seen, axis=1)).ravel()])
+    sign = 1.0 - 2.0 * (np.indices(seen.shape).sum(axis=0) % 2)
+    rises = np.concatenate([(sign[1:] * np.diff(seen, axis=0)).ravel(), (sign[:, 1:] * np.diff(seen, axis=1)).ravel()])
     usual = float(np.median(rises))
     return bool((rises * np.sign(usual) > _CONTRAST * abs(usual)).all())
 
 
-def _laid_out(lattice: FloatArray, board: Board) -> FoundBoard:
-    """With columns along the board's columns, seen from its front, the first corner the upper of the possible ones."""
+def _in_order(lattice: FloatArray, board: Board) -> FoundBoard:
+    """The lattice in the board's order, seen from its front; of the possible first corners the upper one."""
     along, down = lattice[0, -1] - lattice[0, 0], lattice[-1, 0] - lattice[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:
         lattice = lattice.transpose(1, 0, 2)
@@ -179,7 +184,7 @@ def _laid_out(lattice: FloatArray, board: Board) -> FoundBoard:
 
 def _find_charuco(grey: Image, board: Board) -> FoundBoard | None:
     best: tuple[FloatArray, IntArray] | None = None
-    for legacy in (False, True):  # boards of OpenCV before 4.6 begin with the other colour
+    for legacy in (False, True):  # boards of OpenCV before 4.6 start with the other colour
         pattern = _charuco(board)
         pattern.setLegacyPattern(legacy)
         corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
@@ -210,7 +215,7 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
 
 
 def other_dictionary(image: Image, board: Board) -> str | None:
-    """The dictionary, other than the board's, whose markers are in the picture (4 at least); None without one."""
+    """The dictionary other than the board's of which the image shows at least 4 markers; None without one."""
     grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
     numbers = {}
     for name in (name for name in DICTIONARIES if "_" not in name or name.endswith(("_1000", "_36h11"))):
@@ -219,7 +224,7 @@ def other_dictionary(image: Image, board: Board) -> str | None:
     best = max(numbers, key=lambda name: len(numbers[name]))
     if len(numbers[best]) < 4:
         return None
-    family, _, _ = best.partition("_1000")  # which begins with the smaller dictionaries of its family
+    family, _, _ = best.partition("_1000")  # the smaller dictionaries of a family are its first markers
     fitting = [name for name in DICTIONARIES if name.startswith(family) and _count(name) > max(numbers[best])]
     return None if board.dictionary in fitting else fitting[0]
 

@@ -30,13 +30,13 @@ _SIMPLE, _WITH_K3 = cv2.CALIB_FIX_K3, 0
 class ViewError:
     """How one view fits: `rms_px` in the fit, `held_out_px` in a fit without it, pose alone adapted.
 
-    `misses_px` (n, 2): seen corner minus projected one, in the fit.
+    `residuals_px` (n, 2): seen corner minus projected one, in the fit.
     """
 
     view: View
     rms_px: float
     held_out_px: float
-    misses_px: FloatArray
+    residuals_px: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +61,7 @@ class CameraCalibration:
 class _Fit:
     matrix: FloatArray
     distortion: FloatArray  # k1 k2 p1 p2 k3
-    misses_px: tuple[FloatArray, ...]
+    residuals_px: tuple[FloatArray, ...]
 
 
 def calibrate_camera(views: Sequence[View], board: Board) -> CameraCalibration:
@@ -81,14 +81,14 @@ def calibrate_camera(views: Sequence[View], board: Board) -> CameraCalibration:
     fit = _fit(used, board, flags)
     held_out, focal_std_px = chosen
     errors = tuple(
-        ViewError(view=view, rms_px=_rms([inside]), held_out_px=_rms([outside]), misses_px=inside)
-        for view, inside, outside in zip(used, fit.misses_px, held_out, strict=True)
+        ViewError(view=view, rms_px=_rms([inside]), held_out_px=_rms([outside]), residuals_px=inside)
+        for view, inside, outside in zip(used, fit.residuals_px, held_out, strict=True)
     )
     return CameraCalibration(
         intrinsics=_intrinsics(fit),
         width_px=used[0].width_px,
         height_px=used[0].height_px,
-        rms_px=_rms(fit.misses_px),
+        rms_px=_rms(fit.residuals_px),
         cross_validated_px=_rms(held_out),
         focal_std_px=focal_std_px,
         views=errors,
@@ -112,7 +112,7 @@ def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refus
     """Without the views that fit badly, the worst first: its corners are wrong, or the board was bent."""
     dropped: list[Refused] = []
     while len(views) >= max(_FEWEST_VIEWS, 4 * len(dropped)):
-        errors = np.array([_rms([misses]) for misses in _fit(views, board, _SIMPLE).misses_px])
+        errors = np.array([_rms([residuals]) for residuals in _fit(views, board, _SIMPLE).residuals_px])
         worst = int(np.argmax(errors))
         usual = float(np.median(errors))
         if errors[worst] < max(_OUTLIER * usual, _OUTLIER_PX):
@@ -126,14 +126,14 @@ def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refus
 def _cross_validated(views: Sequence[View], board: Board, flags: int) -> tuple[list[FloatArray], float]:
     """Misses (n, 2) of every view in a fit without it, and the standard deviation of fx [px] by the jackknife."""
     folds = min(_FOLDS, len(views))
-    misses: list[FloatArray] = [np.empty((0, 2))] * len(views)
+    residuals: list[FloatArray] = [np.empty((0, 2))] * len(views)
     focals = []
     for fold in range(folds):
         fit = _fit([view for i, view in enumerate(views) if i % folds != fold], board, flags)
         focals.append(fit.matrix[0, 0])
         for i in range(fold, len(views), folds):
-            misses[i] = _left_out(views[i], board, fit)
-    return misses, float(np.sqrt((folds - 1) * np.var(focals)))
+            residuals[i] = _left_out(views[i], board, fit)
+    return residuals, float(np.sqrt((folds - 1) * np.var(focals)))
 
 
 def _fit(views: Sequence[View], board: Board, flags: int) -> _Fit:
@@ -145,17 +145,17 @@ def _fit(views: Sequence[View], board: Board, flags: int) -> _Fit:
     except cv2.error as error:
         raise CalibrationError(f"the views do not determine a camera: {error.err}") from None
     lens = np.asarray(distortion, np.float64).ravel()[:5]
-    misses = tuple(
+    residuals = tuple(
         view.found.corners_px - _projected(board.points_m(view.found.grid), r, t, matrix, lens)
         for view, r, t in zip(views, rotations, shifts, strict=True)
     )
-    if not all(np.isfinite(miss).all() for miss in misses):
+    if not all(np.isfinite(residual).all() for residual in residuals):
         raise CalibrationError("the views do not determine a camera: tilt the board to all sides, near and far")
-    return _Fit(matrix=np.asarray(matrix, np.float64), distortion=lens, misses_px=misses)
+    return _Fit(matrix=np.asarray(matrix, np.float64), distortion=lens, residuals_px=residuals)
 
 
 def _left_out(view: View, board: Board, fit: _Fit) -> FloatArray:
-    """The misses of a view that had no part in the fit: only the board's pose is adapted."""
+    """The residuals of a view that had no part in the fit: only the board's pose is adapted."""
     points, corners = board.points_m(view.found.grid), view.found.corners_px
     _, rotation, shift = cv2.solvePnP(points, corners, fit.matrix, fit.distortion)
     return corners - _projected(points, rotation, shift, fit.matrix, fit.distortion)
@@ -168,9 +168,9 @@ def _projected(
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
-def _rms(misses: Sequence[FloatArray]) -> float:
+def _rms(residuals: Sequence[FloatArray]) -> float:
     """Root mean square of the lengths, as OpenCV counts it: over corners, not coordinates."""
-    return float(np.sqrt(np.mean(np.sum(np.concatenate(misses) ** 2, axis=1))))
+    return float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

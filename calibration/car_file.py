@@ -1,4 +1,4 @@
-"""Writes what a calibration found into car.toml: the whole of it or nothing, comments kept, a backup beside it."""
+"""What a calibration writes into car.toml: all of it or nothing, comments kept, a backup beside it."""
 
 from __future__ import annotations
 
@@ -17,12 +17,11 @@ from tomlkit.exceptions import TOMLKitError
 
 from automodel.config import ConfigError, parse_car
 from automodel.config.toml_reader import parse_toml, read_text
-
-__all__ = ["RECORD_OF_SECTION", "check_car_file", "update_car_file"]
+from automodel.console.messages import say
 
 Values = Mapping[str, Mapping[str, object]]
 
-RECORD_OF_SECTION = {  # the record [calibration.<what>] that vouches for a section of car.toml
+RECORD_OF_SECTION = {  # section of car.toml -> its record [calibration.<what>]
     "camera.intrinsics": "camera",
     "camera.extrinsics": "ground",
     "camera.right.intrinsics": "stereo",
@@ -34,20 +33,29 @@ RECORD_OF_SECTION = {  # the record [calibration.<what>] that vouches for a sect
 _HEADER = re.compile(r"\s*\[\[?\s*([\w.\"' -]+?)\s*\]\]?\s*(#.*)?$")
 
 
+def write_values(car_file: Path, values: Values, *, residual: str, method: str, dry_run: bool) -> None:
+    """Write the values into car.toml, dated today, and report it; with `dry_run` report that nothing was written."""
+    if dry_run:
+        say(f"{car_file}: unchanged (--dry-run)")
+        return
+    backup = update_car_file(car_file, values, residual=residual, date=datetime.date.today(), method=method)
+    sections = ", ".join(f"[{name}]" for name in values)
+    say(f"{car_file}: {sections} written" + ("" if backup is None else f"; the old file is {backup}"))
+
+
 def update_car_file(path: Path, values: Values, *, residual: str, date: datetime.date, method: str) -> Path | None:
-    """Set keys of car.toml: `values` maps a section ("camera.intrinsics") to its keys.
+    """Set keys of car.toml: `values` maps a section ("camera.intrinsics") to its keys. Returns the backup's path.
 
-    Also writes the record `[calibration.<what>]` with date, method and residual for every calibration whose section is
-    among the values (`RECORD_OF_SECTION`). Comments and order stay; sections and the file itself are made where they
-    are missing. The new text must load as a car before it takes the file's place in one step; the old file is kept
-    beside it (`car.toml.bak`, then `car.toml.bak.2`, ...). Returns the backup's path, None where there was no file.
+    Also writes the record `[calibration.<what>]` (date, method, residual) of every section in `RECORD_OF_SECTION`.
+    Comments and order are kept; missing sections and a missing file are created. The new text must load as a car; it
+    then replaces the file in one step, and the old file is kept beside it (`car.toml.bak`, then `car.toml.bak.2`, ...).
 
-    Raises ConfigError, with everything as it was, where the file is wrong already, would be wrong afterwards or cannot
-    be written; ValueError where no section is one of a calibration.
+    Raises ConfigError, with nothing changed, where the file is invalid, would become invalid or cannot be written;
+    ValueError where no section belongs to a calibration.
     """
     records = dict.fromkeys(RECORD_OF_SECTION[name] for name in values if name in RECORD_OF_SECTION)
     if not records:
-        raise ValueError(f"values: of {', '.join(values)} none is a section that a calibration writes")
+        raise ValueError(f"values: expected a section that a calibration writes, got {', '.join(values)}")
     proof: dict[str, object] = {"date": date, "method": method, "residual": residual}
     wanted = {**values, **{f"calibration.{what}": proof for what in records}}
     target = Path(os.path.realpath(path))
@@ -57,17 +65,17 @@ def update_car_file(path: Path, values: Values, *, residual: str, date: datetime
     try:
         parse_car(new, str(path))
     except ConfigError as error:
-        raise ConfigError(f"{error} (with the new values; {path} is as it was)") from None
+        raise ConfigError(f"{error} (with the new values; {path} is unchanged)") from None
     try:
-        return _replace(target, new)
+        return replace_file(target, new)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; it is as it was") from None
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; it is unchanged") from None
 
 
 def check_car_file(path: Path) -> None:
-    """Raise ConfigError where `update_car_file` would: a file that is wrong or read-only, a folder that is not there.
+    """Raise ConfigError where `update_car_file` would fail: an invalid or read-only file, a folder that does not exist.
 
-    For before the work; a file that is not there yet is none the worse for it.
+    Called before the work. A file that does not exist yet is fine.
     """
     target = Path(os.path.realpath(path))
     if target.exists():
@@ -83,7 +91,7 @@ def _read_only(target: Path) -> bool:
 
 
 def _plain(value: object) -> object:
-    """Numbers and lists of Python's own: numpy's and tuples are written otherwise by tomlkit."""
+    """The value as Python's own numbers and lists: tomlkit writes numpy's and tuples differently."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, list | tuple):
@@ -92,14 +100,14 @@ def _plain(value: object) -> object:
 
 
 def _edited(text: str, values: Values, file: str) -> str:
-    """The text with the values in place, proved by reading it again."""
+    """The text with the values in place, checked by parsing it."""
     wanted = parse_toml(text, file)
     for section, keys in values.items():
         table = wanted
         for part in section.split("."):
             table = table.setdefault(part, {})
             if not isinstance(table, dict):
-                raise ConfigError(f"{file}: {part} where a table [{section}] is wanted")
+                raise ConfigError(f"{file}: expected a table [{section}], got the value {part}")
         table.update(keys)
     for edit in (_by_lines, _by_document):
         with contextlib.suppress(ConfigError, TOMLKitError):
@@ -124,7 +132,7 @@ def _by_document(text: str, values: Values) -> str:
 
 
 def _by_lines(text: str, values: Values) -> str:
-    """New keys behind the last key of their section, before the comments there that may speak of the next section."""
+    """New keys after the last key of their section, before comments there that may belong to the next section."""
     document = tomlkit.parse(text)
     missing: list[tuple[str, dict[str, object]]] = []
     for section, keys in values.items():
@@ -142,8 +150,8 @@ def _by_lines(text: str, values: Values) -> str:
 
 
 def _insert(lines: list[str], section: str, new: list[str]) -> None:
-    """Put lines at the end of a section, which is made behind its nearest relatives where it is missing."""
-    places: list[tuple[str, int]] = [("", -1)]  # of each section's last line that is no comment
+    """Put lines at the end of a section; a missing section is created after those of the same first name."""
+    places: list[tuple[str, int]] = [("", -1)]  # each section and its last line that is not a comment
     for number, line in enumerate(lines):
         header = _HEADER.match(line)
         if header:
@@ -154,16 +162,16 @@ def _insert(lines: list[str], section: str, new: list[str]) -> None:
     if own:
         lines[own[0] + 1 : own[0] + 1] = new
         return
-    family = section.split(".")[0]
-    relatives = [number for name, number in places if name.split(".")[0] == family]
-    place = (relatives[-1] if relatives else len(lines) - 1) + 1
+    first = section.split(".")[0]
+    related = [number for name, number in places if name.split(".")[0] == first]
+    place = (related[-1] if related else len(lines) - 1) + 1
     before = [""] if place and lines[place - 1].strip() else []
     after = [""] if place < len(lines) and lines[place].strip() else []
     lines[place:place] = [*before, f"[{section}]", *new, *after]
 
 
-def _replace(target: Path, text: str) -> Path | None:
-    """Put the text in the file's place in one step, the old one beside it; on any error nothing is left changed."""
+def replace_file(target: Path, text: str) -> Path | None:
+    """Replace a file in one step and return its backup's path, None for a new file; on OSError nothing is changed."""
     old = target.read_bytes() if target.exists() else None
     mode = stat.S_IMODE(target.stat().st_mode) if old is not None else 0o644
     if old is not None and _read_only(target):
@@ -175,12 +183,12 @@ def _replace(target: Path, text: str) -> Path | None:
         backup = None if old is None else _new_file(target, ".bak", old)
         os.replace(part, target)
     except BaseException:
-        if part is not None and part.exists():  # else the new file is in place, and the backup is wanted
+        if part is not None and part.exists():  # otherwise the new file is in place, and the backup is kept
             part.unlink()
             if backup is not None:
                 backup.unlink()
         raise
-    with contextlib.suppress(OSError):  # some file systems cannot sync a folder; the file is in its place all the same
+    with contextlib.suppress(OSError):  # some file systems cannot sync a folder
         folder = os.open(target.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -190,7 +198,7 @@ def _replace(target: Path, text: str) -> Path | None:
 
 
 def _new_file(beside: Path, suffix: str, data: bytes) -> Path:
-    """A file of the first free name (`NAME.bak`, `NAME.bak.2`, ...), on the disk when this returns."""
+    """A new file with the first free name (`NAME.bak`, `NAME.bak.2`, ...), synced to the disk."""
     for number in range(1, 100_000):
         name = beside.with_name(f"{beside.name}{suffix}{f'.{number}' if number > 1 else ''}")
         try:
@@ -206,4 +214,4 @@ def _new_file(beside: Path, suffix: str, data: bytes) -> Path:
             name.unlink()
             raise
         return name
-    raise FileExistsError(errno.EEXIST, f"there are too many files {beside.name}{suffix}.*")
+    raise FileExistsError(errno.EEXIST, f"too many files {beside.name}{suffix}.*")

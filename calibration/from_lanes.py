@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera, cam_from_body_rotation
 from automodel.types import FloatArray, Image
-from calibration.picture_lines import Rays, common_vanishing_point
-from calibration.vanishing_point_fit import BENDING, Pencil, fit_pencil
+from calibration.vanishing_point_fit import BENDING, Pencil, Rays, common_vanishing_point, fit_pencil
 
 WIDTHS = np.geomspace(0.9, 9.0, 231)  # of a lane, in heights of the camera: 1 % apart
 AGREED = 0.04  # of a lane's width: how much lanes differ, one sigma

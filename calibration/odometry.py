@@ -1,4 +1,4 @@
-"""Wheel ticks a metre, and motor pulse -> speed, from runs along a measured way."""
+"""Wheel ticks a metre, and motor pulse -> speed, from runs along a measured distance."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from numpy.typing import ArrayLike
 
 from automodel.types import FloatArray
 
-_SPREAD = 0.03  # runs that differ by more from their median contradict each other
-_BAND_US = 5.0  # a band around neutral narrower than this is none
-_CREEP_MPS = 0.01  # speed at the band's end: a table rises throughout
+_SPREAD = 0.03  # share of the median by which a run may differ from it
+_BAND_US = 5.0  # a narrower dead band around neutral is not written into the table
+_CREEP_MPS = 0.01  # speed at the end of the dead band: a table must rise everywhere
 
 
 class OdometryError(ValueError):
-    """The runs do not tell what was asked; the text says why and what to do."""
+    """The runs do not give the result; the text says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Way:
+class MeasuredRun:
     """One run: the wheel ticks counted over a measured distance [m] forward."""
 
     ticks: int
@@ -38,32 +38,32 @@ class TicksPerMetre:
     runs: int
 
 
-def fit_ticks(ways: Sequence[Way]) -> TicksPerMetre:
+def fit_ticks(runs: Sequence[MeasuredRun]) -> TicksPerMetre:
     """Ticks a metre, each run weighted by its distance; raises OdometryError for runs that contradict each other."""
-    if not ways or not all(way.distance_m > 0 for way in ways):
-        raise OdometryError("one run at least is wanted, over a distance above 0 m")
-    if all(way.ticks == 0 for way in ways):
+    if not runs or not all(run.distance_m > 0 for run in runs):
+        raise OdometryError("expected at least one run, over a distance above 0 m")
+    if all(run.ticks == 0 for run in runs):
         raise OdometryError("the wheel sensor counted nothing; check its plug and the gap to the wheel's magnets")
-    if any(way.ticks < 0 for way in ways):
+    if any(run.ticks < 0 for run in runs):
         raise OdometryError("the ticks count down while the car goes ahead; swap the sensor's two wires")
-    ratios = np.array([way.ticks / way.distance_m for way in ways])
+    ratios = np.array([run.ticks / run.distance_m for run in runs])
     middle = float(np.median(ratios))
     worst = int(np.argmax(np.abs(ratios - middle)))
-    ticks = 2.0 / ways[worst].distance_m  # a count starts and ends anywhere between two ticks
-    if len(ways) > 1 and abs(ratios[worst] - middle) > _SPREAD * middle + ticks:
+    rounding = 2.0 / runs[worst].distance_m  # a count starts and ends anywhere between two ticks
+    if len(runs) > 1 and abs(ratios[worst] - middle) > _SPREAD * middle + rounding:
         raise OdometryError(
             f"run {worst + 1} has {ratios[worst]:.1f} ticks a metre, the others {middle:.1f}; "
             "measure again, did the car slip or was a distance misread?"
         )
-    total_m = sum(way.distance_m for way in ways)
-    mean = sum(way.ticks for way in ways) / total_m
-    rounding = (2.0 / 12.0) ** 0.5 * len(ways) ** 0.5 / total_m
-    scatter = float(np.std(ratios, ddof=1)) if len(ways) > 1 else 0.0
+    total_m = sum(run.distance_m for run in runs)
+    mean = sum(run.ticks for run in runs) / total_m
+    count_sd = (2.0 / 12.0) ** 0.5  # of the ticks of a run: a uniform error of one tick at each end
+    scatter = float(np.std(ratios, ddof=1)) if len(runs) > 1 else 0.0
     return TicksPerMetre(
         ticks_per_m=mean,
-        sd_per_m=max(scatter / len(ways) ** 0.5, rounding),
-        scatter_per_m=max(scatter, (2.0 / 12.0) ** 0.5 * len(ways) / total_m),
-        runs=len(ways),
+        sd_per_m=max(scatter / len(runs) ** 0.5, count_sd * len(runs) ** 0.5 / total_m),
+        scatter_per_m=max(scatter, count_sd * len(runs) / total_m),
+        runs=len(runs),
     )
 
 
@@ -77,9 +77,9 @@ class SteadySpeed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotorTable:
-    """Motor pulse -> speed as `MotorConfig` has it.
+    """Motor pulse -> speed, as in `MotorConfig`.
 
-    `rms_mps` is the speeds' scatter around the line from the end of the band that moves nothing, `band_us` wide.
+    `band_us` is the width of the dead band beside neutral, `rms_mps` the scatter of the speeds around a line beyond it.
     """
 
     pulse_us: tuple[float, ...]
@@ -89,15 +89,15 @@ class MotorTable:
 
 
 def fit_motor(steady: Sequence[SteadySpeed], neutral_us: float, reverse: Sequence[tuple[float, float]]) -> MotorTable:
-    """The table through neutral, the end of the band around it, and the speeds that were driven forward.
+    """The table through neutral, the end of the dead band around it, and the measured forward speeds.
 
-    Equal pulses are averaged. Beyond the fastest one the line through all of them is carried on to the next 100 us, so
-    that a little more may be asked for. `reverse` are the (pulse [us], speed [m/s] < 0) that the table had: backwards
-    nothing was driven. Raises OdometryError where more pulse does not give more speed.
+    Equal pulses are averaged. The line through all of them extends the table by 100 us beyond the fastest. `reverse`
+    are the (pulse [us], speed [m/s] < 0) of the old table, which are kept: nothing was driven backwards. Raises
+    OdometryError where more pulse does not give more speed.
     """
     pulses = np.unique([s.pulse_us for s in steady])
     if len(pulses) < 2:
-        raise OdometryError(f"{len(pulses)} motor pulse was driven, two at least are wanted; give other --speeds")
+        raise OdometryError(f"expected at least two motor pulses, got {len(pulses)}; give other --speeds")
     away = pulses - neutral_us
     if not ((away > 0).all() or (away < 0).all()):
         raise OdometryError(f"the motor pulses lie on both sides of neutral at {neutral_us:.0f} us")
@@ -130,34 +130,34 @@ def fit_motor(steady: Sequence[SteadySpeed], neutral_us: float, reverse: Sequenc
     )
 
 
-def speeds(t_ns: ArrayLike, way: ArrayLike, window_s: float = 0.5) -> FloatArray:
-    """The slope (n,) of `way` (n,) over time in a window around each of the times (n,), per second.
+def speeds(t_ns: ArrayLike, distance: ArrayLike, window_s: float = 0.5) -> FloatArray:
+    """The slope (n,) of `distance` (n,) over time, per second: a least-squares line in a window around each time.
 
-    A line by least squares, shorter at the ends: ticks are whole numbers, their differences are useless.
+    The window is shorter at the ends. Differences of successive ticks, which are whole numbers, would be useless.
     """
     seconds = (np.asarray(t_ns, dtype=np.int64) - np.asarray(t_ns, dtype=np.int64).reshape(-1)[:1]) * 1e-9
-    y = np.asarray(way, dtype=np.float64)
+    y = np.asarray(distance, dtype=np.float64)
     y = y - y[:1]
     first = np.searchsorted(seconds, seconds - 0.5 * window_s - 1e-9)
     last = np.searchsorted(seconds, seconds + 0.5 * window_s + 1e-9)
     sums = [np.concatenate(([0.0], np.cumsum(v))) for v in (seconds, y, seconds * seconds, seconds * y)]
-    t, w, tt, tw = (s[last] - s[first] for s in sums)
+    t, d, tt, td = (s[last] - s[first] for s in sums)
     n = last - first
     spread = tt - t * t / n
-    return np.where(n > 1, (tw - t * w / n) / np.maximum(spread, 1e-12), 0.0)
+    return np.where(n > 1, (td - t * d / n) / np.maximum(spread, 1e-12), 0.0)
 
 
 def steady_speed(t_ns: ArrayLike, ticks: ArrayLike, ticks_per_m: float) -> float:
-    """The speed [m/s] over the middle of a run, from its first to its last tick: without start and stop.
+    """The speed [m/s] in the middle of a run: from 40 to 90 % of its ticks, without start and stop.
 
     Raises OdometryError where nothing was counted.
     """
     times, counts = np.asarray(t_ns, dtype=np.int64), np.asarray(ticks, dtype=np.int64)
     total = int(counts[-1] - counts[0])
     if total < 4:
-        raise OdometryError("the wheel sensor counted nothing; check its plug, or did the car not roll?")
+        raise OdometryError("the wheel sensor counted nothing; check its plug, and that the car rolls")
     inner = (counts - counts[0] > 0.4 * total) & (counts - counts[0] < 0.9 * total)
     if inner.sum() < 3:
-        raise OdometryError("the run was too short to tell its speed; give a longer --distance-m")
+        raise OdometryError("the run was too short to measure its speed; give a longer --distance-m")
     slope = np.polyfit((times[inner] - times[inner][0]) * 1e-9, counts[inner].astype(np.float64), 1)[0]
     return float(slope) / ticks_per_m

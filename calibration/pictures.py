@@ -1,32 +1,63 @@
-"""What a calibration looks like: pictures for people, as arrays (h, w, 3) BGR.
-
-A metric grid over the picture: whoever knows the floor sees at once whether it lies on it.
-"""
+"""Pictures of a calibration for people, (h, w, 3) BGR, and the folder that they are written to."""
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 import cv2
 import numpy as np
 
+from automodel.config import ConfigError
+from automodel.console.messages import say
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.types import FloatArray, Image
-from calibration.camera import CameraCalibration
 from calibration.ground import distances_m
 from calibration.views import CELLS, View, coverage
 
+FOLDER = "calibration_pictures"
 _WHITE, _GREY = (255, 255, 255), (90, 90, 90)
+_LINE, _AXIS, _SEEN, _MODEL = (110, 210, 110), (60, 170, 255), (80, 80, 255), (255, 220, 60)
+
+
+def picture_folder(out: Path | None, car_file: Path) -> Path:
+    """The folder `out`, or `FOLDER` beside car.toml; raises ConfigError where it cannot be created or written."""
+    folder = out if out is not None else car_file.parent / FOLDER
+    existing = folder
+    while not existing.exists() and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise ConfigError(f"--out {folder}: {existing} is not a folder")
+    if not os.access(existing, os.W_OK):
+        raise ConfigError(f"--out {folder}: cannot be written; look at the permissions")
+    return folder
+
+
+def write_pictures(folder: Path, pictures: Mapping[str, Image], *, quiet: bool = False) -> None:
+    """Write each as `<name>.png`, replacing an old one in one step, and report its path; raises ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, picture in pictures.items():
+            path, part = folder / f"{name}.png", folder / f".{name}.part"
+            try:
+                part.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+                os.replace(part, path)
+            finally:
+                part.unlink(missing_ok=True)
+            if not quiet:
+                say(str(path))
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
 
 
 def in_bgr(image: Image) -> Image:
-    """A copy (h, w, 3) of a picture."""
+    """A copy of an image, (h, w, 3)."""
     return image.copy() if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
 
 
 def write_text(picture: Image, text: str, place: tuple[int, int], scale: float = 1.0) -> None:
-    """Text on a dark ground, its lower left end at `place` (u, v)."""
+    """Text on a dark ground, its lower left corner at `place` (u, v)."""
     size, thickness = 0.55 * scale, max(round(scale), 1)
     (width, height), below = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, size, thickness)
     u, v = place
@@ -35,7 +66,7 @@ def write_text(picture: Image, text: str, place: tuple[int, int], scale: float =
 
 
 def coverage_picture(views: Iterable[View], size: tuple[int, int]) -> Image:
-    """Where in a picture of `size` (w, h) corners were seen: every corner, and the cells that have none."""
+    """Every corner that was seen in images of `size` (w, h), and the cells of the image without any."""
     views = list(views)
     width, height = size
     picture = np.full((height, width, 3), 40, np.uint8)
@@ -54,43 +85,12 @@ def coverage_picture(views: Iterable[View], size: tuple[int, int]) -> Image:
         for u, v in np.rint(view.found.corners_px).astype(int):
             cv2.circle(picture, (int(u), int(v)), max(2, width // 400), colour, -1, cv2.LINE_AA)
     seen = 100.0 * float((counts > 0).mean())
-    write_text(picture, f"{len(views)} views, {seen:.0f} % of the picture", (8, height - 10), width / 1000)
+    write_text(picture, f"{len(views)} views, {seen:.0f} % of the image", (8, height - 10), width / 1000)
     return picture
 
 
-def residual_picture(found: CameraCalibration) -> Image:
-    """Every corner's miss as an arrow at its place, and every view's error in the fit and left out of it."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14, 5.2), layout="constrained", dpi=90)
-    FigureCanvasAgg(figure)
-    plane, bars = figure.subplots(1, 2, width_ratios=(3, 2))
-    corners = np.concatenate([error.view.found.corners_px for error in found.views])
-    misses = np.concatenate([error.misses_px for error in found.views])
-    grow = 0.04 * found.width_px / max(float(np.quantile(np.linalg.norm(misses, axis=1), 0.95)), 1e-6)
-    lengths = np.linalg.norm(misses, axis=1)
-    arrows = plane.quiver(
-        *corners.T, *(grow * misses).T, lengths, angles="xy", scale_units="xy", scale=1, width=0.002, cmap="viridis"
-    )
-    figure.colorbar(arrows, ax=plane, label="miss [px]")
-    plane.set(xlim=(0, found.width_px), ylim=(found.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
-    plane.set_title(f"corners seen minus projected, {grow:.0f} times", fontsize=10)
-    place = np.arange(len(found.views))
-    bars.barh(place - 0.2, [error.rms_px for error in found.views], 0.4, label=f"in the fit: {found.rms_px:.2f} px")
-    label = f"left out of it: {found.cross_validated_px:.2f} px"
-    bars.barh(place + 0.2, [error.held_out_px for error in found.views], 0.4, label=label)
-    bars.set_yticks(place, [error.view.name for error in found.views], fontsize=7 if len(place) < 40 else 4)
-    bars.invert_yaxis()
-    bars.set_xlabel("rms [px]")
-    bars.legend(fontsize=8)
-    png = io.BytesIO()
-    figure.savefig(png, format="png")
-    return np.asarray(cv2.imdecode(np.frombuffer(png.getvalue(), np.uint8), cv2.IMREAD_COLOR), np.uint8)
-
-
 def undistorted_picture(image: Image, camera: CameraModel) -> Image:
-    """The picture as it is beside the picture without distortion: there straight things are straight."""
+    """The image beside the same image without distortion, in which straight things are straight."""
     before = in_bgr(image)
     after = np.asarray(cv2.undistort(before, camera.matrix, camera.distortion), np.uint8)
     scale = camera.width_px / 1000
@@ -99,16 +99,13 @@ def undistorted_picture(image: Image, camera: CameraModel) -> Image:
     return np.hstack((before, after))
 
 
-_LINE, _AXIS, _SEEN, _MODEL = (110, 210, 110), (60, 170, 255), (80, 80, 255), (255, 220, 60)
-
-
 def ground_picture(
     image: Image, camera: GroundCamera, points_m: FloatArray | None = None, pixels: FloatArray | None = None
 ) -> Image:
-    """The picture (h, w) or (h, w, 3) with lines of equal x and of equal y [m] of the body frame, the x axis bold.
+    """The image (h, w) or (h, w, 3) with a metric grid of the body frame on the ground, its x axis bold.
 
-    With measured `points_m` (n, 2) and their `pixels` (n, 2): where each was seen (a ring) and where the camera that
-    was found expects it (a cross).
+    With measured `points_m` (n, 2) and their `pixels` (n, 2): a ring where each was seen, and a cross where the
+    calibrated camera projects it.
     """
     picture = in_bgr(image)
     full = distances_m(float(camera.centre_m[2]))[0] > 1.0
@@ -138,10 +135,10 @@ def ground_picture(
 def _draw(
     picture: Image, camera: GroundCamera, line_m: FloatArray, colour: tuple[int, int, int], width: int
 ) -> FloatArray | None:
-    """Draw a line on the ground; returns the ends (2, 2) of what of it lies in the picture."""
+    """Draw a line on the ground; returns the ends (2, 2) of its visible part."""
     pixels = camera.ground_to_px(line_m)
     inside = camera.camera.inside(pixels)
-    near = inside | np.append(inside[1:], False) | np.append(False, inside[:-1])  # one beyond the picture's edge, too
+    near = inside | np.append(inside[1:], False) | np.append(False, inside[:-1])  # one point beyond the border, too
     run = pixels[near & ~np.isnan(pixels[:, 0])]
     if len(run) < 2:
         return None

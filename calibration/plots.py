@@ -1,9 +1,4 @@
-"""A figure of matplotlib as a picture.
-
-The picture of a servo's calibration.
-
-The picture of an odometry's calibration.
-"""
+"""Plots of a calibration, as images (h, w, 3) BGR."""
 
 from __future__ import annotations
 
@@ -16,40 +11,67 @@ import numpy as np
 
 from automodel.types import Image
 from calibration.actuator import Actuator, modelled_yaw_rates
-from calibration.odometry import MotorTable, SteadySpeed, TicksPerMetre, Way
+from calibration.camera import CameraCalibration
+from calibration.odometry import MeasuredRun, MotorTable, SteadySpeed, TicksPerMetre
 from calibration.servo import ServoTable
 from calibration.servo_log import ServoLog, holds_of
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_SHOWN_S = 6.0
 
-def picture_of(figure: Figure) -> Image:
-    """The figure as it would be saved: (h, w, 3) BGR."""
+
+def _new_figure(width_in: float, height_in: float) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
+    figure = Figure(figsize=(width_in, height_in), layout="constrained", dpi=90)
     FigureCanvasAgg(figure)
+    return figure
+
+
+def _image_of(figure: Figure) -> Image:
+    """The figure as it would be saved."""
     file = io.BytesIO()
     figure.savefig(file, format="png")
     return np.asarray(cv2.imdecode(np.frombuffer(file.getvalue(), np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
 
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-_SHOWN_S = 6.0
+def residual_picture(found: CameraCalibration) -> Image:
+    """The residual of every corner as an arrow, and the error of every view in the fit and left out of it."""
+    figure = _new_figure(14, 5.2)
+    plane, bars = figure.subplots(1, 2, width_ratios=(3, 2))
+    corners = np.concatenate([error.view.found.corners_px for error in found.views])
+    residuals = np.concatenate([error.residuals_px for error in found.views])
+    grow = 0.04 * found.width_px / max(float(np.quantile(np.linalg.norm(residuals, axis=1), 0.95)), 1e-6)
+    lengths = np.linalg.norm(residuals, axis=1)
+    arrows = plane.quiver(
+        *corners.T, *(grow * residuals).T, lengths, angles="xy", scale_units="xy", scale=1, width=0.002, cmap="viridis"
+    )
+    figure.colorbar(arrows, ax=plane, label="residual [px]")
+    plane.set(xlim=(0, found.width_px), ylim=(found.height_px, 0), aspect="equal", xlabel="u [px]", ylabel="v [px]")
+    plane.set_title(f"corners seen minus projected, {grow:.0f} times", fontsize=10)
+    place = np.arange(len(found.views))
+    bars.barh(place - 0.2, [error.rms_px for error in found.views], 0.4, label=f"in the fit: {found.rms_px:.2f} px")
+    label = f"left out of it: {found.cross_validated_px:.2f} px"
+    bars.barh(place + 0.2, [error.held_out_px for error in found.views], 0.4, label=label)
+    bars.set_yticks(place, [error.view.name for error in found.views], fontsize=7 if len(place) < 40 else 4)
+    bars.invert_yaxis()
+    bars.set_xlabel("rms [px]")
+    bars.legend(fontsize=8)
+    return _image_of(figure)
 
 
 def servo_picture(log: ServoLog, table: ServoTable, actuator: Actuator, wheelbase_m: float) -> Image:
-    """The table through its measurements, what is left over, and the fastest steps with the model (h, w, 3) BGR."""
-    from matplotlib.figure import Figure
-
+    """The table with its measurements, their residuals, and the fastest steps with the actuator's model."""
     holds = holds_of(log, wheelbase_m)
     pulses = np.array([hold.pulse_us for hold in holds])
     angles = np.degrees([hold.steering_rad for hold in holds])
     rose = np.array([hold.rose for hold in holds])
     middle = np.degrees(table.angle_rad(pulses))
-    figure = Figure(figsize=(11, 9), layout="constrained", dpi=90)
+    figure = _new_figure(11, 9)
     grid = figure.add_gridspec(3, 1, height_ratios=(5, 2, 4))
     top, left, steps = (figure.add_subplot(grid[i]) for i in range(3))
     half = 0.5 * np.degrees(table.play_rad)
@@ -75,11 +97,11 @@ def servo_picture(log: ServoLog, table: ServoTable, actuator: Actuator, wheelbas
     left.set_ylabel("from the table [deg]")
     left.set_xlabel("pulse [us]")
     _plot_steps(steps, log, table, actuator, wheelbase_m)
-    return picture_of(figure)
+    return _image_of(figure)
 
 
 def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator, wheelbase_m: float) -> None:
-    """The stretch with the largest steps: what the pulses ask for, what was measured, and the model."""
+    """The part of the drive with the largest steps: commanded, measured and modelled yaw rate."""
     t_ns, model = modelled_yaw_rates(log, table, actuator, wheelbase_m)
     seconds = (log.t_ns - t_ns[0]) * 1e-9
     wanted = np.interp((t_ns - t_ns[0]) * 1e-9, (log.pulse_t_ns - t_ns[0]) * 1e-9, table.angle_rad(log.pulse_us))
@@ -105,19 +127,17 @@ def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator
 
 
 def odometry_picture(
-    ways: Sequence[Way], ticks: TicksPerMetre, steady: Sequence[SteadySpeed], motor: MotorTable | None
+    runs: Sequence[MeasuredRun], ticks: TicksPerMetre, steady: Sequence[SteadySpeed], motor: MotorTable | None
 ) -> Image:
-    """Each run's ticks a metre with their mean, and the motor's table with the speeds driven (h, w, 3) BGR."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 4.5), layout="constrained", dpi=90)
+    """The ticks a metre of each run with their mean, and the motor's table with the measured speeds."""
+    figure = _new_figure(11, 4.5)
     axes = figure.subplots(1, 1 if motor is None else 2, squeeze=False)[0]
-    numbers = np.arange(1, len(ways) + 1)
+    numbers = np.arange(1, len(runs) + 1)
     # a count starts and ends anywhere between two ticks
     axes[0].errorbar(
         numbers,
-        [way.ticks / way.distance_m for way in ways],
-        yerr=[1.0 / way.distance_m for way in ways],
+        [run.ticks / run.distance_m for run in runs],
+        yerr=[1.0 / run.distance_m for run in runs],
         fmt="o",
         capsize=4,
         color="tab:green",
@@ -147,4 +167,4 @@ def odometry_picture(
     for axis in axes:
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
-    return picture_of(figure)
+    return _image_of(figure)

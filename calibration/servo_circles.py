@@ -1,7 +1,4 @@
-"""Steering pulse -> road-wheel angle from circles that were measured on the floor.
-
-`calibrate servo --manual`: the table from circles that were measured on the floor.
-"""
+"""Steering pulse -> road-wheel angle, from circles that were driven and measured on the floor."""
 
 from __future__ import annotations
 
@@ -15,24 +12,23 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.config import ConfigError, load_car
+from automodel.config import ConfigError
 from automodel.config.toml_reader import read_text
-from automodel.console.tables import show
-from calibration.calibration_output import check_before, write_values
 
+COLUMNS = ("pulse_us", "diameter_m", "side")  # of a CSV of circles
 SIDES = ("left", "right", "straight")
-_REPEAT = 0.1  # diameters of the same pulse that differ by more contradict each other
+_REPEAT = 0.1  # largest relative difference between the circles of one pulse
 
 
 class CircleError(ValueError):
-    """The circles contradict each other, or are too few; the text says which and what to do."""
+    """The circles contradict each other, or are too few; the text says which, and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Circle:
-    """A circle driven slowly at one pulse: its diameter [m] under the rear axle's middle, and the side it lay on.
+    """A circle driven slowly at one pulse: its diameter [m] at the centre of the rear axle, and the side it lies on.
 
-    `side` "straight" is a pulse at which the car runs straight ahead; the diameter then counts for nothing.
+    `side` "straight" is a pulse at which the car runs straight ahead; its diameter is ignored.
     """
 
     pulse_us: float
@@ -41,11 +37,11 @@ class Circle:
 
     def __post_init__(self) -> None:
         if self.side not in SIDES:
-            raise CircleError(f"side: {self.side!r} is none of {', '.join(SIDES)}")
+            raise CircleError(f"side: expected one of {', '.join(SIDES)}, got {self.side!r}")
         if not 500.0 <= self.pulse_us <= 2500.0:
-            raise CircleError(f"pulse_us: {self.pulse_us} where 500 .. 2500 is wanted")
+            raise CircleError(f"pulse_us: expected 500 .. 2500, got {self.pulse_us}")
         if self.side != "straight" and not (self.diameter_m > 0 and math.isfinite(self.diameter_m)):
-            raise CircleError(f"diameter_m: {self.diameter_m} where a positive number is wanted")
+            raise CircleError(f"diameter_m: expected a positive number, got {self.diameter_m}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,10 +55,10 @@ class CircleTable:
 
 
 def rear_middle_diameter_m(outer_front_m: float, wheelbase_m: float, track_m: float) -> float:
-    """The diameter under the rear axle's middle where the outer front wheel's was measured.
+    """The diameter [m] at the centre of the rear axle, from that of the outer front wheel.
 
-    The wheel runs ahead of the axle by the wheelbase L and outside its middle by half the track t, so that its radius
-    is the long side of a triangle: R_f^2 = L^2 + (R + t / 2)^2. Raises CircleError for a circle smaller than the car.
+    The wheel is ahead of the axle by the wheelbase L and outside its centre by half the track t, so its radius is the
+    hypotenuse of a right triangle: R_f^2 = L^2 + (R + t / 2)^2. Raises CircleError for a circle smaller than the car.
     """
     radius = 0.5 * outer_front_m
     if not radius > math.hypot(wheelbase_m, 0.5 * track_m):
@@ -73,19 +69,18 @@ def rear_middle_diameter_m(outer_front_m: float, wheelbase_m: float, track_m: fl
 def table_of_circles(circles: Sequence[Circle], wheelbase_m: float) -> CircleTable:
     """The table through all circles with delta = atan(2 L / D); raises CircleError.
 
-    Equal pulses are averaged. Without a straight pulse the centre is where the line between the widest left and the
-    widest right circle passes 0.
+    Equal pulses are averaged. Without a straight pulse the centre is where the table crosses 0 by interpolation.
     """
     if not any(c.side == "left" for c in circles) or not any(c.side == "right" for c in circles):
-        raise CircleError("circles on both sides are wanted: one to the left and one to the right at least")
+        raise CircleError("expected circles on both sides: at least one to the left and one to the right")
     points: list[tuple[float, float, Circle]] = []
     off: list[float] = []
     for pulse, group in itertools.groupby(sorted(circles, key=lambda c: c.pulse_us), key=lambda c: c.pulse_us):
         same = list(group)
         angles = np.array([_angle(circle, wheelbase_m) for circle in same])
         if np.ptp(angles) > _REPEAT * max(float(np.abs(angles).max()), 1e-9):
-            told = " and ".join(_text(circle) for circle in same)
-            raise CircleError(f"{pulse:.0f} us: {told} contradict each other; measure again")
+            texts = " and ".join(_text(circle) for circle in same)
+            raise CircleError(f"{pulse:.0f} us: {texts} contradict each other; measure again")
         points.append((pulse, float(angles.mean()), same[0]))
         off += (angles - angles.mean()).tolist() if len(same) > 1 else []
     _check_monotone(points)
@@ -126,78 +121,27 @@ def _text(circle: Circle) -> str:
     return "straight" if circle.side == "straight" else f"{circle.diameter_m:g} m {circle.side}"
 
 
-COLUMNS = ("pulse_us", "diameter_m", "side")
-
-
-def calibrate_by_circles(
-    car_file: Path | None,
-    circles: Sequence[str],
-    circles_file: Path | None,
-    *,
-    outer_front: bool,
-    dry_run: bool,
-    as_json: bool,
-) -> int:
-    """Read the circles, make the table and write it; raises ConfigError and CircleError with car.toml as it was."""
-    if car_file is None:
-        raise ConfigError("--car: which car? Name its car.toml")
-    check_before(car_file, dry_run)
-    vehicle = load_car(car_file).vehicle
-    rows = [(f"--circle {text}", text.split(",")) for text in circles]
-    if circles_file is not None:
-        rows += _rows_of(circles_file)
-    measured = [_circle(place, fields) for place, fields in rows]
-    if outer_front:
-        measured = [
-            circle
-            if circle.side == "straight"
-            else Circle(
-                pulse_us=circle.pulse_us,
-                diameter_m=rear_middle_diameter_m(circle.diameter_m, vehicle.wheelbase_m, vehicle.width_m),
-                side=circle.side,
-            )
-            for circle in measured
-        ]
-    table = table_of_circles(measured, vehicle.wheelbase_m)
-    told = (
-        "no circle was repeated" if table.rms_rad is None else f"repeats scatter {math.degrees(table.rms_rad):.2f} deg"
-    )
-    write_values(
-        car_file,
-        {"link.servo": {"pulse_us": table.pulse_us, "steering_rad": table.steering_rad}},
-        residual=told,
-        method=f"{len(measured)} circles measured by hand",
-        dry_run=dry_run,
-    )
-    row = {
-        "centre_us": table.centre_us,
-        "left_deg": math.degrees(max(table.steering_rad)),
-        "right_deg": -math.degrees(min(table.steering_rad)),
-        "rms_deg": None if table.rms_rad is None else math.degrees(table.rms_rad),
-        "circles": len(measured),
-    }
-    show("calibrate servo", [row], as_json)
-    return 0
-
-
-def _rows_of(path: Path) -> list[tuple[str, list[str]]]:
+def read_circles(path: Path) -> list[Circle]:
+    """The circles of a CSV with the header `COLUMNS`; raises ConfigError with file and line."""
     lines = list(csv.reader(io.StringIO(read_text(path))))
     if not lines or tuple(name.strip() for name in lines[0]) != COLUMNS:
         raise ConfigError(f"{path}:1: the first line must be {','.join(COLUMNS)}")
-    return [
-        (f"{path}:{number}", fields) for number, fields in enumerate(lines[1:], 2) if any(f.strip() for f in fields)
-    ]
+    numbered = [(number, fields) for number, fields in enumerate(lines[1:], 2) if any(f.strip() for f in fields)]
+    return [parse_circle(f"{path}:{number}", fields) for number, fields in numbered]
 
 
-def _circle(place: str, fields: Sequence[str]) -> Circle:
+def parse_circle(place: str, fields: Sequence[str]) -> Circle:
+    """The circle of three fields as in `COLUMNS`; raises ConfigError that names the `place` they were read from."""
     if len(fields) != len(COLUMNS):
-        raise ConfigError(f"{place}: {len(fields)} values where {','.join(COLUMNS)} are wanted, as 1200,1.35,left")
+        raise ConfigError(
+            f"{place}: expected {','.join(COLUMNS)}, for example 1200,1.35,left; got {len(fields)} values"
+        )
     pulse, diameter, side = (field.strip() for field in fields)
     try:
         pulse_us = float(pulse)
         diameter_m = math.inf if side == "straight" and not diameter else float(diameter)
     except ValueError:
-        raise ConfigError(f"{place}: pulse and diameter must be numbers, as 1200,1.35,left") from None
+        raise ConfigError(f"{place}: pulse and diameter must be numbers, for example 1200,1.35,left") from None
     try:
         return Circle(pulse_us=pulse_us, diameter_m=diameter_m, side=side)
     except CircleError as error:

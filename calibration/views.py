@@ -1,37 +1,35 @@
-"""Which pictures of a board are worth calibrating with: sharp, not too slanted, each adding something."""
+"""Which images of a board are good for calibration: sharp, not too slanted, each different from the others."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.sources.errors import SourceError
 from automodel.types import FloatArray, Image
 from calibration.boards import Board, FoundBoard, find_board
 
-__all__ = ["CalibrationError", "Refused", "View", "Views", "coverage", "missing_sights", "settle"]
-
-
-CELLS = (5, 8)  # rows and columns of the picture's cells that coverage counts
+CELLS = (5, 8)  # rows and columns of cells into which coverage divides the image
 _BLURRED_PX = 5.0  # width of a square's edge; a sharp picture has 1 to 2
 _SLANT_RAD = math.radians(65.0)
-_NEAR_DUPLICATE = 0.015  # mean way of the corners between two views, in picture diagonals
-_SMALLEST_PX = 6.0  # between neighbouring corners
-_MAJORITY = 0.8  # share of the pictures that have one size; less: two cameras' pictures are mixed
+_NEAR_DUPLICATE = 0.015  # mean distance of the corners between two views, in image diagonals
+_SMALLEST_PX = 6.0  # distance of neighbouring corners
+_MAJORITY = 0.8  # share of the images that must have one size; less are a mixture of two cameras
 
 
 class CalibrationError(ValueError):
-    """What was measured cannot give a calibration; the text is one line: what, where, what to do."""
+    """The measurements do not give a calibration; the text is one line: what, where, what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """One picture with a board: its name and size, what was found, edge width [px] and slant [rad] of the board."""
+    """One image with a board: its name and size, the corners, and the board's edge width [px] and slant [rad]."""
 
     name: str
     width_px: int
@@ -43,15 +41,27 @@ class View:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Refused:
-    """A picture that is not used, and why."""
+    """An image that is not used, and why."""
 
     name: str
     reason: str
     found: FoundBoard | None = None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ImageFeed:
+    """Images to calibrate with, by name; an unreadable one is its error. `total` is their number where it is known.
+
+    `live`: they come from the camera of the car, without end.
+    """
+
+    images: Iterator[tuple[str, Image | SourceError]]
+    live: bool
+    total: int | None
+
+
 class Views:
-    """Takes pictures one after another, and keeps those that are worth it."""
+    """Takes images one after another, and keeps those that are useful."""
 
     def __init__(self, board: Board) -> None:
         self.board = board
@@ -59,7 +69,7 @@ class Views:
         self.refused: list[Refused] = []
 
     def consider(self, name: str, image: Image) -> View | Refused:
-        """Look for the board in a picture (h, w) or (h, w, 3), and keep the view or say why not."""
+        """Look for the board in an image (h, w) or (h, w, 3); keep the view, or return why not."""
         seen = self._judged(name, image)
         if isinstance(seen, View):
             self.kept.append(seen)
@@ -72,7 +82,7 @@ class Views:
         if found is None:
             return Refused(name=name, reason="no board found")
         if found.columns > self.board.columns or found.rows > self.board.rows:
-            reason = f"a board of {found.size} inner corners where {self.board.size} are wanted"
+            reason = f"expected a board of {self.board.size} inner corners, got {found.size}"
             return Refused(name=name, reason=reason, found=found)
         step = _steps_px(found)
         if step.min() < _SMALLEST_PX:
@@ -90,13 +100,13 @@ class Views:
         return view if twin is None else Refused(name=name, reason=f"nearly the same view as {twin}", found=found)
 
     def _margin(self) -> float:
-        """How far from a square's edge nothing else is drawn, in squares."""
+        """The width of the blank zone beside a square's edge, in squares."""
         marker = self.board.marker_m
         return 0.35 if marker is None else min(0.35, 0.5 * (1.0 - marker / self.board.square_m))
 
 
 def _pairs(found: FoundBoard) -> tuple[tuple[FloatArray, FloatArray], ...]:
-    """The neighbours along rows, and along columns: each a pair of corners (n, 2) [px]."""
+    """Neighbours along rows, and along columns: each a pair of corners (n, 2), (n, 2) [px]."""
     number = {(int(c), int(r)): i for i, (c, r) in enumerate(found.grid)}
     pairs = []
     for dc, dr in ((1, 0), (0, 1)):
@@ -107,15 +117,15 @@ def _pairs(found: FoundBoard) -> tuple[tuple[FloatArray, FloatArray], ...]:
 
 
 def _steps_px(found: FoundBoard) -> FloatArray:
-    """Distances between neighbouring corners, along rows and along columns: the median of each."""
+    """The median distance (2,) of neighbouring corners along rows and along columns."""
     lengths = [np.linalg.norm(b - a, axis=1) for a, b in _pairs(found)]
     return np.array([np.median(length) if len(length) else 0.0 for length in lengths])
 
 
 def edge_width_px(image: Image, found: FoundBoard, margin: float) -> float:
-    """How wide [px] the edges between the squares are smeared, across the direction where they are so most.
+    """The width [px] of the blurred edges between the squares, in the direction in which they are blurred most.
 
-    The rise of the grey over its steepest slope, on profiles across the edge between every two neighbouring corners,
+    Rise over steepest slope of the grey level, on profiles across the edge between every two neighbouring corners,
     `margin` squares to both sides; a sharp camera gives 1 to 2.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -140,7 +150,7 @@ def edge_width_px(image: Image, found: FoundBoard, margin: float) -> float:
 
 
 def slant_rad(found: FoundBoard) -> float:
-    """The angle between the line of sight and the board's normal, from its foreshortening in the picture's middle."""
+    """The angle [rad] between the line of sight and the board's normal, from the foreshortening at its centre."""
     grid = found.grid.astype(np.float64)
     homography, _ = cv2.findHomography(grid, found.corners_px, 0)
     if homography is None:
@@ -154,22 +164,21 @@ def slant_rad(found: FoundBoard) -> float:
 
 
 def _alike(a: View, b: View) -> bool:
-    """Whether two views show the same corners at nearly the same places."""
+    """Whether two views show the same corners at nearly the same pixels."""
     if (a.width_px, a.height_px) != (b.width_px, b.height_px):
         return False
     if a.found.grid.shape != b.found.grid.shape or (a.found.columns, a.found.rows) != (b.found.columns, b.found.rows):
         return False
     limit = _NEAR_DUPLICATE * math.hypot(a.width_px, a.height_px)
     corners, others = a.found.corners_px, b.found.corners_px
-    ways = (others, others[::-1])  # a chessboard's first corner may be either end
-    return any(float(np.linalg.norm(corners - way, axis=1).mean()) < limit for way in ways)
+    orders = (others, others[::-1])  # a chessboard's first corner may be either end
+    return any(float(np.linalg.norm(corners - order, axis=1).mean()) < limit for order in orders)
 
 
 def settle(views: Views) -> tuple[list[View], list[Refused]]:
-    """The views that have the size of most, and all that are refused, with the reasons.
+    """The views of the most frequent size, and all images refused, with the reasons.
 
-    Raises CalibrationError where the pictures' sizes are mixed, where no board was found at all, and where another
-    board than the given one is seen.
+    Raises CalibrationError where the sizes are mixed, no board was found, or the images show another board.
     """
     kept, refused = list(views.kept), list(views.refused)
     _check_board(views)
@@ -177,10 +186,10 @@ def settle(views: Views) -> tuple[list[View], list[Refused]]:
     size, count = sizes.most_common(1)[0]
     if count < _MAJORITY * len(kept):
         listed = ", ".join(f"{n} of {w}x{h}" for (w, h), n in sizes.most_common())
-        raise CalibrationError(f"the pictures have mixed sizes ({listed}); give those of one camera at one size")
+        raise CalibrationError(f"the images have mixed sizes ({listed}); give those of one camera at one size")
     wanted = "{}x{}".format(*size)
     for view in [view for view in kept if (view.width_px, view.height_px) != size]:
-        reason = f"{view.width_px}x{view.height_px} pixels where the others have {wanted}"
+        reason = f"expected {wanted} pixels, as most images have, got {view.width_px}x{view.height_px}"
         refused.append(Refused(name=view.name, reason=reason, found=view.found))
         kept.remove(view)
     return kept, refused
@@ -191,24 +200,24 @@ def _check_board(views: Views) -> None:
     found = [view.found for view in views.kept] + [r.found for r in views.refused if r.found is not None]
     if not found:
         if not views.refused:
-            raise CalibrationError("there are no pictures")
+            raise CalibrationError("there are no images")
         what = f"a chessboard of {board.size} inner corners" if board.marker_m is None else "a ChArUco board"
-        raise CalibrationError(f"{what} is in none of the {len(views.refused)} pictures; is the size right?")
+        raise CalibrationError(f"{what} is in none of the {len(views.refused)} images; is the size right?")
     sizes = Counter(seen.size for seen in found)
     other, count = sizes.most_common(1)[0]
     whole = sizes[board.size] + sizes[f"{board.rows}x{board.columns}"]
     if board.marker_m is None and whole == 0 and count >= max(2, len(found) // 2):
         raise CalibrationError(
-            f"no picture shows a board of {board.size} inner corners, and {count} of {len(found)} show one of {other}; "
+            f"no image shows a board of {board.size} inner corners, and {count} of {len(found)} show one of {other}; "
             f"give --board {other} if that is yours"
         )
     if not views.kept:
         reason, number = Counter(seen.reason for seen in views.refused).most_common(1)[0]
-        raise CalibrationError(f"none of the {len(views.refused)} pictures can be used; {number} of them: {reason}")
+        raise CalibrationError(f"none of the {len(views.refused)} images can be used; {number} of them: {reason}")
 
 
 def coverage(views: Iterable[View]) -> NDArray[np.int64]:
-    """How many corners lie in each of the picture's `CELLS`, (rows, columns)."""
+    """The number of corners in each of the `CELLS` of the image, (rows, columns)."""
     counts = np.zeros(CELLS, np.int64)
     for view in views:
         cell = view.found.corners_px / (view.width_px, view.height_px) * (CELLS[1], CELLS[0])
@@ -217,8 +226,8 @@ def coverage(views: Iterable[View]) -> NDArray[np.int64]:
     return counts
 
 
-def missing_sights(views: Sequence[View]) -> str:
-    """What a person with the board should show next; empty where nothing is missing."""
+def missing_views(views: Sequence[View]) -> str:
+    """The view that a person should show next, as text; empty where nothing is missing."""
     counts = coverage(views) > 0
     third_rows, third_columns = np.array_split(np.arange(CELLS[0]), 3), np.array_split(np.arange(CELLS[1]), 3)
     share = np.array([[counts[np.ix_(r, c)].mean() for c in third_columns] for r in third_rows])

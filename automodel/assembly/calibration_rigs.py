@@ -1,73 +1,76 @@
-"""Cars to be calibrated: the one at the serial port, or a simulated one that hides what it is."""
+"""Cars to be calibrated: the one at the serial port, or a simulated one with hidden properties."""
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 from automodel.assembly.parts import car_of, make_camera
 from automodel.config import CarConfig, ConfigError
+from automodel.estimation.ego_motion import MotionEstimator
 from automodel.geometry import GroundCamera
-from automodel.runtime.clocks import MonotonicClock, VirtualClock
+from automodel.interfaces import Source
+from automodel.runtime.clocks import MonotonicClock, SleepingClock, VirtualClock
+from automodel.runtime.run_types import RunParts
+from automodel.runtime.safety import Safety
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.randomised_plant import randomised_servo
 from automodel.sim.renderer import Renderer
 from automodel.sources.cameras import CaptureThread
 from automodel.types import Image
-from calibration.calibration_drive import Rig, Ticks
-from calibration.calibration_output import check_before
+from calibration.car_file import check_car_file
+from calibration.drive import Rig, Ticks, plant_of
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.transport import LoggedTransport, MemoryTransport, SerialTransport
+from firmware_link.transport import LoggedTransport, MemoryTransport, SerialTransport, Transport
 
 _HALL_M = 50.0  # half the side of the simulated floor: no drive leaves it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoggedRig:
-    """A rig, what its board says, and the plant behind it where it is simulated."""
-
-    rig: Rig
-    board: LoggedTransport
-    plant: Plant | None
-
-
 def car_to_calibrate(
-    car_file: Path | None, simulated: bool, dry_run: bool, *, by_board: bool = True
-) -> tuple[CarConfig, bool]:
-    """The car of the command line and whether it is simulated; raises ConfigError where none is named.
+    car_file: Path | None, simulated: bool, dry_run: bool, *, needs_board_log: bool = True
+) -> CarConfig:
+    """The car of the command line; its [link] port is "sim" where it is simulated.
 
-    A car.toml that could not be written afterwards is refused before anything moves, and so is, `by_board`, a car whose
-    board does not say which pulses and ticks there are.
+    Raises ConfigError before anything moves: where no car is named, for a car.toml that could not be written
+    afterwards, and with `needs_board_log` for a board that does not report pulses and ticks.
     """
     if car_file is None:
         if not simulated:
             raise ConfigError("--car: which car? Name its car.toml, or give --sim for a simulated one")
-        return car_of(None), True
-    check_before(car_file, dry_run)
+        return car_of(None)
+    if not dry_run:
+        check_car_file(car_file)
     car = car_of(car_file)
-    if by_board and car.link.kind != "arduino":
+    if needs_board_log and car.link.kind != "arduino":
         raise ConfigError(
-            f'{car_file}: [link] kind = "{car.link.kind}": only the board with kind = "arduino" says which pulses and '
-            "ticks there were; see --manual and --ticks"
+            f'{car_file}: [link] kind = "{car.link.kind}": only the board with kind = "arduino" reports pulses and '
+            "ticks; see --manual and --ticks"
         )
     if simulated:
         link = dataclasses.replace(car.link, port="sim")
         car = dataclasses.replace(car, link=link, camera=dataclasses.replace(car.camera, source="sim"))
-    return car, car.link.port == "sim"
+    return car
 
 
-def plant_of(car: CarConfig, seed: int, gyro: bool = True) -> PlantConfig:
-    """What the simulated car truly is."""
-    vehicle = car.vehicle
-    return PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=seed, gyro=gyro)
+@contextlib.contextmanager
+def calibration_rig(
+    car: CarConfig, *, hidden: PlantConfig | None = None, camera: bool = False, auto_arm: bool = False
+) -> Iterator[Rig]:
+    """Implements `calibration.drive.RigMaker`."""
+    with contextlib.ExitStack() as leaving:
+        if hidden is not None:
+            yield simulated_rig(car, hidden, camera)
+        else:
+            yield real_rig(car, camera, auto_arm, leaving)
 
 
-def simulated_rig(car: CarConfig, plant_config: PlantConfig, seed: int, camera: bool) -> LoggedRig:
+def simulated_rig(car: CarConfig, hidden: PlantConfig, camera: bool) -> Rig:
     """A car on an empty floor, in virtual time; with `camera` it sees a tiled floor."""
-    plant = Plant(plant_config)
+    plant = Plant(hidden)
     board = EmulatedArduino(plant, car.link.baud)
 
     def advance(t_ns: int) -> None:
@@ -75,18 +78,50 @@ def simulated_rig(car: CarConfig, plant_config: PlantConfig, seed: int, camera: 
         plant.advance(t_ns)
 
     clock = VirtualClock(0, advance)
-    logged = LoggedTransport(MemoryTransport(board, clock), clock)
-    rig = Rig(
-        source=Ticks(clock, TiledFloor(car, plant, seed), 1.0 / car.camera.rate_hz) if camera else Ticks(clock),
-        link=ArduinoLink(logged, car.link, car.vehicle),
+    source = Ticks(clock, TiledFloor(car, plant, hidden.seed), 1.0 / car.camera.rate_hz) if camera else Ticks(clock)
+    return rig_on(car, MemoryTransport(board, clock), clock, source, auto_arm=True, plant=plant)
+
+
+def real_rig(car: CarConfig, camera: bool, auto_arm: bool, leaving: contextlib.ExitStack) -> Rig:
+    """The car at the serial port of car.toml, with its camera if `camera`; at port "sim" an emulated board."""
+    clock = MonotonicClock()
+    transport: Transport = SerialTransport(car.link.port, car.link.baud)
+    if car.link.port == "sim":
+        transport = MemoryTransport(EmulatedArduino(Plant(randomised_servo(0, plant_of(car, 0))), car.link.baud), clock)
+    source: Source = Ticks(clock)
+    if camera:
+        source = CaptureThread(make_camera(car))
+        leaving.callback(source.close)
+    return rig_on(car, transport, clock, source, auto_arm=auto_arm, plant=None)
+
+
+def rig_on(
+    car: CarConfig, transport: Transport, clock: SleepingClock, source: Source, *, auto_arm: bool, plant: Plant | None
+) -> Rig:
+    """The rig of a board on `transport`."""
+    board = LoggedTransport(transport, clock)
+    link = ArduinoLink(board, car.link, car.vehicle)
+    return Rig(
+        car=car,
+        link=link,
         clock=clock,
-        auto_arm=True,
+        auto_arm=auto_arm,
+        board=board,
+        plant=plant,
+        run_parts=lambda loop: RunParts(
+            source=source,
+            link=link,
+            recorder=None,
+            motion=MotionEstimator(car.vehicle),
+            loop=loop,
+            safety=Safety(car.safety, auto_arm=auto_arm),
+            clock=clock,
+        ),
     )
-    return LoggedRig(rig=rig, board=logged, plant=plant)
 
 
 class TiledFloor:
-    """What the car's camera sees of a matt, tiled floor without end."""
+    """What the car's camera sees of an endless matt, tiled floor."""
 
     def __init__(self, car: CarConfig, plant: Plant, seed: int) -> None:
         look = dataclasses.replace(
@@ -102,19 +137,7 @@ class TiledFloor:
         self._plant, self._index = plant, 0
 
     def __call__(self, t_ns: int) -> Image:
-        """The picture at `t_ns`."""
+        """The image at `t_ns`."""
         self._index += 1
         car = self._plant.predicted(t_ns)
         return self._renderer.render(car.x_m, car.y_m, car.yaw_rad, car.speed_mps, car.yaw_rate_radps, self._index)
-
-
-def real_rig(car: CarConfig, camera: bool, auto_arm: bool, leaving: contextlib.ExitStack) -> LoggedRig:
-    """The car at the serial port of car.toml, and its camera where that is wanted."""
-    clock = MonotonicClock()
-    logged = LoggedTransport(SerialTransport(car.link.port, car.link.baud), clock)
-    source: Ticks | CaptureThread = Ticks(clock)
-    if camera:
-        source = CaptureThread(make_camera(car))
-        leaving.callback(source.close)
-    link = ArduinoLink(logged, car.link, car.vehicle)
-    return LoggedRig(rig=Rig(source=source, link=link, clock=clock, auto_arm=auto_arm), board=logged, plant=None)

@@ -1,4 +1,4 @@
-"""Pictures to calibrate with: files, folders, globs, videos and recordings, or the camera itself."""
+"""Images to calibrate with: files, folders, globs, videos and recordings, or the camera itself."""
 
 from __future__ import annotations
 
@@ -17,27 +17,35 @@ from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import SUFFIXES, natural_key
 from automodel.sources.images import read_image
 from automodel.types import Image
+from calibration.views import ImageFeed
 
 LIVE = "live"
-_FRAMES = 120  # of a video or recording that are looked at, spread over its length
-_EVERY = 10  # where its length is not known
+_FRAMES = 120  # of a video or recording that are used, evenly over its length
+_EVERY = 10  # frames, where the length is not known
 _READ_S = 5.0
 
 
-def is_live(sources: Sequence[str]) -> bool:
-    """Whether the camera of car.toml is meant."""
-    return tuple(sources) == (LIVE,)
+@contextlib.contextmanager
+def open_images(sources: Sequence[str], car_file: Path, car: CarConfig) -> Iterator[ImageFeed]:
+    """The images that the arguments name, `live` for those of the car's camera; raises ConfigError, SourceError."""
+    if tuple(sources) == (LIVE,):
+        with _live_camera(car, car_file) as camera:
+            yield ImageFeed(images=_live_frames(camera), live=True, total=None)
+        return
+    paths = named_paths(sources)
+    total = len(paths) if all(path.suffix.lower() in SUFFIXES for path in paths) else None
+    yield ImageFeed(images=_images_of(paths, car), live=False, total=total)
 
 
 def named_paths(sources: Sequence[str]) -> list[Path]:
-    """The files that the arguments name: globs spread out, folders as their pictures; raises ConfigError."""
+    """The files that the arguments name: globs expanded, folders as their images; raises ConfigError."""
     paths: list[Path] = []
     for source in sources:
         path = Path(source)
         if path.is_dir():
             found = [p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file()]
             if not found:
-                raise ConfigError(f"{source}: no pictures in this folder ({', '.join(SUFFIXES)})")
+                raise ConfigError(f"{source}: no images in this folder ({', '.join(SUFFIXES)})")
         elif path.exists():
             paths.append(path)
             continue
@@ -49,8 +57,8 @@ def named_paths(sources: Sequence[str]) -> list[Path]:
     return list(dict.fromkeys(paths))
 
 
-def pictures_of(paths: Sequence[Path], car: CarConfig) -> Iterator[tuple[str, Image | SourceError]]:
-    """Name and picture, of videos and recordings some hundred frames; a picture that cannot be read is its error."""
+def _images_of(paths: Sequence[Path], car: CarConfig) -> Iterator[tuple[str, Image | SourceError]]:
+    """Name and image, about a hundred of a video or recording; an unreadable image is its error."""
     short = len({path.name for path in paths}) == len(paths)
     for path in paths:
         if path.suffix.lower() in SUFFIXES:
@@ -79,10 +87,10 @@ def _frames(path: Path, car: CarConfig) -> Iterator[tuple[str, Image]]:
 
 
 @contextlib.contextmanager
-def live_camera(car: CarConfig, car_file: Path) -> Iterator[Source]:
-    """The camera of car.toml, read in a thread that keeps the newest frame only; a file is read frame by frame."""
+def _live_camera(car: CarConfig, car_file: Path) -> Iterator[Source]:
+    """The camera of car.toml, read in a thread that keeps the newest frame; a file is read frame by frame."""
     if car.camera.source == "sim":
-        raise ConfigError(f'{car_file}: [camera] source "sim" gives no pictures; live is for "csi" and "usb"')
+        raise ConfigError(f'{car_file}: [camera] source "sim" gives no images; live is for "csi" and "usb"')
     camera = make_camera(car)
     if car.camera.source in ("csi", "usb"):
         camera = CaptureThread(camera)
@@ -92,12 +100,12 @@ def live_camera(car: CarConfig, car_file: Path) -> Iterator[Source]:
         camera.close()
 
 
-def live_frames(camera: Source) -> Iterator[tuple[str, Image]]:
-    """Name and picture of every frame until the camera ends; raises SourceError where none comes for 5 s."""
+def _live_frames(camera: Source) -> Iterator[tuple[str, Image]]:
+    """Name and image of every frame until the camera ends; raises SourceError after 5 s without one."""
     with contextlib.suppress(EndOfSource):
         while True:
             frame = camera.read(_READ_S)
             if frame is None:
-                raise SourceError(f"no picture from the camera in {_READ_S:.0f} s; is it plugged in and free?")
+                raise SourceError(f"no image from the camera in {_READ_S:.0f} s; is it plugged in and free?")
             if isinstance(frame, Frame):
                 yield f"frame {frame.index}", frame.image

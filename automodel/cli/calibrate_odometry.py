@@ -17,7 +17,7 @@ def numbers(ctx: click.Context, param: click.Parameter, value: str) -> tuple[flo
     except ValueError:
         found = ()
     if not found or not all(v > 0 and math.isfinite(v) for v in found):
-        raise click.BadParameter(f"{value!r} where positive numbers with commas between are wanted", ctx, param)
+        raise click.BadParameter(f"expected positive numbers with commas between, got {value!r}", ctx, param)
     return found
 
 
@@ -28,38 +28,41 @@ def numbers(ctx: click.Context, param: click.Parameter, value: str) -> tuple[flo
     type=click.FloatRange(0.5, 100.0),
     callback=finite,
     required=True,
-    help="Length of the measured straight; driving, the way that is about driven.",
+    help="Length of the measured straight; for a drive, about how far it goes.",
 )
 @click.option("--push", is_flag=True, help="Push the car along the straight by hand: ticks only, the motor stays off.")
-@click.option("--runs", type=click.IntRange(1, 20), default=3, show_default=True, help="--push: how often.")
+@click.option("--runs", type=click.IntRange(1, 20), default=3, show_default=True, help="--push: number of runs.")
 @click.option(
-    "--speeds", default="0.5,0.8,1.1", show_default=True, callback=numbers, help="Driving: one run each [m/s]."
+    "--speeds", default="0.5,0.8,1.1", show_default=True, callback=numbers, help="For a drive: one run for each [m/s]."
 )
 @click.option(
     "--ticks",
     "counted",
     multiple=True,
     type=click.IntRange(1),
-    help="Ticks already counted over the distance; give it once a run. Nothing moves.",
+    help="Ticks already counted over the distance, once for each run. Nothing moves.",
 )
-@click.option("--sim", "simulated", is_flag=True, help="A simulated car whose motor and wheels nobody knows.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Simulated: which car.")
+@click.option("--sim", "simulated", is_flag=True, help="A simulated car with a hidden motor and hidden wheels.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Simulated: draws the car.")
 @click.option("--out", type=FILE, help="Folder for the picture.  [calibration_pictures beside car.toml]")
-@click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
-@click.option("--dry-run", is_flag=True, help="Measure, but leave car.toml as it is.")
-def command(push: bool, **given: Any) -> int:
+@click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
+@click.option("--dry-run", is_flag=True, help="Measure, but leave car.toml unchanged.")
+def command(simulated: bool, **given: Any) -> int:
     """Wheel ticks a metre, and which motor pulse makes which speed.
 
-    The car drives the straight once for each of --speeds and stops; you measure the way with a tape and type it in.
-    Enter arms and Enter stops. With --push you push it along exactly --distance-m instead.
+    The car drives the straight once for each of --speeds and stops; you measure the distance with a tape and type it
+    in. Enter arms and Enter stops. With --push you push it along exactly --distance-m instead.
     """
+    from automodel.assembly.calibration_rigs import calibration_rig, car_to_calibrate
     from automodel.console.messages import say
-    from calibration.calibration_drive import DriveEnded
-    from calibration.odometry_drive import OdometryOptions, calibrate_odometry
+    from calibration.drive import DriveEnded
+    from calibration.odometry_dialogue import OdometryOptions, calibrate_odometry
 
-    options = OdometryOptions(push=push, **given)
+    options = OdometryOptions(**given)
+    needs_board = not options.counted
+    car = car_to_calibrate(options.car_file, simulated, options.dry_run, needs_board_log=needs_board)
     try:
-        return calibrate_odometry(options)
+        return calibrate_odometry(car, options, calibration_rig)
     except DriveEnded as error:
         say(f"automodel calibrate odometry: {error}; nothing was written")
         return 1

@@ -15,9 +15,8 @@ from automodel.cli.options import FILE
 from automodel.config import CarConfig
 from automodel.console.messages import say
 from automodel.console.tables import show
-from automodel.doctor.board import Board
+from automodel.doctor.board import Board, Consent
 from automodel.doctor.findings import Finding, Verdict, fail, failed, skip, summary, warn
-from automodel.doctor.move import Consent
 from automodel.interfaces import Source
 from automodel.runtime.clocks import MonotonicClock, SleepingClock
 from automodel.signals import Frame
@@ -87,9 +86,8 @@ def _car_findings(car: CarConfig, consent: Consent | None, frames: list[Frame]) 
 
     The board comes first: it is left alone while the camera is looked through, and would say so.
     """
-    from automodel.doctor.board import board_findings, can_finding
+    from automodel.doctor.board import board_findings, can_finding, servo_finding
     from automodel.doctor.camera import camera_findings, lane_finding
-    from automodel.doctor.move import servo_finding
 
     source, port = car.camera.source, car.link.port
     if (source == "sim") != (port == "sim"):

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from automodel.assembly.parts import make_pipeline
 from automodel.config import CarConfig
-from automodel.doctor.bounds import bounded
-from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.interfaces import Source
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.errors import EndOfSource, SourceError

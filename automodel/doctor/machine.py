@@ -24,8 +24,7 @@ import cv2
 
 import automodel
 from automodel.config import CameraConfig, CarConfig, RecordingConfig
-from automodel.doctor.bounds import bounded
-from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig, drawn_lines
 from automodel.recording.codec import ImageCodec
 from automodel.types import Image

@@ -15,7 +15,7 @@ from automodel.geometry import CameraModel
 from calibration.boards import Board, FoundBoard
 from calibration.camera import CameraCalibration, calibrate_camera, check_camera, field_of_view_deg
 from calibration.pictures import coverage_picture, undistorted_picture
-from calibration.views import CalibrationError, Refused, View, Views, coverage, edge_width_px, missing_sights, settle
+from calibration.views import CalibrationError, Refused, View, Views, coverage, edge_width_px, missing_views, settle
 from tests.support.drawn_boards import LENS, PAPER_PX, SIZE, chessboard, held, seen, turned
 
 BOARD = Board(columns=9, rows=6, square_m=0.025)
@@ -210,7 +210,7 @@ def test_nothing_found_is_said() -> None:
 
 def test_what_is_missing_is_named(views: list[View]) -> None:
     middle = [views[6]]
-    assert missing_sights(middle).startswith("missing: the board at the ")
+    assert missing_views(middle).startswith("missing: the board at the ")
     assert coverage(views).sum() == 10 * 54
     picture = coverage_picture(views, SIZE)
     assert picture.shape == (360, 640, 3)

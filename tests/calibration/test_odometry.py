@@ -7,9 +7,9 @@ import pytest
 
 from automodel.config import MotorConfig
 from calibration.odometry import (
+    MeasuredRun,
     OdometryError,
     SteadySpeed,
-    Way,
     fit_motor,
     fit_ticks,
     speeds,
@@ -18,7 +18,13 @@ from calibration.odometry import (
 
 
 def test_ticks_of_several_runs() -> None:
-    found = fit_ticks([Way(ticks=812, distance_m=4.0), Way(ticks=1005, distance_m=5.0), Way(ticks=606, distance_m=3.0)])
+    found = fit_ticks(
+        [
+            MeasuredRun(ticks=812, distance_m=4.0),
+            MeasuredRun(ticks=1005, distance_m=5.0),
+            MeasuredRun(ticks=606, distance_m=3.0),
+        ]
+    )
     assert found.ticks_per_m == pytest.approx((812 + 1005 + 606) / 12.0)
     assert found.scatter_per_m == pytest.approx(np.std([203.0, 201.0, 202.0], ddof=1))
     assert found.runs == 3
@@ -29,7 +35,7 @@ def test_the_deviation_of_equal_runs_is_that_of_counting_whole_ticks() -> None:
     errors, told = [], []
     for _ in range(400):  # from anywhere between two ticks to anywhere between two ticks
         starts = rng.uniform(0.0, 1.0, 2)
-        ways = [Way(ticks=int(np.floor(s + 4.003 * 200.0) - np.floor(s)), distance_m=4.003) for s in starts]
+        ways = [MeasuredRun(ticks=int(np.floor(s + 4.003 * 200.0) - np.floor(s)), distance_m=4.003) for s in starts]
         found = fit_ticks(ways)
         errors.append(found.ticks_per_m - 200.0)
         told.append(found.sd_per_m)
@@ -48,7 +54,7 @@ def test_the_deviation_of_equal_runs_is_that_of_counting_whole_ticks() -> None:
 )
 def test_runs_that_tell_nothing_are_refused(ways: list[tuple[int, float]], said: str) -> None:
     with pytest.raises(OdometryError, match=said):
-        fit_ticks([Way(ticks=n, distance_m=d) for n, d in ways])
+        fit_ticks([MeasuredRun(ticks=n, distance_m=d) for n, d in ways])
 
 
 def steady(*pairs: tuple[float, float]) -> list[SteadySpeed]:

@@ -13,7 +13,7 @@ import pytest
 from automodel.config import ServoConfig
 from automodel.sim.plant import PlantConfig
 from automodel.sim.randomised_plant import randomised_servo
-from calibration.drive_plan import DrivePlan, Leg, servo_plan
+from calibration.drive import DrivePlan, Leg, servo_plan
 from calibration.servo import ServoError, ServoTable, fit_table
 from calibration.servo_log import SETTLE_NS, ServoLog, holds_of, without_bias
 from tests.support.servo_drives import WHEELBASE_M, changed, driven

@@ -14,15 +14,15 @@ from automodel.assembly import calibration_rigs
 from automodel.config import load_car
 from automodel.runtime.clocks import VirtualClock
 from automodel.sim.plant import PlantConfig
-from calibration import calibration_drive, odometry_drive
-from firmware_link.arduino import ArduinoLink
+from calibration import odometry_dialogue
+from calibration.drive import Rig, Ticks
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import BenchPeripherals
-from firmware_link.transport import LoggedTransport, MemoryTransport
+from firmware_link.transport import MemoryTransport
 from tests.support.calibrated_cars import during, untouched
 
 
-def test_odometry_driven(car: Path, at_rest: Callable[[], bool], cli) -> None:
+def test_odometry_dialoguen(car: Path, at_rest: Callable[[], bool], cli) -> None:
     said = cli("calibrate", "odometry", "--car", car, "--distance-m", 3, "--seed", 2, "--json")
     assert said.code == 0, said.err
     (row,) = said.rows
@@ -74,7 +74,7 @@ def test_a_motor_that_does_not_move_the_car(car: Path, monkeypatch: pytest.Monke
             plant, motor=dataclasses.replace(plant.motor, speed_mps=(-1e-6, 0.0, 1e-6)), ticks_per_m=200.0
         )
 
-    monkeypatch.setattr(odometry_drive, "randomised_motor", stuck)
+    monkeypatch.setattr(odometry_dialogue, "randomised_motor", stuck)
     said = cli("calibrate", "odometry", "--car", car, "--distance-m", 1)
     assert said.code == 2
     assert untouched(car)
@@ -98,11 +98,9 @@ def test_odometry_pushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli) -
     clock = VirtualClock(0, board.advance)
     ticks = iter((5, 805, 805, 1607))
 
-    def rig(car, **_: object) -> calibration_rigs.LoggedRig:
-        logged = LoggedTransport(MemoryTransport(board, clock), clock)
-        link = ArduinoLink(logged, car.link, car.vehicle)
-        parts = calibration_drive.Rig(source=calibration_drive.Ticks(clock), link=link, clock=clock, auto_arm=False)
-        return calibration_rigs.LoggedRig(rig=parts, board=logged, plant=None)
+    def rig(car, *_: object) -> Rig:
+        transport = MemoryTransport(board, clock)
+        return calibration_rigs.rig_on(car, transport, clock, Ticks(clock), auto_arm=False, plant=None)
 
     class Key:
         def __init__(self, says: str) -> None:
@@ -120,9 +118,9 @@ def test_odometry_pushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli) -
                 bench.sensors = dataclasses.replace(bench.sensors, wheel_ticks=next(ticks))
             return self.turns % 100 == 0
 
-    monkeypatch.setattr(odometry_drive, "real_rig", rig)
-    monkeypatch.setattr(odometry_drive, "ArmKey", Key)
-    monkeypatch.setattr(odometry_drive, "has_terminal", lambda: True)
+    monkeypatch.setattr(calibration_rigs, "real_rig", rig)
+    monkeypatch.setattr(odometry_dialogue, "ArmKey", Key)
+    monkeypatch.setattr(odometry_dialogue, "has_terminal", lambda: True)
     said = cli("calibrate", "odometry", "--push", "--runs", 2, "--distance-m", 4, "--car", path)
     assert said.code == 0, said.err
     assert load_car(path).vehicle.ticks_per_m == pytest.approx((800 + 802) / 8.0, abs=0.01)

@@ -14,7 +14,7 @@ from automodel.assembly import calibration_rigs
 from automodel.config import ServoConfig, load_car
 from automodel.sim.plant import CarState, Plant, Ranges
 from calibration import servo_drive
-from calibration.drive_plan import DrivePlan, Leg
+from calibration.drive import DrivePlan, Leg
 from tests.support.calibrated_cars import SIMULATED, during, untouched
 
 

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from automodel.assembly import calibration_rigs
 from automodel.config import load_car
 from automodel.runtime.clocks import VirtualClock
-from calibration import servo_dialogue as servo_terminal
+from calibration import servo_dialogue
+from calibration.drive import Rig, Ticks
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
@@ -61,9 +63,13 @@ class Person:
         self.bench, self.script, self.turns = BenchPeripherals(), script, 0
         board = EmulatedArduino(self.bench)
         self.clock = VirtualClock(0, board.advance)
-        monkeypatch.setattr(servo_terminal, "Terminal", lambda: self)
-        monkeypatch.setattr(servo_terminal, "MonotonicClock", lambda: self.clock)
-        monkeypatch.setattr(servo_terminal, "_transport", lambda car, simulated: MemoryTransport(board, self.clock))
+        transport = MemoryTransport(board, self.clock)
+
+        def rig(car, *_: object) -> Rig:
+            return calibration_rigs.rig_on(car, transport, self.clock, Ticks(self.clock), auto_arm=False, plant=None)
+
+        monkeypatch.setattr(servo_dialogue, "Terminal", lambda: self)
+        monkeypatch.setattr(calibration_rigs, "real_rig", rig)
         self.board = board
 
     def __enter__(self) -> Person:
@@ -79,7 +85,7 @@ class Person:
         if text == "^C":
             os.kill(os.getpid(), signal.SIGINT)
             return []
-        return servo_terminal.keys_of(text)
+        return servo_dialogue.keys_of(text)
 
 
 def test_by_hand(car: Path, monkeypatch: pytest.MonkeyPatch, cli) -> None:

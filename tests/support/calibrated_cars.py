@@ -9,7 +9,7 @@ import pytest
 
 from automodel.assembly import calibration_rigs
 from automodel.sim.plant import Plant
-from calibration import calibration_drive, odometry_drive, servo_drive
+from calibration import drive
 
 SIMULATED = '# mine\n[link]\nport = "sim"  # here\n'
 
@@ -41,18 +41,17 @@ def at_rest(pins: list, monkeypatch: pytest.MonkeyPatch) -> Callable[[], bool]:
 
     The board's own timer would take five: it is the host that stopped the car.
     """
-    rigs: list[calibration_rigs.LoggedRig] = []
+    rigs: list[drive.Rig] = []
     make = calibration_rigs.simulated_rig
 
     def keeping(*arguments, **named):
         rigs.append(make(*arguments, **named))
         return rigs[-1]
 
-    monkeypatch.setattr(servo_drive, "simulated_rig", keeping)
-    monkeypatch.setattr(odometry_drive, "simulated_rig", keeping)
+    monkeypatch.setattr(calibration_rigs, "simulated_rig", keeping)
 
     def look() -> bool:
-        rigs[-1].rig.clock.sleep(0.04)
+        rigs[-1].clock.sleep(0.04)
         drove = any(motor > 1500.0 for _, _, motor in pins)
         return drove and pins[-1][1:] == (1500.0, 1500.0)
 
@@ -65,7 +64,7 @@ def untouched(car: Path) -> bool:
 
 def during(monkeypatch: pytest.MonkeyPatch, after_s: float, act: Callable[[], None]) -> None:
     """Call `act` once, so long after the drive's first turn, in the middle of a turn."""
-    step, seen = calibration_drive.PlanFollower.step, []
+    step, seen = drive.PlanFollower.step, []
 
     def acting(self, estimate, motion, state, t_ns):
         seen.append(t_ns)
@@ -74,4 +73,4 @@ def during(monkeypatch: pytest.MonkeyPatch, after_s: float, act: Callable[[], No
             act()
         return step(self, estimate, motion, state, t_ns)
 
-    monkeypatch.setattr(calibration_drive.PlanFollower, "step", acting)
+    monkeypatch.setattr(drive.PlanFollower, "step", acting)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from automodel.sim.plant import Plant, PlantConfig
-from calibration.drive_plan import DrivePlan, servo_plan
+from calibration.drive import DrivePlan, servo_plan
 from calibration.servo_log import ServoLog
 
 FRAME_NS = 20_000_000

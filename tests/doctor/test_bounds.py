@@ -9,10 +9,8 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.doctor import machine as doctor_machine
-from automodel.doctor.board import can_finding
-from automodel.doctor.bounds import bounded
-from automodel.doctor.findings import Finding, Verdict
-from automodel.doctor.move import Consent, servo_finding
+from automodel.doctor.board import Consent, can_finding, servo_finding
+from automodel.doctor.findings import Finding, Verdict, bounded
 from automodel.runtime.clocks import VirtualClock
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino

@@ -12,8 +12,8 @@ from automodel.geometry import GroundCamera
 from automodel.geometry.se2 import SE2
 from automodel.sim.appearance import Appearance
 from automodel.sim.renderer import Renderer
-from calibration import ground_motion
-from calibration.ground_motion import FloorError, floor_view, motion_of
+from calibration import visual_odometry as ground_motion
+from calibration.visual_odometry import FloorError, floor_view, motion_of
 
 CAMERA = GroundCamera.from_config(CarConfig().camera)
 LOOK = dataclasses.replace(
