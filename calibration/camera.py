@@ -1,7 +1,4 @@
-"""The camera's lens from views of a board, with the error that views left out of the fit have.
-
-Whether a camera that was found can be true: what lenses and sensors are like, and how much was seen.
-"""
+"""The camera's lens from views of a board, with its error in views left out of the fit, and checks of plausibility."""
 
 from __future__ import annotations
 
@@ -21,14 +18,14 @@ from calibration.views import CalibrationError, Refused, View, coverage
 _FEWEST_VIEWS = 4
 _FOLDS = 5
 _OUTLIER = 3.0  # times the median view's error
-_OUTLIER_PX = 0.5  # and more than this at the least
-_WORTH = 0.995  # k3 stays only where it makes the error of views left out smaller than this share
+_OUTLIER_PX = 0.5  # and at least this
+_WORTH = 0.995  # k3 is used where it reduces the error of views left out below this share
 _SIMPLE, _WITH_K3 = cv2.CALIB_FIX_K3, 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ViewError:
-    """How one view fits: `rms_px` in the fit, `held_out_px` in a fit without it, pose alone adapted.
+    """The error of one view: `rms_px` in the fit, `held_out_px` in a fit without it, in which only its pose is fitted.
 
     `residuals_px` (n, 2): seen corner minus projected one, in the fit.
     """
@@ -41,10 +38,10 @@ class ViewError:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration:
-    """What was found, and how good it is.
+    """The camera found, and its accuracy.
 
-    `rms_px`: over all corners of the views used; `cross_validated_px`: the same, each view's from a fit without it;
-    `focal_std_px`: of fx, from the spread of the fits that leave views out (jackknife).
+    `rms_px`: over all corners of the views used; `cross_validated_px`: the same, each view in a fit without it;
+    `focal_std_px`: of fx, by the jackknife over the views left out.
     """
 
     intrinsics: Intrinsics
@@ -65,15 +62,15 @@ class _Fit:
 
 
 def calibrate_camera(views: Sequence[View], board: Board) -> CameraCalibration:
-    """Focal lengths, centre and distortion (Brown's model; k3 only where views left out say that it helps).
+    """Focal lengths, centre and distortion (Zhang 2000; Brown's model, k3 only where views left out fit better).
 
     Views that fit far worse than the others are dropped. Raises CalibrationError for too few views.
     """
     used, dropped = _consistent(list(views), board)
     if len(used) < _FEWEST_VIEWS:
         raise CalibrationError(
-            f"{len(used)} usable views of the board; {_FEWEST_VIEWS} at least are wanted, 15 are good: near and far, "
-            f"in the picture's corners too, tilted to all sides"
+            f"expected at least {_FEWEST_VIEWS} usable views of the board, better 15, got {len(used)}: near and far, "
+            "in the corners of the image too, tilted to all sides"
         )
     simple = _cross_validated(used, board, _SIMPLE)
     full = _cross_validated(used, board, _WITH_K3)
@@ -109,7 +106,7 @@ def _intrinsics(fit: _Fit) -> Intrinsics:
 
 
 def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refused]]:
-    """Without the views that fit badly, the worst first: its corners are wrong, or the board was bent."""
+    """Drops the views that fit badly, the worst first: their corners are wrong, or the board was bent."""
     dropped: list[Refused] = []
     while len(views) >= max(_FEWEST_VIEWS, 4 * len(dropped)):
         errors = np.array([_rms([residuals]) for residuals in _fit(views, board, _SIMPLE).residuals_px])
@@ -117,7 +114,7 @@ def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refus
         usual = float(np.median(errors))
         if errors[worst] < max(_OUTLIER * usual, _OUTLIER_PX):
             break
-        reason = f"does not fit the others: {errors[worst]:.1f} px where {usual:.1f} px are usual"
+        reason = f"does not fit the others: error {errors[worst]:.1f} px, median {usual:.1f} px"
         dropped.append(Refused(name=views[worst].name, reason=reason, found=views[worst].found))
         del views[worst]
     return views, dropped
@@ -155,7 +152,7 @@ def _fit(views: Sequence[View], board: Board, flags: int) -> _Fit:
 
 
 def _left_out(view: View, board: Board, fit: _Fit) -> FloatArray:
-    """The residuals of a view that had no part in the fit: only the board's pose is adapted."""
+    """The residuals of a view left out of the fit, in which only the board's pose is fitted."""
     points, corners = board.points_m(view.found.grid), view.found.corners_px
     _, rotation, shift = cv2.solvePnP(points, corners, fit.matrix, fit.distortion)
     return corners - _projected(points, rotation, shift, fit.matrix, fit.distortion)
@@ -169,13 +166,13 @@ def _projected(
 
 
 def _rms(residuals: Sequence[FloatArray]) -> float:
-    """Root mean square of the lengths, as OpenCV counts it: over corners, not coordinates."""
+    """Root mean square over corners, as in OpenCV, not over coordinates."""
     return float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One thing that was looked at; `status` is "OK", "WARN" or "FAIL" (do not use it), `text` what and what to do."""
+    """One check: `status` is "OK", "WARN" or "FAIL" (do not use the camera), `text` the result and what to do."""
 
     name: str
     status: str
@@ -183,7 +180,7 @@ class Check:
 
 
 def check_camera(found: CameraCalibration) -> tuple[Check, ...]:
-    """Every check of a calibration, in the order in which a person would ask."""
+    """All checks of a calibration, the most important first."""
     return (
         _residual(found),
         _left_out_check(found),
@@ -197,7 +194,7 @@ def check_camera(found: CameraCalibration) -> tuple[Check, ...]:
 
 
 def _graded(name: str, value: float, limits: tuple[float, float], text: str, advice: str) -> Check:
-    """OK up to the first limit, FAIL beyond the second; the advice follows where it is not OK."""
+    """OK up to the first limit, FAIL beyond the second; with the advice unless it is OK."""
     status = "OK" if value <= limits[0] else "WARN" if value <= limits[1] else "FAIL"
     return Check(name=name, status=status, text=text if status == "OK" else f"{text}; {advice}")
 
@@ -210,7 +207,7 @@ def _residual(found: CameraCalibration) -> Check:
 
 def _left_out_check(found: CameraCalibration) -> Check:
     ratio = found.cross_validated_px / max(found.rms_px, 1e-9)
-    text = f"{found.cross_validated_px:.2f} px in views that had no part in the fit"
+    text = f"{found.cross_validated_px:.2f} px in views left out of the fit"
     return _graded("views left out", ratio, (1.3, 3.0), text, "too few or too similar views: take more, of all sides")
 
 
@@ -223,27 +220,27 @@ def _focal_error(found: CameraCalibration) -> Check:
 def _square_pixels(found: CameraCalibration) -> Check:
     share = abs(found.intrinsics.fx_px / found.intrinsics.fy_px - 1.0)
     text = f"fx / fy = {found.intrinsics.fx_px / found.intrinsics.fy_px:.4f}"
-    return _graded("square pixels", share, (0.02, 0.2), text, "are the pictures stretched, or too few views tilted?")
+    return _graded("square pixels", share, (0.02, 0.2), text, "are the images stretched, or too few views tilted?")
 
 
 def _centre(found: CameraCalibration) -> Check:
     off_u = found.intrinsics.cx_px - 0.5 * (found.width_px - 1)
     off_v = found.intrinsics.cy_px - 0.5 * (found.height_px - 1)
     share = math.hypot(off_u, off_v) / found.width_px
-    text = f"({off_u:+.0f}, {off_v:+.0f}) px from the picture's middle"
-    return _graded("principal point", share, (0.08, 0.25), text, "are the pictures cropped, or too few views tilted?")
+    text = f"({off_u:+.0f}, {off_v:+.0f}) px from the middle of the image"
+    return _graded("principal point", share, (0.08, 0.25), text, "are the images cropped, or too few views tilted?")
 
 
 def _lens(found: CameraCalibration) -> Check:
-    """The lens must image more of the world further from its middle, out to the picture's corners."""
+    """The distance from the centre must grow with the angle of view, out to the corners of the image."""
     rays = CameraModel(found.intrinsics, found.width_px, found.height_px).rays(_border(found))
     if np.isnan(rays).any():
-        text = "the lens model folds back inside the picture; show the board in the picture's corners, too"
+        text = "the lens model folds back inside the image; show the board in the corners of the image, too"
         return Check(name="distortion", status="FAIL", text=text)
     i = found.intrinsics
     straight = np.stack((rays[:, 0] * i.fx_px + i.cx_px, rays[:, 1] * i.fy_px + i.cy_px), axis=-1)
     shift = float(np.linalg.norm(straight - _border(found), axis=1).max())
-    return Check(name="distortion", status="OK", text=f"grows to {shift:.0f} px at the picture's border, monotone")
+    return Check(name="distortion", status="OK", text=f"grows to {shift:.0f} px at the border of the image, monotone")
 
 
 def _border(found: CameraCalibration) -> FloatArray:
@@ -254,7 +251,7 @@ def _border(found: CameraCalibration) -> FloatArray:
 
 
 def field_of_view_deg(found: CameraCalibration) -> float:
-    """The horizontal angle of view, through the picture's middle row; NaN where the lens model folds back."""
+    """The horizontal field of view [deg] through the principal point; NaN where the lens model folds back."""
     ends = ((0.0, found.intrinsics.cy_px), (found.width_px - 1.0, found.intrinsics.cy_px))
     rays = CameraModel(found.intrinsics, found.width_px, found.height_px).rays(ends)
     return float(np.degrees(np.arctan(rays[1, 0]) - np.arctan(rays[0, 0])))
@@ -265,10 +262,10 @@ def _view_angle(found: CameraCalibration) -> Check:
     text = f"{angle:.0f} deg across"
     if 25.0 <= angle <= 130.0:
         return Check(name="angle of view", status="OK", text=text)
-    return Check(name="angle of view", status="WARN", text=f"{text}; lenses of cars have 40 to 120")
+    return Check(name="angle of view", status="WARN", text=f"{text}; usual lenses have 40 to 120")
 
 
 def _coverage(found: CameraCalibration) -> Check:
     share = float((coverage(error.view for error in found.views) > 0).mean())
-    text = f"{100.0 * share:.0f} % of the picture"
+    text = f"{100.0 * share:.0f} % of the image"
     return _graded("coverage", 1.0 - share, (0.35, 1.0), text, "show the board where there were no corners")

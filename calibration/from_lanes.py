@@ -1,11 +1,9 @@
-"""The camera's attitude and height from the lines of a straight road, and nothing else.
+"""The camera's attitude and height from images of a straight road alone.
 
-The lines' vanishing point, over pictures of a drive, is where the car heads on average: pitch and yaw. Seen from there
-each line lies in a plane through the camera; how steep it is says how far the line is to the side, in heights of the
-camera, and a lane's known width gives the height. A camera that rolls sees lanes on one side wider than on the other:
-where pictures show lanes at different places, roll is what makes all of them one width.
-
-Roll and height of a camera from lines seen in a plane of view each: all lanes are of one width.
+The vanishing point of the lines, over the images of a drive, is where the car heads on average: it gives pitch and yaw.
+Each line lies in a plane through the camera. The steepness of that plane gives the lateral distance of the line in
+camera heights, and the known width of a lane gives the height. A camera with roll sees lanes on one side wider than on
+the other: where the images show lanes at different places, roll is the angle that makes all of them one width.
 """
 
 from __future__ import annotations
@@ -21,21 +19,21 @@ from numpy.typing import NDArray
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera, cam_from_body_rotation
 from automodel.types import FloatArray, Image
-from calibration.vanishing_point_fit import BENDING, Pencil, Rays, common_vanishing_point, fit_pencil
+from calibration.vanishing_point_fit import BENDING, ConvergingLines, Rays, common_vanishing_point, fit_converging_lines
 
-WIDTHS = np.geomspace(0.9, 9.0, 231)  # of a lane, in heights of the camera: 1 % apart
-AGREED = 0.04  # of a lane's width: how much lanes differ, one sigma
-ONE_LANE = 0.4  # and by how much the distance of two lines may, to count as a lane at all
-SUPPORT = 0.12  # share of rows on which a line is seen that needs no more
-SMALLER = 0.6  # of the votes of the best width that a smaller one needs: two lanes are no lane
+WIDTHS = np.geomspace(0.9, 9.0, 231)  # of a lane, in camera heights, in steps of 1 %
+AGREED = 0.04  # of a lane's width: one sigma of the difference between lanes
+ONE_LANE = 0.4  # of a lane's width: largest difference of two lines' distance from it for a pair to be a lane
+SUPPORT = 0.12  # share of rows from which a line has full weight
+SMALLER = 0.6  # of the most votes: a smaller width with so many is taken, since two lanes also make a width
 ROLLS_RAD = np.radians(np.arange(-8.0, 8.01, 0.25))
-NO_LANE = "pictures: none shows two lines of a lane with the camera between them"
+NO_LANE = "images: none shows two lines of a lane with the camera between them"
 ROLL_PRIOR_RAD, ROLL_KNOWN_RAD = math.radians(3.0), math.radians(0.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attitude:
-    """A camera's `pitch_rad`, `yaw_rad` and `roll_rad`, and a lane's width in its heights, `width_heights`."""
+    """A camera's `pitch_rad`, `yaw_rad` and `roll_rad`, and the width of a lane in camera heights."""
 
     pitch_rad: float
     yaw_rad: float
@@ -46,20 +44,20 @@ class Attitude:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Pairs:
-    """Two lines of one picture each: steepness (n, 2) [rad], the left one's last, weight (n,) and the picture (n,)."""
+    """Pairs of lines of one image: steepness (n, 2) [rad], right line first, weight (n,) and image number (n,)."""
 
     steepness_rad: FloatArray
     weight: FloatArray
-    picture: NDArray[np.intp]
+    image: NDArray[np.intp]
 
     def widths(self, turn_rad: float) -> FloatArray:
-        """Distances (n,) in heights of the camera, of a camera turned by `turn_rad` about the line of travel."""
+        """Distances (n,) in camera heights, for a camera rotated by `turn_rad` about the direction of travel."""
         right, left = np.tan(np.clip(self.steepness_rad + turn_rad, -1.5, 1.5)).T
         return left - right
 
 
 def level(direction_cam: FloatArray, roll_rad: float) -> tuple[float, float]:
-    """Pitch and yaw [rad] of a camera with that roll that sees body x in `direction_cam` (3,)."""
+    """Pitch and yaw [rad] of a camera with this roll that sees body x in `direction_cam` (3,)."""
     right, down, ahead = direction_cam / np.linalg.norm(direction_cam)
     cos, sin = math.cos(roll_rad), math.sin(roll_rad)
     left, up = sin * down - cos * right, -sin * right - cos * down
@@ -71,31 +69,31 @@ def _rotation(direction_cam: FloatArray, roll_rad: float) -> FloatArray:
     return cam_from_body_rotation(Extrinsics(pitch_rad=pitch, yaw_rad=yaw, roll_rad=roll_rad))
 
 
-def steepness(pencil: Pencil, focal_px: float) -> FloatArray:
+def steepness(lines: ConvergingLines, focal_px: float) -> FloatArray:
     """The angle (k,) [rad] of the plane through the camera and each line, for a camera without roll.
 
-    0 straight below the camera, positive to the left: the line is tan(angle) heights of the camera to the left.
+    0 is straight below the camera, positive to the left: the line is tan(angle) camera heights to the left.
     """
-    ahead = np.array((*pencil.vanishing_px, focal_px))
-    along = np.column_stack((pencil.slopes, np.ones(len(pencil.slopes)), np.zeros(len(pencil.slopes))))
+    ahead = np.array((*lines.vanishing_px, focal_px))
+    along = np.column_stack((lines.slopes, np.ones(len(lines.slopes)), np.zeros(len(lines.slopes))))
     normal = np.cross(ahead, along) @ _rotation(ahead, 0.0)
     return np.arctan(normal[:, 2] / normal[:, 1])
 
 
 def solve_attitude(
-    pencils: Sequence[Pencil], focal_px: float, roll_rad: float, near_heights: float | None = None
+    bundles: Sequence[ConvergingLines], focal_px: float, roll_rad: float, near_heights: float | None = None
 ) -> Attitude:
-    """What the lines of several pictures say; `roll_rad` stands where they do not tell the roll.
+    """The attitude from the lines of several images; roll is `roll_rad` where they do not determine it.
 
-    `near_heights` is about a lane's width in heights of the camera, where it is known already. Raises ValueError where
-    no two lines lie on both sides of the camera, a lane's width apart.
+    `near_heights` is the approximate width of a lane in camera heights, where it is known. Raises ValueError where no
+    two lines lie on both sides of the camera, a lane's width apart.
     """
-    middle = np.median([pencil.vanishing_px for pencil in pencils], axis=0)
+    middle = np.median([lines.vanishing_px for lines in bundles], axis=0)
     ahead = np.array((*middle, focal_px))
-    around = _pairs(pencils, focal_px, True)
+    around = _pairs(bundles, focal_px, True)
     turn_given = float(np.interp(roll_rad, ROLLS_RAD, _turns(ahead)))
     width = near_heights or _usual_width(around, turn_given)
-    turn, sigma = _level_turn(_within(_pairs(pencils, focal_px, False), width, turn_given))
+    turn, sigma = _level_turn(_within(_pairs(bundles, focal_px, False), width, turn_given))
     known = sigma < ROLL_KNOWN_RAD
     roll = float(np.interp(turn, _turns(ahead), ROLLS_RAD)) if known else roll_rad
     turn = turn if known else turn_given
@@ -106,33 +104,33 @@ def solve_attitude(
 
 
 def _turns(ahead: FloatArray) -> FloatArray:
-    """By how much (n,) [rad] each of `ROLLS_RAD` turns the ground about the line of travel."""
+    """The rotation (n,) [rad] of the ground about the direction of travel for each of `ROLLS_RAD`."""
     upright = _rotation(ahead, 0.0)
     turned = [_rotation(ahead, float(roll)).T @ upright for roll in ROLLS_RAD]
     return np.array([math.atan2(r[2, 1], r[1, 1]) for r in turned])
 
 
-def _pairs(pencils: Sequence[Pencil], focal_px: float, around: bool) -> _Pairs:
-    """All pairs of lines of each picture; those with the camera between them if `around`."""
-    found, weights, pictures = [], [], []
-    for number, pencil in enumerate(pencils):
-        angle, weight = steepness(pencil, focal_px), np.minimum(pencil.support / SUPPORT, 1.0)
+def _pairs(bundles: Sequence[ConvergingLines], focal_px: float, around: bool) -> _Pairs:
+    """All pairs of lines of each image; with `around` only those with the camera between them."""
+    found, weights, images = [], [], []
+    for number, lines in enumerate(bundles):
+        angle, weight = steepness(lines, focal_px), np.minimum(lines.support / SUPPORT, 1.0)
         for i, j in itertools.combinations(np.argsort(angle), 2):
             if not around or angle[i] < 0.0 < angle[j]:
                 found.append((angle[i], angle[j]))
                 weights.append(min(weight[i], weight[j]))
-                pictures.append(number)
+                images.append(number)
     return _Pairs(
-        steepness_rad=np.array(found).reshape(-1, 2), weight=np.array(weights), picture=np.array(pictures, np.intp)
+        steepness_rad=np.array(found).reshape(-1, 2), weight=np.array(weights), image=np.array(images, np.intp)
     )
 
 
 def _usual_width(pairs: _Pairs, turn_rad: float) -> float:
-    """The smallest width on which the pictures agree about as well as on any."""
+    """The smallest width with about as many votes as the best one."""
     widths = pairs.widths(turn_rad)
     near = np.exp(-0.5 * (np.log(WIDTHS[:, None] / np.maximum(widths, 1e-3)) / AGREED) ** 2)
-    each = np.zeros((int(pairs.picture.max(initial=0)) + 1, len(WIDTHS)))
-    np.maximum.at(each, pairs.picture, (near * pairs.weight).T)  # a picture has one vote, however many lines it shows
+    each = np.zeros((int(pairs.image.max(initial=0)) + 1, len(WIDTHS)))
+    np.maximum.at(each, pairs.image, (near * pairs.weight).T)  # an image has one vote, however many lines it shows
     votes = each.sum(axis=0)
     if not votes.max(initial=0.0) > 0.5:
         raise ValueError(NO_LANE)
@@ -141,11 +139,11 @@ def _usual_width(pairs: _Pairs, turn_rad: float) -> float:
 
 
 def _within(pairs: _Pairs, width: float, turn_rad: float) -> _Pairs:
-    """Those pairs that may be one lane; raises ValueError where there are none."""
+    """The pairs that may be one lane; raises ValueError where there are none."""
     lane = np.abs(pairs.widths(turn_rad) / width - 1.0) < ONE_LANE
     if not lane.any():
         raise ValueError(NO_LANE)
-    return _Pairs(steepness_rad=pairs.steepness_rad[lane], weight=pairs.weight[lane], picture=pairs.picture[lane])
+    return _Pairs(steepness_rad=pairs.steepness_rad[lane], weight=pairs.weight[lane], image=pairs.image[lane])
 
 
 def _median(values: FloatArray, weight: FloatArray) -> float:
@@ -155,7 +153,7 @@ def _median(values: FloatArray, weight: FloatArray) -> float:
 
 
 def _level_turn(pairs: _Pairs) -> tuple[float, float]:
-    """The turn [rad] that makes all lanes one width, and its sigma."""
+    """The rotation [rad] that makes all lanes one width, and its sigma."""
     turns = ROLLS_RAD
     costs, spreads = [], []
     for turn in turns:
@@ -179,13 +177,11 @@ def _level_turn(pairs: _Pairs) -> tuple[float, float]:
     return best, 1.0 / math.sqrt(max(information, 1e-9))
 
 
-SLACK = 0.02  # of the picture's width: how far the vanishing point moves as the car turns and nods, one sigma
-ASTRAY, STRAY_SIGMAS = (
-    0.03,
-    4.0,
-)  # of that width, and of the pictures' own spread: further off a vanishing point is wrong
-LEAST_SHARE = 0.3  # of the pictures must show a straight road
-LEAST_SUPPORT = 0.4  # shares of the rows on which the lines of a picture are seen, all together
+SLACK = 0.02  # of the image's width: one sigma of the vanishing point's motion as the car turns and pitches
+ASTRAY = 0.03  # of the image's width: a vanishing point within it of the median is never an outlier
+STRAY_SIGMAS = 4.0  # of the images' own spread; beyond both limits it is one
+LEAST_SHARE = 0.3  # of the images that must show a straight road
+LEAST_SUPPORT = 0.4  # sum over an image's lines of the share of rows on which each is seen
 CURVED = 5.0  # sigmas of `BENDING`
 ROUNDS = 100  # of the bootstrap
 SCALE_CAR_M, FULL_SIZE_M = (0.5, 1.0, 2.0), (5.0, 10.0, 20.0)
@@ -194,13 +190,13 @@ FULL_SIZE_FROM_M = 1.5  # of a lane's width
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LanesCalibration:
-    """What the lines say of the camera.
+    """The camera found from the lines.
 
-    `extrinsics` keeps the `x_m` and `y_m` that were given, and their roll where `roll_known` is False.
-    `ground_error_m`: by distance ahead of the camera [m], how far a ground point is misplaced [m], RMS of a bootstrap
-    over the pictures; an error of the lane's width comes on top, all lengths grow with it. `residual_px` is the RMS
-    distance of the lines' points from the lines, `vanishing_px` where those meet in the picture, `vanishing_sigma_px`
-    how much that varies from picture to picture (u, v). `frames_used` of `frames_seen` pictures counted.
+    `extrinsics` keeps the given `x_m` and `y_m`, and the given roll where `roll_known` is False. `ground_error_m`: by
+    distance ahead of the camera [m], the RMS error of a ground point [m], by a bootstrap over the images; an error of
+    the lane's width scales all lengths and is not included. `residual_px` is the RMS distance of the points from their
+    lines, `vanishing_px` the vanishing point, `vanishing_sigma_px` its spread over the images (u, v). `frames_used` of
+    `frames_seen` images were used.
     """
 
     extrinsics: Extrinsics
@@ -215,78 +211,76 @@ class LanesCalibration:
 
 
 def camera_from_lanes(
-    pictures: Iterable[Image],
+    images: Iterable[Image],
     camera: CameraModel,
     lane_width_m: float,
     mounting: Extrinsics | None = None,
     least_frames: int = 3,
     seed: int = 0,
 ) -> LanesCalibration:
-    """The camera's extrinsics from `pictures` (h, w) or (h, w, 3) of a drive along lanes of a known width.
+    """The camera's extrinsics from `images` (h, w) or (h, w, 3) of a drive along lanes of a known width.
 
-    `camera` are its intrinsics; `mounting` says what pictures cannot: x_m and y_m, and roll where lines do not tell it.
-    Yaw is right where the car heads along the lane on the median. Raises ValueError, in one line, when nothing can be
-    concluded: too few pictures, no lines that meet, a curve, no lane about the camera.
+    `camera` has its intrinsics; `mounting` gives what images cannot: x_m and y_m, and roll where the lines do not
+    determine it. Yaw is right if the car's median heading is along the lane. Raises ValueError for too few images, no
+    lines that meet, a curve, or no lane around the camera.
     """
-    images = list(pictures)
+    images = list(images)
     if not lane_width_m > 0:
-        raise ValueError(f"lane_width_m: {lane_width_m} where a positive number is wanted")
+        raise ValueError(f"lane_width_m: expected a positive number, got {lane_width_m}")
     _check_sizes(images, camera, least_frames)
     place, points = common_vanishing_point(images, camera)
     size, rays = (camera.width_px, camera.height_px), Rays(camera)
-    fits = [fit_pencil(p, place, rays, size, SLACK) for p in points]
-    pencils = _straight(fits, camera, least_frames)
+    fits = [fit_converging_lines(p, place, rays, size, SLACK) for p in points]
+    bundles = _straight(fits, camera, least_frames)
     mounting = mounting or Extrinsics(roll_rad=0.0)
-    found = solve_attitude(pencils, camera.matrix[0, 0], mounting.roll_rad)
+    found = solve_attitude(bundles, camera.matrix[0, 0], mounting.roll_rad)
     extrinsics = _extrinsics(found, lane_width_m, mounting)
-    places = np.array([pencil.vanishing_px for pencil in pencils])
+    places = np.array([lines.vanishing_px for lines in bundles])
     spread = 1.4826 * np.median(np.abs(places - np.median(places, axis=0)), axis=0)
     u, v = camera.project(GroundCamera(camera, extrinsics).cam_from_body[:, 0])
     best = LanesCalibration(
         extrinsics=extrinsics,
         lane_width_m=lane_width_m,
         roll_known=found.roll_known,
-        residual_px=math.sqrt(float(np.mean([pencil.residual_px**2 for pencil in pencils]))),
+        residual_px=math.sqrt(float(np.mean([lines.residual_px**2 for lines in bundles]))),
         vanishing_px=(float(u), float(v)),
         vanishing_sigma_px=(float(spread[0]), float(spread[1])),
         ground_error_m={},
-        frames_used=len(pencils),
+        frames_used=len(bundles),
         frames_seen=len(images),
     )
-    return replace(best, ground_error_m=_ground_errors(camera, best, pencils, mounting.roll_rad, seed))
+    return replace(best, ground_error_m=_ground_errors(camera, best, bundles, mounting.roll_rad, seed))
 
 
-def _check_sizes(pictures: Sequence[Image], camera: CameraModel, least_frames: int) -> None:
-    if len(pictures) < max(least_frames, 1):
-        raise ValueError(
-            f"pictures: {len(pictures)} where {max(least_frames, 1)} or more of a straight road are wanted"
-        )
-    for number, image in enumerate(pictures):
+def _check_sizes(images: Sequence[Image], camera: CameraModel, least_frames: int) -> None:
+    if len(images) < max(least_frames, 1):
+        raise ValueError(f"images: expected {max(least_frames, 1)} or more of a straight road, got {len(images)}")
+    for number, image in enumerate(images):
         if image.shape[:2] != (camera.height_px, camera.width_px):
             height, width = image.shape[:2]
             raise ValueError(
-                f"pictures: number {number} has {width}x{height} pixels where the camera has"
-                f" {camera.width_px}x{camera.height_px}"
+                f"images: expected {camera.width_px}x{camera.height_px} pixels as the camera has, number {number} has "
+                f"{width}x{height}"
             )
 
 
-def _straight(fits: Sequence[Pencil | None], camera: CameraModel, least_frames: int) -> list[Pencil]:
-    """The pictures' pencils that show a straight road and agree on where its lines meet."""
+def _straight(fits: Sequence[ConvergingLines | None], camera: CameraModel, least_frames: int) -> list[ConvergingLines]:
+    """The lines of those images that show a straight road and agree on the vanishing point."""
     least = max(least_frames, math.ceil(LEAST_SHARE * len(fits)))
-    wanted = f"{least} of a straight road with two lines are wanted"
-    seen = [pencil for pencil in fits if pencil is not None and pencil.support.sum() >= LEAST_SUPPORT]
+    wanted = f"expected {least} of a straight road with two lines"
+    seen = [lines for lines in fits if lines is not None and lines.support.sum() >= LEAST_SUPPORT]
     if len(seen) < least:
-        raise ValueError(f"pictures: {len(seen)} of {len(fits)} show lines that meet in one point; {wanted}")
+        raise ValueError(f"images: {wanted}; {len(seen)} of {len(fits)} show lines that meet in one point")
     bend = CURVED * BENDING * camera.height_px**2
-    straight = [pencil for pencil in seen if abs(pencil.bend_px2) < bend]
+    straight = [lines for lines in seen if abs(lines.bend_px2) < bend]
     if len(straight) < least:
-        raise ValueError(f"pictures: {len(seen) - len(straight)} of {len(fits)} show a curve; {wanted}")
-    places = np.array([pencil.vanishing_px for pencil in straight])
+        raise ValueError(f"images: {wanted}; {len(seen) - len(straight)} of {len(fits)} show a curve")
+    places = np.array([lines.vanishing_px for lines in straight])
     away = np.abs(places - np.median(places, axis=0))
     limit = np.maximum(STRAY_SIGMAS * 1.4826 * np.median(away, axis=0), ASTRAY * camera.width_px)
-    kept = [pencil for pencil, far in zip(straight, away, strict=True) if (far <= limit).all()]
+    kept = [lines for lines, far in zip(straight, away, strict=True) if (far <= limit).all()]
     if len(kept) < least:
-        raise ValueError(f"pictures: the lines of {len(kept)} of {len(fits)} meet in the same place; {wanted}")
+        raise ValueError(f"images: {wanted}; the lines of {len(kept)} of {len(fits)} meet in the same place")
     return kept
 
 
@@ -301,29 +295,29 @@ def _extrinsics(found: Attitude, lane_width_m: float, mounting: Extrinsics) -> E
 
 
 def _ground_errors(
-    camera: CameraModel, best: LanesCalibration, pencils: Sequence[Pencil], roll_rad: float, seed: int
+    camera: CameraModel, best: LanesCalibration, bundles: Sequence[ConvergingLines], roll_rad: float, seed: int
 ) -> dict[float, float]:
-    """By distance ahead of the camera [m]: the RMS displacement [m] over resampled pictures."""
+    """By distance ahead of the camera [m]: the RMS error [m] of a ground point over resampled images."""
     rng = np.random.default_rng(seed)
     distances = np.array(SCALE_CAR_M if best.lane_width_m < FULL_SIZE_FROM_M else FULL_SIZE_M)
     place = np.column_stack((best.extrinsics.x_m + distances, np.full(3, best.extrinsics.y_m)))
     pixels = GroundCamera(camera, best.extrinsics).ground_to_px(place)
     squares: list[FloatArray] = []
     for _ in range(ROUNDS):
-        drawn = [_shaken(pencils[i], rng) for i in rng.integers(len(pencils), size=len(pencils))]
+        drawn = [_perturbed(bundles[i], rng) for i in rng.integers(len(bundles), size=len(bundles))]
         try:
             found = solve_attitude(drawn, camera.matrix[0, 0], roll_rad, best.lane_width_m / best.extrinsics.z_m)
-        except ValueError:  # by chance none of the drawn shows a lane
+        except ValueError:  # by chance no image drawn shows a lane
             continue
         other = GroundCamera(camera, _extrinsics(found, best.lane_width_m, best.extrinsics))
         squares.append(np.sum((other.px_to_ground(pixels) - place) ** 2, axis=1))
     known = np.array(squares or np.full((1, 3), np.inf))
-    known[np.isnan(known)] = np.inf  # a pixel above the horizon: that far nothing is known
+    known[np.isnan(known)] = np.inf  # a pixel above the horizon
     rms = np.sqrt(known.mean(axis=0))
     return {float(at): float(error) for at, error in zip(distances, rms, strict=True)}
 
 
-def _shaken(pencil: Pencil, rng: np.random.Generator) -> Pencil:
-    """The pencil as it might have been measured as well."""
-    error = rng.multivariate_normal(np.zeros(len(pencil.covariance)), pencil.covariance, method="eigh")
-    return replace(pencil, vanishing_px=pencil.vanishing_px + error[:2], slopes=pencil.slopes + error[3:])
+def _perturbed(lines: ConvergingLines, rng: np.random.Generator) -> ConvergingLines:
+    """The lines with a random error of their covariance."""
+    error = rng.multivariate_normal(np.zeros(len(lines.covariance)), lines.covariance, method="eigh")
+    return replace(lines, vanishing_px=lines.vanishing_px + error[:2], slopes=lines.slopes + error[3:])

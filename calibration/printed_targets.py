@@ -1,4 +1,4 @@
-"""Sheets that lie flat on the floor at a measured place: boards and ArUco markers, as ground points."""
+"""Sheets of paper at a measured place on the floor, boards and ArUco markers, as ground points."""
 
 from __future__ import annotations
 
@@ -11,16 +11,14 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel
+from automodel.sources.images import in_colour
 from automodel.types import FloatArray, Image
 from calibration.boards import DICTIONARIES, Board, dictionary_of, find_board
 from calibration.ground import GroundCalibration, GroundPoints, camera_from_points
 from calibration.views import CalibrationError
 
-__all__ = ["ArucoSheet", "SeenSheet", "SheetPlace", "camera_from_sheet", "find_sheet"]
-
-
-_CORNER_PX = 0.5  # how exactly a corner is found, paper that is not quite flat included
-_MOST_TURNED_RAD = math.radians(40.0)  # of the camera to the side; beyond, the sheet's turn would be mistaken
+_CORNER_PX = 0.5  # one sigma of a corner, including that of paper which is not quite flat
+_MOST_TURNED_RAD = math.radians(40.0)  # yaw of the camera; beyond it the sheet's quarter turn is ambiguous
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,18 +33,20 @@ class ArucoSheet:
 
     def __post_init__(self) -> None:
         if not (1 <= self.columns <= 30 and 1 <= self.rows <= 30):
-            raise ValueError(f"ArUco sheet {self.columns}x{self.rows}: 1 .. 30 markers each way are wanted")
+            raise ValueError(f"expected an ArUco sheet of 1 .. 30 markers each way, got {self.columns}x{self.rows}")
         if not self.marker_m > 0.0 or not self.gap_m >= 0.0:
-            raise ValueError(f"ArUco sheet: marker {self.marker_m} m and gap {self.gap_m} m must be lengths")
+            raise ValueError(
+                f"ArUco sheet: expected a marker > 0 and a gap >= 0, got {self.marker_m} m, {self.gap_m} m"
+            )
         if self.dictionary not in DICTIONARIES:
-            raise ValueError(f"dictionary {self.dictionary!r}: none of {', '.join(DICTIONARIES)}")
+            raise ValueError(f"expected a dictionary of {', '.join(DICTIONARIES)}, got {self.dictionary!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SheetPlace:
-    """Where the sheet's middle lies in the body frame, how it is turned, and how exactly that is known (one sigma).
+    """The sheet's middle in the body frame, its rotation and their accuracy (one sigma).
 
-    `turn_rad` is anticlockwise; that a sheet may lie with either side to the car is found out by itself.
+    `turn_rad` is anticlockwise; quarter turns are resolved by `camera_from_sheet`.
     """
 
     x_m: float
@@ -65,7 +65,7 @@ class SeenSheet:
 
 
 def find_sheet(image: Image, sheet: Board | ArucoSheet) -> SeenSheet | None:
-    """The sheet in a picture, None where it is not (a chessboard only as a whole: a part has no known middle)."""
+    """The sheet in an image, None without it; a chessboard only as a whole, since a part has no known middle."""
     if isinstance(sheet, ArucoSheet):
         return _find_markers(image, sheet)
     found = find_board(image, sheet)
@@ -76,9 +76,9 @@ def find_sheet(image: Image, sheet: Board | ArucoSheet) -> SeenSheet | None:
 
 
 def _find_markers(image: Image, sheet: ArucoSheet) -> SeenSheet | None:
-    grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    grey = in_colour(image, False)
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR  # others may miss a corner by 10 px
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR  # other methods may be wrong by 10 px
     detector = cv2.aruco.ArucoDetector(dictionary_of(sheet.dictionary), parameters)
     corners, ids, _ = detector.detectMarkers(grey)
     if ids is None:
@@ -87,7 +87,7 @@ def _find_markers(image: Image, sheet: ArucoSheet) -> SeenSheet | None:
     if sheet.columns * sheet.rows == 1:
         found = [(0, found[0][1])] if len(found) == 1 else []
     pitch, side = sheet.marker_m + sheet.gap_m, 0.5 * sheet.marker_m
-    square = np.array([(-side, -side), (side, -side), (side, side), (-side, side)])  # as the detector goes round
+    square = np.array([(-side, -side), (side, -side), (side, side), (-side, side)])  # in the order of the detector
     points, pixels = [], []
     for number, quad in found:
         row, column = divmod(number, sheet.columns)
@@ -100,7 +100,7 @@ def _find_markers(image: Image, sheet: ArucoSheet) -> SeenSheet | None:
 
 
 def _refined(grey: Image, quad: NDArray[np.float32]) -> FloatArray:
-    """A marker's corners to a part of a pixel: lenses bend its sides, which the first guess takes for straight."""
+    """A marker's corners to sub-pixel accuracy: the detector takes sides for straight that the lens bends."""
     side = float(np.linalg.norm(np.diff(quad, axis=0), axis=1).min())
     window = max(2, min(5, round(side / 8.0)))
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 40, 0.001)
@@ -110,14 +110,13 @@ def _refined(grey: Image, quad: NDArray[np.float32]) -> FloatArray:
 def camera_from_sheet(
     seen: SeenSheet, place: SheetPlace, camera: CameraModel, mounting: Extrinsics, keep_position: bool = False
 ) -> tuple[GroundCalibration, GroundPoints]:
-    """The camera that sees the sheet as it lies: of the four ways that it may be turned, the one that looks ahead.
+    """The camera that sees the sheet, and the sheet's points on the floor.
 
-    Also gives the sheet's points on the floor.
-
-    Raises CalibrationError as `camera_from_points` does, and where no way has the camera look ahead.
+    Of the four quarter turns of the sheet the one with a camera that looks ahead is taken. Raises CalibrationError as
+    `camera_from_points` does, and where no camera looks ahead.
     """
     found = []
-    refusal = CalibrationError("the sheet is seen from no camera that looks ahead; are its place and turn right?")
+    refusal = CalibrationError("no camera that looks ahead sees the sheet; are its place and rotation right?")
     for quarter in range(4):
         measured = GroundPoints(
             points_m=_on_floor(seen.points_m, place, quarter),
@@ -137,13 +136,13 @@ def camera_from_sheet(
     if abs(ahead.extrinsics.yaw_rad) > _MOST_TURNED_RAD:
         raise CalibrationError(
             f"the camera would look {math.degrees(ahead.extrinsics.yaw_rad):.0f} deg left of straight ahead; lay "
-            f"the sheet with its edges along and across the car, or say how it is turned"
+            f"the sheet with its edges along and across the car, or give its rotation"
         )
     return ahead, measured
 
 
 def _on_floor(points_m: FloatArray, place: SheetPlace, quarter: int) -> FloatArray:
-    """Points of the sheet in the body frame: its right is the car's right, its lower edge nearest, then turned."""
+    """Points of the sheet in the body frame: its right is the car's right, its lower edge nearest, then rotated."""
     turn = place.turn_rad + quarter * 0.5 * math.pi
     c, s = math.cos(turn), math.sin(turn)
     lying = np.column_stack((-points_m[:, 1], -points_m[:, 0]))

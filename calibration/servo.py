@@ -1,12 +1,11 @@
 """Steering pulse -> road-wheel angle, from a drive that sweeps the pulses up and down.
 
-The wheels follow the servo through a gap: coming from below they stand half the play short of where they stand coming
-from above. The table is the middle of the two, so that straight is where the play lies evenly around.
+The wheels follow the servo through a gap. A pulse reached from below gives an angle half the play too small, reached
+from above half the play too large. The table is the middle of the two, so straight ahead is the middle of the play.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,27 +16,27 @@ from calibration.servo_log import Hold, ServoLog, holds_of
 
 LEAST_PULSES = 6
 LEAST_RANGE_RAD = 0.035  # a servo that moves the wheels less than 2 deg over all pulses does not move them
-_STRAY = 6.0  # robust standard deviations
-_STRAY_RAD = 0.025  # and at least so much [rad]: a stop makes a kink of its own
-_CONTRADICTION_RAD = 0.03
-_STOP_SLOPE = 0.3  # of the usual gain: the linkage stands at its stop
-_STOP_POINTS = 5  # angles before it that tell where it is
-_STOP_BETTER = 0.3  # of the line's sum of squares
-_PASSES = 5  # table from the wheels' place in the gap, and that from the table; two do without stops
-_TOLERANCE_RAD = 0.0025  # of leaving a point out of the table
+_STRAY = 6.0  # robust standard deviations from which a pulse is an outlier
+_STRAY_RAD = 0.025  # and at least this [rad]: the kink at a stop is no outlier
+_CONTRADICTION_RAD = 0.03  # largest correction that makes the angles monotone
+_STOP_SLOPE = 0.3  # of the gain in the inner half; a smaller slope is the linkage at its stop
+_STOP_POINTS = 5  # angles before the stop that locate it
+_STOP_BETTER = 0.3  # of the sum of squares of a line without a stop
+_PASSES = 5  # alternating the table and the wheels' place in the gap; without stops two are enough
+_TOLERANCE_RAD = 0.0025  # largest error from leaving a point out of the table
 _LEAST_SD_RAD = 5e-4
 
 
 class ServoError(ValueError):
-    """The measurements do not tell the servo's table; the text says why and what to do."""
+    """The measurements do not give the servo's table; the text says why and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoTable:
-    """Pulse -> angle, as `ServoConfig` has it, and how well it is known.
+    """Pulse -> angle, as in `ServoConfig`, and its accuracy.
 
-    `sd_rad[i]` is the standard deviation of `steering_rad[i]`; `rms_rad` the scatter of the single stretches around
-    table and play; `strays` the pulses [us] whose measurements were left out.
+    `sd_rad[i]` is the standard deviation of `steering_rad[i]`; `rms_rad` the scatter of the single intervals around
+    table and play; `strays` the pulses [us] whose measurements were left out as outliers.
     """
 
     pulse_us: tuple[float, ...]
@@ -52,19 +51,19 @@ class ServoTable:
     strays: tuple[float, ...]
 
     def angle_rad(self, pulse_us: FloatArray) -> FloatArray:
-        """The road-wheel angles [rad] that pulses [us] make, the ends beyond the ends."""
+        """The road-wheel angles [rad] of pulses [us], constant beyond the ends."""
         return np.interp(pulse_us, self.pulse_us, self.steering_rad)
 
 
 def fit_table(log: ServoLog, wheelbase_m: float) -> ServoTable:
-    """The table, its centre and the play from a log without bias; raises ServoError where it does not tell them."""
+    """The table, its centre and the play from a log without gyro bias; raises ServoError."""
     holds = holds_of(log, wheelbase_m)
     pulses = np.array([hold.pulse_us for hold in holds])
     angles = np.array([hold.steering_rad for hold in holds])
     _check(pulses, angles)
-    turn = 1.0 if np.polyfit(pulses, angles, 1)[0] > 0 else -1.0
-    angles *= turn  # from here on the angle rises with the pulse
-    changes, at = _passage(log, holds)
+    sign = 1.0 if np.polyfit(pulses, angles, 1)[0] > 0 else -1.0
+    angles *= sign  # from here on the angle rises with the pulse
+    changes, at = _pulse_sequence(log, holds)
     nodes = np.unique(pulses)
     lead = np.array([0.5 if hold.rose else -0.5 for hold in holds])
     play, play_sd = _play(pulses, angles, lead)
@@ -82,11 +81,11 @@ def fit_table(log: ServoLog, wheelbase_m: float) -> ServoTable:
     knots = x[_simplified(x, rising, _TOLERANCE_RAD)]
     ends = (float(rising[0]), float(rising[-1]))
     fitted, sd, rms = _least_squares(knots, ends, pulses[used], (angles - behind)[used], sd[used])
-    sd = np.hypot(sd, 0.5 * _TOLERANCE_RAD)  # the polyline cuts the servo's curve short
+    sd = np.hypot(sd, 0.5 * _TOLERANCE_RAD)  # the servo's curve between the knots
     centre, centre_sd, knots, fitted, sd = _with_centre(knots, fitted, sd)
     return ServoTable(
         pulse_us=tuple(round(float(p), 1) for p in knots),
-        steering_rad=tuple(round(float(turn * a), 5) + 0.0 for a in fitted),
+        steering_rad=tuple(round(float(sign * a), 5) + 0.0 for a in fitted),
         sd_rad=tuple(float(s) for s in sd),
         centre_us=centre,
         centre_sd_us=centre_sd,
@@ -101,24 +100,24 @@ def fit_table(log: ServoLog, wheelbase_m: float) -> ServoTable:
 def _check(pulses: FloatArray, angles: FloatArray) -> None:
     if len(np.unique(pulses)) < LEAST_PULSES:
         raise ServoError(
-            f"{len(np.unique(pulses))} pulses were driven for long enough, {LEAST_PULSES} are wanted; "
+            f"expected {LEAST_PULSES} pulses that were driven for long enough, got {len(np.unique(pulses))}; "
             "was the drive cut short, or does the car not roll?"
         )
     if np.ptp(angles) < LEAST_RANGE_RAD:
         raise ServoError(
-            f"the servo does not answer: {pulses.min():.0f} .. {pulses.max():.0f} us turned the wheels by "
+            f"the servo does not respond: {pulses.min():.0f} .. {pulses.max():.0f} us turned the wheels by "
             f"{np.degrees(np.ptp(angles)):.1f} deg; check its plug, its supply and the linkage"
         )
 
 
-def _passage(log: ServoLog, holds: Sequence[Hold]) -> tuple[FloatArray, IntArray]:
-    """All pulses [us] that were at the pin, one after the other, and where in that row each hold is."""
+def _pulse_sequence(log: ServoLog, holds: Sequence[Hold]) -> tuple[FloatArray, IntArray]:
+    """The sequence of pulses [us] at the pin, and the index of each hold in it."""
     changes = np.concatenate(([0], np.flatnonzero(np.diff(log.pulse_us)) + 1))
     return log.pulse_us[changes], np.searchsorted(log.pulse_t_ns[changes], [hold.t_ns for hold in holds])
 
 
 def _behind(arm: FloatArray, play: float) -> FloatArray:
-    """How far the wheels stand beside the servo's arm (n,), each time that it has come to rest at `arm` (n,)."""
+    """The angle of the wheels minus that of the servo's arm (n,), each time it has come to rest at `arm` (n,)."""
     wheel, half = float(arm[0]), 0.5 * play
     out = np.empty(len(arm))
     for i, angle in enumerate(arm.tolist()):
@@ -128,7 +127,7 @@ def _behind(arm: FloatArray, play: float) -> FloatArray:
 
 
 def _play(pulses: FloatArray, angles: FloatArray, lead: FloatArray) -> tuple[float, float]:
-    """The median difference between the two ways to come to a pulse, and its deviation; 0 where it is no play."""
+    """The play: the median difference of the angles reached from above and from below, and its standard deviation."""
     gaps = []
     for pulse in np.unique(pulses):
         at = pulses == pulse
@@ -136,7 +135,7 @@ def _play(pulses: FloatArray, angles: FloatArray, lead: FloatArray) -> tuple[flo
         if len(above) and len(below):
             gaps.append(above.mean() - below.mean())
     if len(gaps) < 3:
-        raise ServoError("too few pulses were reached from both sides: the play is not known; drive the whole sweep")
+        raise ServoError("too few pulses were reached from both sides to measure the play; drive the whole sweep")
     middle = float(np.median(gaps))
     sd = 1.4826 * float(np.median(np.abs(np.array(gaps) - middle))) * 1.2533 / len(gaps) ** 0.5
     return max(middle, 0.0), sd
@@ -147,7 +146,7 @@ def _averages(nodes: FloatArray, pulses: FloatArray, angles: FloatArray) -> Floa
 
 
 def _without_strays(nodes: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Leave out the pulses whose angle is far off the line between its neighbours, the worst first."""
+    """Leaves out the pulses whose angle is far from the line between its neighbours, the worst first."""
     kept = np.ones(len(nodes), dtype=bool)
     while True:
         x, y = nodes[kept], values[kept]
@@ -166,17 +165,10 @@ def _without_strays(nodes: FloatArray, values: FloatArray) -> tuple[FloatArray, 
 
 
 def _monotone(nodes: FloatArray, values: FloatArray) -> FloatArray:
-    """The nearest rising sequence (pool adjacent violators, Barlow et al. 1972); raises ServoError for a far one."""
-    level: list[float] = []
-    count: list[int] = []
-    for value in values:
-        level.append(float(value))
-        count.append(1)
-        while len(level) > 1 and level[-2] >= level[-1]:
-            total = count[-2] + count[-1]
-            level[-2:] = [(level[-2] * count[-2] + level[-1] * count[-1]) / total]
-            count[-2:] = [total]
-    rising = np.repeat(level, count)
+    """The nearest rising sequence (isotonic regression); raises ServoError where it is far."""
+    from scipy.optimize import isotonic_regression
+
+    rising = np.asarray(isotonic_regression(values).x, dtype=np.float64)
     worst = int(np.argmax(np.abs(rising - values)))
     if abs(rising[worst] - values[worst]) > _CONTRADICTION_RAD:
         raise ServoError(
@@ -187,17 +179,16 @@ def _monotone(nodes: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _within_stop(x: FloatArray, rising: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Cut the upper end where the pulse goes on and the angle does not, at the place where the linkage stops.
+    """Cuts the upper end where the linkage is at its stop and the angle no longer follows the pulse.
 
-    The stop is the s at which y = a + b min(x, s) fits the last angles best, taken where it fits far better than a
-    line.
+    The stop is the s for which y = a + b min(x, s) fits the last angles best, if that is much better than a line.
     """
     inner = x <= 0.5 * (x[0] + x[-1])
     gain = (rising[inner][-1] - rising[inner][0]) / (x[inner][-1] - x[inner][0])
     level = rising[-1] - _STOP_SLOPE * gain * (x[-1] - x)
-    first = int(np.argmax(rising >= level - 1e-12))  # from here on flatter than the share of the usual gain
-    begin = max(min(first, len(x) - 1) - _STOP_POINTS, 0)
-    window, angles = x[begin:], rising[begin:]
+    first = int(np.argmax(rising >= level - 1e-12))  # from here on flatter than _STOP_SLOPE
+    start = max(min(first, len(x) - 1) - _STOP_POINTS, 0)
+    window, angles = x[start:], rising[start:]
     stops = np.linspace(window[2], window[-1], 20 * len(window))
     fits = [_fit_to_stop(window, angles, stop) for stop in stops]
     best = int(np.argmin([off for off, _ in fits]))
@@ -208,7 +199,7 @@ def _within_stop(x: FloatArray, rising: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def _fit_to_stop(x: FloatArray, y: FloatArray, stop: float) -> tuple[float, float]:
-    """The sum of squares around a line that ends at `stop`, and the angle there."""
+    """The residual sum of squares of a line that ends at `stop`, and the angle there."""
     bent = np.minimum(x, stop)
     slope, offset = np.polyfit(bent - stop, y, 1)
     return float(((offset + slope * (bent - stop) - y) ** 2).sum()), float(offset)
@@ -233,9 +224,9 @@ def _simplified(x: FloatArray, y: FloatArray, tolerance: float) -> list[int]:
 def _least_squares(
     knots: FloatArray, ends: tuple[float, float], x: FloatArray, y: FloatArray, sd: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """The polyline over `knots` nearest to the points: its values, their deviations, and the points' rms around it.
+    """The polyline over `knots` nearest to the points: values, their standard deviations, and the RMS residual.
 
-    The values at the two ends are taken for one measurement more each: an end that was cut has no point of its own.
+    The values at the two ends count as one more measurement each: an end that was cut has no point of its own.
     """
     x, y = np.concatenate((x, knots[[0, -1]])), np.concatenate((y, ends))
     sd = np.concatenate((sd, [float(np.median(sd))] * 2))
@@ -246,22 +237,19 @@ def _least_squares(
     freedom = max(len(y) - len(knots), 1)
     scale = max(float(((off / sd) ** 2).sum()) / freedom, 1.0)
     covariance = scale * np.linalg.pinv(weighted.T @ weighted)
-    for first, second in itertools.pairwise(range(len(values))):
-        if values[second] <= values[first]:
-            raise ServoError(
-                f"the angle does not change from {knots[first]:.0f} to {knots[second]:.0f} us; drive again"
-            )
+    for i in np.flatnonzero(np.diff(values) <= 0.0)[:1]:
+        raise ServoError(f"the angle does not change from {knots[i]:.0f} to {knots[i + 1]:.0f} us; drive again")
     return values, np.sqrt(np.diag(covariance)), float(np.sqrt((off * off).mean()))
 
 
 def _with_centre(
     knots: FloatArray, rising: FloatArray, sd: FloatArray
 ) -> tuple[float, float, FloatArray, FloatArray, FloatArray]:
-    """Straight ahead as a point of the table of its own; raises ServoError where the wheels never came to it."""
+    """Adds straight ahead as a point of the table; raises ServoError where the wheels never reached it."""
     if not rising[0] < 0.0 < rising[-1]:
         raise ServoError(
-            f"the wheels never stand straight: {np.degrees(rising[0]):.1f} .. {np.degrees(rising[-1]):.1f} deg; "
-            "mount the servo's horn so that the middle pulse is about straight"
+            f"the wheels are never straight: {np.degrees(rising[0]):.1f} .. {np.degrees(rising[-1]):.1f} deg; "
+            "mount the servo horn so that the middle pulse is about straight"
         )
     centre = float(np.interp(0.0, rising, knots))
     above = int(np.searchsorted(rising, 0.0))

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from automodel.config import CarConfig, ConfigError
@@ -19,6 +18,7 @@ from automodel.geometry import GroundCamera
 from automodel.signals import Frame, VehicleState
 from automodel.sim.plant import PlantConfig
 from automodel.sim.randomised_plant import randomised_servo
+from automodel.sources.images import in_colour
 from automodel.types import Image
 from calibration.actuator import Actuator, fit_actuator
 from calibration.car_file import write_values
@@ -109,8 +109,7 @@ class FloorLog:
         """Keep the view of a frame, unless the last one kept is too recent."""
         if self.t_ns and frame.t_ns - self.t_ns[-1] < VIEW_NS:
             return
-        image = frame.image if frame.image.ndim == 2 else np.asarray(cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY))
-        self.views.append(self.floor.warp(image.astype(np.uint8, copy=False)))
+        self.views.append(self.floor.warp(in_colour(frame.image, False)))
         self.t_ns.append(frame.t_ns)
 
 

@@ -1,4 +1,4 @@
-"""What a calibration drive logs of the steering, and the angle of the road wheels in each stretch of one pulse."""
+"""The log of a calibration drive, and the road-wheel angle in each interval of one pulse."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from automodel.types import FloatArray, IntArray
 
 STILL_MPS = 0.02
-_STILL_NS = 500_000_000  # a car that stood for less says nothing of the gyro
-_STILL_EDGE_NS = 200_000_000  # at both ends of a standstill: the car may still rock
+_STILL_NS = 500_000_000  # shortest standstill that is used for the gyro's bias
+_STILL_EDGE_NS = 200_000_000  # left out at both ends of a standstill, where the car may rock
 MOVING_MPS = 0.1
-SETTLE_NS = 400_000_000  # dead time, lag and rate limit of a step of a sweep are over
+SETTLE_NS = 400_000_000  # dead time, lag and rate limit of a step are over
 _LEAST_ROWS = 6
 _SPIKE = 5.0  # standard deviations
 
@@ -23,9 +23,9 @@ _SPIKE = 5.0  # standard deviations
 class ServoLog:
     """A drive at nearly constant speed with changing steering pulses.
 
-    From `pulse_t_ns[i]` (m,) on `pulse_us[i]` (m,) [us] was at the pin. At `t_ns` (n,) the car's yaw rate
+    From `pulse_t_ns[i]` (m,) on, `pulse_us[i]` (m,) [us] was at the pin. At `t_ns` (n,) the car's yaw rate
     `yaw_rate_radps` (n,) [rad/s] and the rear axle's speed `speed_mps` (n,) [m/s] were measured, on the same clock. A
-    yaw rate is the mean over `window_s` around its time.
+    yaw rate is the mean over `window_s` around its time. Raises ValueError for lists that do not fit together.
     """
 
     pulse_t_ns: IntArray
@@ -45,24 +45,26 @@ class ServoLog:
         ):
             array = np.array(getattr(self, name), dtype=kind)
             if array.ndim != 1 or not np.isfinite(array).all():
-                raise ValueError(f"{name}: a list of finite numbers is wanted")
+                raise ValueError(f"{name}: expected a list of finite numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         if len(self.pulse_t_ns) != len(self.pulse_us) or len(self.pulse_us) == 0:
-            raise ValueError(f"pulse_us: {len(self.pulse_us)} for {len(self.pulse_t_ns)} times; one at least is wanted")
+            raise ValueError(
+                f"pulse_us: expected one for each of {len(self.pulse_t_ns)} times, got {len(self.pulse_us)}"
+            )
         if not len(self.t_ns) == len(self.yaw_rate_radps) == len(self.speed_mps):
-            raise ValueError("t_ns, yaw_rate_radps, speed_mps: as many of each are wanted")
+            raise ValueError("t_ns, yaw_rate_radps, speed_mps: expected the same length")
         for name in ("pulse_t_ns", "t_ns"):
             if (np.diff(getattr(self, name)) <= 0).any():
-                raise ValueError(f"{name}: must rise from entry to entry")
+                raise ValueError(f"{name}: must be rising")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hold:
-    """A stretch at one pulse, driven after the wheels had settled.
+    """An interval at one pulse, after the wheels had settled.
 
-    `rose` tells whether the pulse came from below; `steering_rad` is the road wheels' mean angle there and `sd_rad` the
-    standard deviation of that mean.
+    `rose`: the pulse before was lower. `steering_rad` is the mean angle of the road wheels, `sd_rad` the standard
+    deviation of that mean.
     """
 
     t_ns: int
@@ -73,7 +75,7 @@ class Hold:
 
 
 def without_bias(log: ServoLog) -> ServoLog:
-    """The log less the gyro's bias: its median at standstill, linear in time between two standstills.
+    """The log minus the gyro's bias: the median at standstill, linear in time between two standstills.
 
     Raises ValueError where the car never stood still for half a second.
     """
@@ -88,16 +90,16 @@ def without_bias(log: ServoLog) -> ServoLog:
         times.append(0.5 * (float(start_ns) + float(end_ns)))
         biases.append(float(np.median(log.yaw_rate_radps[inner])))
     if not times:
-        raise ValueError("the car never stood still for half a second: the gyro's bias is not known; drive again")
+        raise ValueError("the car never stood still for half a second: the gyro's bias is unknown; drive again")
     bias = np.interp(log.t_ns.astype(np.float64), times, biases)
     return dataclasses.replace(log, yaw_rate_radps=log.yaw_rate_radps - bias)
 
 
 def holds_of(log: ServoLog, wheelbase_m: float) -> list[Hold]:
-    """The stretches of one pulse, with delta = atan(L r / v) from the means of yaw rate r and speed v in each.
+    """The intervals of one pulse, with delta = atan(L r / v) from the means of yaw rate r and speed v in each.
 
-    The first 0.4 s of each and readings that stand out by five standard deviations are left out, and so are stretches
-    that are too short or were not driven forward (Rajamani 2012, section 2.2, at the rear axle).
+    At the rear axle, Rajamani 2012, section 2.2. Left out are the first 0.4 s of each, outliers of five standard
+    deviations, and intervals that are too short or were not driven forward.
     """
     changes = np.concatenate(([0], np.flatnonzero(np.diff(log.pulse_us)) + 1))
     starts = log.pulse_t_ns[changes]

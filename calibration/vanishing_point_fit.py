@@ -1,11 +1,9 @@
-"""The lines of one picture that meet in one point: fitted together, with what that point is worth.
+"""The vanishing point of a straight road: bright points on its lines, and lines fitted through one point.
 
-Bright points on the lines of a road, and where those lines meet, with nothing known but the lens.
-
-All lines along a straight road meet in one vanishing point. Ridges are looked for on rows, first at several breadths,
-then, once that point is roughly known, at the one breadth that markings have: it grows in proportion with the way below
-the point. Coordinates are ideal pixels: those of a lens without distortion and with the camera's fx, counted from the
-principal point, u right and v down.
+Only the lens is known. Ridges are searched on image rows, first at several widths. Once the vanishing point is roughly
+known, they are searched at the width of markings, which is proportional to the distance below that point. Coordinates
+are ideal pixels: those of a lens without distortion and with the camera's fx, relative to the principal point, u right
+and v down.
 """
 
 from __future__ import annotations
@@ -20,25 +18,175 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
-from automodel.types import FloatArray, Image, Ints
+from automodel.sources.images import in_colour
+from automodel.types import Float32Array, FloatArray, Image, Ints
+
+WIDTHS_PX = (3, 5, 9, 15, 25)  # of ridges, where nothing is known
+MARKINGS = (0.05, 0.08, 0.13, 0.2, 0.3)  # widths of markings, in camera heights
+ROWS = 150  # of an image that are searched, about
+NOISES, NOISES_OF_MARKING, MOST_NOISES = 4.0, 2.5, 8.0  # contrast of a ridge over the noise: least, largest weight
+MOST_SLOPE = 4.5  # |du / dv| of lines
+ACROSS, BINS = 2.0, 256  # range of rays on the lower image border, in image widths to each side, and its bins
+MOST_OF_ONE = 40.0  # variances: the most that one ray adds, since a single strong line does not show where lines meet
+AHEAD = 0.2  # of the image's width: one sigma of the vanishing point of a camera that looks ahead
+BELOW = 1.0 / 24.0  # of the image's height: nearer below the vanishing point the lines cannot be separated
+_STEP = 0.02  # of slope between samples
 
 MOST_LINES = 8
-LEAST_WEIGHT = 3.0  # chance's sigmas by which a line's points outnumber those around it
-LEAST_ROWS = 8  # on which a line is seen
-APART = 0.25  # slopes of two lines differ by so much
-GATES = ((1.0 / 45.0, 0.0), (1.0 / 90.0, 0.1), (1.0 / 180.0, 0.2))  # about a line, of the picture's width; as APART
+LEAST_WEIGHT = 3.0  # standard deviations by which the points of a line must outnumber those around it
+LEAST_ROWS = 8  # on which a line must be seen
+APART = 0.25  # least difference between the slopes of two lines
+GATES = ((1.0 / 45.0, 0.0), (1.0 / 90.0, 0.1), (1.0 / 180.0, 0.2))  # in image widths; and APART with each
 LEAST_GATE_PX, LEAST_RMS_PX = 1.5, 0.3
-BENDING = 1e-3  # of the picture's height squared: how much a road that counts as straight bends, one sigma
-CORRELATED = 4.0  # points along one marking err together: so many count as one
+BENDING = 1e-3  # of the image's height squared: one sigma of the curvature of a road that counts as straight
+CORRELATED = 4.0  # points along a marking with a common error: this many count as one
+
+
+def bright_points(image: Image, camera: CameraModel) -> FloatArray:
+    """Points (n, 3) on bright ridges of any width: ideal u, v [px], and a weight."""
+    grey = in_colour(image, False)
+    height, width = grey.shape
+    rows = np.unique(np.linspace(0, height - 1, min(height, ROWS)).astype(np.intp))
+    values = grey[rows].astype(np.float32)
+    noise = float(np.median(np.abs(np.diff(values, axis=1)))) + 1.0
+    best = np.full(values.shape, -np.inf, np.float32)
+    for span in (b for b in WIDTHS_PX if 3 * b <= min(width, height)):
+        stands_out = _ridge(values, span, span) * np.float32(np.sqrt(span))
+        here = best[:, span + span // 2 :][:, : stands_out.shape[1]]
+        np.maximum(here, stands_out, out=here)
+    row, column = _summits(best, NOISES * noise, 2)
+    rays = camera.rays(np.stack((column, rows[row]), axis=-1).astype(np.float64))
+    points = np.column_stack((camera.matrix[0, 0] * rays[:, :2], np.ones(len(row))))
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def marking_points(image: Image, camera: CameraModel, vanishing_px: FloatArray, marking: float) -> FloatArray:
+    """Points (n, 3) as of `bright_points`, on ridges of a marking's width; the weight is the contrast over the noise.
+
+    `vanishing_px` (2,) may be wrong by some pixels; `marking` is the width in camera heights.
+    """
+    focal = camera.matrix[0, 0]
+    bottom = camera.rays((camera.matrix[0, 2], camera.height_px - 1.0))[1] * focal
+    down = np.linspace(BELOW * camera.height_px, bottom - vanishing_px[1], ROWS)
+    slope = np.arange(-MOST_SLOPE, MOST_SLOPE, _STEP)
+    if not bottom - vanishing_px[1] > 2.0 * BELOW * camera.height_px:
+        return np.empty((0, 3))
+    u, v = vanishing_px[0] + slope * down[:, None], np.broadcast_to(vanishing_px[1] + down[:, None], (ROWS, len(slope)))
+    pixels = camera.project(np.stack((u, v, np.full_like(u, focal)), axis=-1))
+    inside = camera.inside(pixels, 0.5)
+    maps = np.where(inside[..., None], pixels, -9.0).astype(np.float32)
+    values = cv2.remap(in_colour(image, False), maps[..., 0].copy(), maps[..., 1].copy(), cv2.INTER_LINEAR).astype(
+        np.float32
+    )
+    span = max(round(marking / _STEP), 1)
+    apart = span + max(span // 3, 1)
+    ridge = _ridge(values, span, apart)
+    margin = apart + span // 2
+    known = inside[:, : ridge.shape[1]] & inside[:, -ridge.shape[1] :]
+    noise = [
+        float(np.median(np.abs(line[there]))) if there.any() else 0.0 for line, there in zip(ridge, known, strict=True)
+    ]
+    stands_out = np.where(known, ridge / (np.array(noise)[:, None] + 0.5), -np.inf).astype(np.float32)
+    row, at = _summits(stands_out, NOISES_OF_MARKING, span // 2)
+    weight = np.minimum(stands_out[row, at], MOST_NOISES)
+    column = at + margin
+    return np.column_stack((u[row, column], v[row, column], weight))
+
+
+def _ridge(values: Float32Array, span: int, apart: int) -> Float32Array:
+    """Means of `span` samples minus the brighter of the means `apart` on each side; shorter by the margins."""
+    sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
+    means = (sums[:, span:] - sums[:, :-span]) / np.float32(span)
+    return np.asarray(means[:, apart:-apart] - np.maximum(means[:, : -2 * apart], means[:, 2 * apart :]))
+
+
+def _summits(values: Float32Array, least: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of values above `least` that are the largest within `reach` columns."""
+    summit = values > least
+    for k in range(1, reach + 1):
+        summit[:, k:] &= values[:, k:] >= values[:, :-k]
+        summit[:, :-k] &= values[:, :-k] > values[:, k:]
+    row, column = summit.nonzero()
+    return row, column
+
+
+class Rays:
+    """Histograms of points over the rays from a point above them, by where a ray meets the lower image border.
+
+    There the bins are equally wide for a high and a low point.
+    """
+
+    def __init__(self, camera: CameraModel) -> None:
+        self.bottom = float(camera.rays((camera.matrix[0, 2], camera.height_px - 1.0))[1] * camera.matrix[0, 0])
+        self._most, self._ahead = ACROSS * camera.width_px, AHEAD * camera.width_px
+
+    def profile(self, points: FloatArray, u0: float, v0: float) -> FloatArray:
+        """The weight (BINS,) of the points (n, 3) in each bin of rays from (u0, v0)."""
+        depth = self.bottom - v0
+        across = (points[:, 0] - u0) * (depth / np.maximum(points[:, 1] - v0, 1.0))
+        index = np.floor((across + self._most) * (0.5 * BINS / self._most))
+        there = (index >= 0) & (index < BINS) & (np.abs(across) < MOST_SLOPE * depth)
+        weights = np.bincount(index[there].astype(np.intp), weights=points[there, 2], minlength=BINS)
+        return np.convolve(weights, (0.5, 1.0, 0.5), "same")
+
+    def slopes(self, v0: float) -> FloatArray:
+        """The slope du / dv (BINS,) of the ray of each bin."""
+        across = (np.arange(BINS) + 0.5 - 0.5 * BINS) * (2.0 * self._most / BINS)
+        return np.asarray(across / (self.bottom - v0), dtype=np.float64)
+
+    def sharpness(self, points: FloatArray, u0: float, v0: float, most: float = math.inf) -> float:
+        """How far the points are concentrated on few rays from (u0, v0), each of which adds `most` at most."""
+        values = self.profile(points, u0, v0)
+        around = moving_average(values)
+        return float(np.minimum(np.maximum(values - around, 0.0) ** 2 / (around + 4.0), most).sum())
+
+    def sharpest(self, images: Sequence[FloatArray], us: FloatArray, vs: FloatArray, below: float | None) -> FloatArray:
+        """The node (2,) of a grid with the largest sum of sharpness, of all points or of those that lie `below` it.
+
+        With `below` the points lie on any bright object, so one ray adds `MOST_OF_ONE` at most.
+        """
+        most = math.inf if below is None else MOST_OF_ONE
+        score = np.zeros((len(vs), len(us)))
+        for i, v0 in enumerate(vs):
+            there = images if below is None else [p[p[:, 1] > v0 + below] for p in images]
+            for j, u0 in enumerate(us):
+                score[i, j] = sum(self.sharpness(points, u0, v0, most) for points in there)
+        score *= np.exp(-0.5 * (us / self._ahead) ** 2)
+        row, column = np.unravel_index(int(score.argmax()), score.shape)
+        return np.array((us[column], vs[row]))
+
+
+def moving_average(values: FloatArray) -> FloatArray:
+    """The moving average (BINS,) of a profile."""
+    return np.convolve(values, np.full(31, 1.0 / 31.0), "same")
+
+
+def common_vanishing_point(images: Sequence[Image], camera: CameraModel) -> tuple[FloatArray, list[FloatArray]]:
+    """The vanishing point (2,) of the lines of all images, in ideal pixels, and the marking points (n, 3) of each."""
+    width, height, rays = camera.width_px, camera.height_px, Rays(camera)
+    bright = [bright_points(image, camera) for image in images]
+    best = np.zeros(2)
+    u, v = np.arange(-0.35, 0.3501, 1.0 / 32.0) * width, np.arange(-0.9, 0.3001, 1.0 / 32.0) * height
+    for share in (1.0, 0.5, 0.25):
+        best = rays.sharpest(bright, u, v, BELOW * height)
+        steps = share * np.linspace(-1.0, 1.0, 5) / 40.0
+        u, v = best[0] + steps * width, best[1] + steps * height
+    found: list[tuple[float, FloatArray, list[FloatArray]]] = []
+    for marking in MARKINGS:
+        points = list(map(partial(marking_points, camera=camera, vanishing_px=best, marking=marking), images))
+        u, v = best[0] + 0.02 * width * np.linspace(-1, 1, 11), best[1] + 0.035 * height * np.linspace(-1, 1, 21)
+        place = rays.sharpest(points, u, v, None)
+        found.append((sum(rays.sharpness(p, *place) for p in points), place, points))
+    return max(found, key=lambda each: each[0])[1:]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Pencil:
-    """The lines of one picture through one vanishing point: u = u0 + m_i (v - v0) + c / (v - v0), in ideal pixels.
+class ConvergingLines:
+    """The lines of one image through one vanishing point: u = u0 + m_i (v - v0) + c / (v - v0), in ideal pixels.
 
     `vanishing_px` (2,) is (u0, v0); `slopes` (k,) are the m_i, rising, and `support` (k,) the shares of the rows below
-    on which each line is seen. `bend_px2` is c, the same for all lines of a road of one curvature: seen from z above,
-    f^2 z curvature / 2. `covariance` (3 + k, 3 + k) is that of (u0, v0, c, m_i), and `residual_px` the RMS distance of
+    on which each line is seen. `bend_px2` is c, common to the lines of a road of one curvature: f^2 z curvature / 2 for
+    a camera z above it. `covariance` (3 + k, 3 + k) is that of (u0, v0, c, m_i), and `residual_px` the RMS distance of
     points from their line.
     """
 
@@ -50,13 +198,13 @@ class Pencil:
     residual_px: float
 
 
-def fit_pencil(
+def fit_converging_lines(
     points: FloatArray, near_px: FloatArray, rays: Rays, size: tuple[int, int], slack: float
-) -> Pencil | None:
-    """The lines through a point near `near_px` (2,); None where there are not two of them.
+) -> ConvergingLines | None:
+    """The lines through a point near `near_px` (2,), by Gauss-Newton with shrinking gates; None for fewer than two.
 
-    `points` (n, 3) as `marking_points` gives them, `size` (width, height) of the picture [px]; the point keeps within
-    about `slack` of the picture's width.
+    `points` (n, 3) as of `marking_points`, `size` (width, height) of the image [px]; `slack` is one sigma of the
+    vanishing point in image widths.
     """
     width, height = size
     sigma = slack * width
@@ -68,7 +216,7 @@ def fit_pencil(
     prior = np.diag((sigma**-2, sigma**-2, (BENDING * height**2) ** -2))
     for gate, apart in GATES:
         for _ in range(3):
-            line = _gathered(points, x, max(gate * width, LEAST_GATE_PX))
+            line = _assigned(points, x, max(gate * width, LEAST_GATE_PX))
             x, line = _kept(points, x, line, apart)
             if len(x) < 5:
                 return None
@@ -78,7 +226,7 @@ def fit_pencil(
     information[:3, :3] += prior
     order = np.concatenate((np.arange(3), 3 + np.argsort(x[3:])))
     support = np.array(_rows(points, line, len(x) - 3)) / len(np.unique(points[:, 1]))
-    return Pencil(
+    return ConvergingLines(
         vanishing_px=x[:2],
         slopes=x[order[3:]],
         support=support[order[3:] - 3],
@@ -89,14 +237,14 @@ def fit_pencil(
 
 
 def _rows(points: FloatArray, line: Ints, count: int) -> list[int]:
-    """On how many rows each of `count` lines is seen."""
+    """The number of rows on which each of `count` lines is seen."""
     return [len(np.unique(points[line == i, 1])) for i in range(count)]
 
 
 def _peaks(points: FloatArray, start: FloatArray, rays: Rays) -> FloatArray:
-    """The slopes (k,) of the rays with most points."""
+    """The slopes (k,) of the rays with the most points."""
     weights = rays.profile(points, *start)
-    around = usual(weights)
+    around = moving_average(weights)
     sigmas = (weights - around) / np.sqrt(4.0 * around + 20.0)
     slopes: list[float] = []
     of_step = rays.slopes(start[1])
@@ -108,8 +256,8 @@ def _peaks(points: FloatArray, start: FloatArray, rays: Rays) -> FloatArray:
     return np.array(slopes)
 
 
-def _gathered(points: FloatArray, x: FloatArray, gate: float) -> Ints:
-    """The line (n,) that each point belongs to, -1 where to none."""
+def _assigned(points: FloatArray, x: FloatArray, gate: float) -> Ints:
+    """The line (n,) that each point belongs to, -1 for none."""
     if len(x) == 3:
         return np.full(len(points), -1, np.intp)
     down = np.maximum(points[:, 1:2] - x[1], 1.0)
@@ -119,7 +267,7 @@ def _gathered(points: FloatArray, x: FloatArray, gate: float) -> Ints:
 
 
 def _kept(points: FloatArray, x: FloatArray, line: Ints, apart: float) -> tuple[FloatArray, Ints]:
-    """The lines that are seen on rows enough, the better of two that are one, and the line (n,) of each point."""
+    """Without lines on too few rows, and with the better of two similar ones; and the line (n,) of each point."""
     rows, slopes = _rows(points, line, len(x) - 3), x[3:]
     good: list[int] = []
     for i in np.argsort(rows)[::-1]:
@@ -145,161 +293,3 @@ def _step(
     matrix[:3, :3] += prior
     pull[:3] += prior @ (expected - x[:3])
     return np.linalg.solve(matrix, pull), information, float(np.sqrt(np.mean(residual**2)))
-
-
-Floats32 = NDArray[np.float32]
-
-BREADTHS_PX = (3, 5, 9, 15, 25)
-MARKINGS = (0.05, 0.08, 0.13, 0.2, 0.3)  # breadths of markings, in heights of the camera
-ROWS = 150  # of a picture that are looked at, about
-NOISES, NOISES_OF_MARKING, MOST_NOISES = 4.0, 2.5, 8.0  # by which a ridge stands out; more counts no more
-MOST_SLOPE = 4.5  # |du / dv| of lines that are looked for
-ACROSS, BINS = 2.0, 256  # widths of the picture, to each side, in which rays meet its lower edge, and their steps
-MOST_OF_ONE = 40.0  # variances of chance: a single strong line says little about where lines meet
-AHEAD = 0.2  # of the picture's width: a camera on a car looks about straight ahead, one sigma
-BELOW = 1.0 / 24.0  # of the picture's height under the vanishing point: nearer to it all lines are one
-_STEP = 0.02  # of slope between samples
-
-
-def grey_of(image: Image) -> Image:
-    """The picture (h, w), in grey."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
-def bright_points(image: Image, camera: CameraModel) -> FloatArray:
-    """Points (n, 3) on bright ridges of any breadth: ideal u, v [px], and a weight."""
-    grey = grey_of(image)
-    height, width = grey.shape
-    rows = np.unique(np.linspace(0, height - 1, min(height, ROWS)).astype(np.intp))
-    values = grey[rows].astype(np.float32)
-    noise = float(np.median(np.abs(np.diff(values, axis=1)))) + 1.0
-    best = np.full(values.shape, -np.inf, np.float32)
-    for breadth in (b for b in BREADTHS_PX if 3 * b <= min(width, height)):
-        stands_out = _ridge(values, breadth, breadth) * np.float32(np.sqrt(breadth))
-        here = best[:, breadth + breadth // 2 :][:, : stands_out.shape[1]]
-        np.maximum(here, stands_out, out=here)
-    row, column = _summits(best, NOISES * noise, 2)
-    rays = camera.rays(np.stack((column, rows[row]), axis=-1).astype(np.float64))
-    points = np.column_stack((camera.matrix[0, 0] * rays[:, :2], np.ones(len(row))))
-    return points[np.isfinite(points).all(axis=1)]
-
-
-def marking_points(image: Image, camera: CameraModel, vanishing_px: FloatArray, marking: float) -> FloatArray:
-    """Points (n, 3) as `bright_points` gives them, on ridges that are a marking's breadth wide in their rows.
-
-    `vanishing_px` (2,) may be wrong by some pixels; `marking` is the breadth in heights of the camera. The weight is
-    how many noises a ridge stands out.
-    """
-    focal = camera.matrix[0, 0]
-    bottom = camera.rays((camera.matrix[0, 2], camera.height_px - 1.0))[1] * focal
-    down = np.linspace(BELOW * camera.height_px, bottom - vanishing_px[1], ROWS)
-    slope = np.arange(-MOST_SLOPE, MOST_SLOPE, _STEP)
-    if not bottom - vanishing_px[1] > 2.0 * BELOW * camera.height_px:
-        return np.empty((0, 3))
-    u, v = vanishing_px[0] + slope * down[:, None], np.broadcast_to(vanishing_px[1] + down[:, None], (ROWS, len(slope)))
-    pixels = camera.project(np.stack((u, v, np.full_like(u, focal)), axis=-1))
-    inside = camera.inside(pixels, 0.5)
-    maps = np.where(inside[..., None], pixels, -9.0).astype(np.float32)
-    values = cv2.remap(grey_of(image), maps[..., 0].copy(), maps[..., 1].copy(), cv2.INTER_LINEAR).astype(np.float32)
-    breadth = max(round(marking / _STEP), 1)
-    apart = breadth + max(breadth // 3, 1)
-    ridge = _ridge(values, breadth, apart)
-    begin = apart + breadth // 2
-    known = inside[:, : ridge.shape[1]] & inside[:, -ridge.shape[1] :]
-    noise = [
-        float(np.median(np.abs(line[there]))) if there.any() else 0.0 for line, there in zip(ridge, known, strict=True)
-    ]
-    stands_out = np.where(known, ridge / (np.array(noise)[:, None] + 0.5), -np.inf).astype(np.float32)
-    row, at = _summits(stands_out, NOISES_OF_MARKING, breadth // 2)
-    weight = np.minimum(stands_out[row, at], MOST_NOISES)
-    column = at + begin
-    return np.column_stack((u[row, column], v[row, column], weight))
-
-
-def _ridge(values: Floats32, breadth: int, apart: int) -> Floats32:
-    """Means of `breadth` samples above the brighter of those `apart` on each side; shorter by what that needs."""
-    sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
-    means = (sums[:, breadth:] - sums[:, :-breadth]) / np.float32(breadth)
-    return np.asarray(means[:, apart:-apart] - np.maximum(means[:, : -2 * apart], means[:, 2 * apart :]))
-
-
-def _summits(values: Floats32, least: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of what is above `least` and the largest within `reach` columns."""
-    summit = values > least
-    for k in range(1, reach + 1):
-        summit[:, k:] &= values[:, k:] >= values[:, :-k]
-        summit[:, :-k] &= values[:, :-k] > values[:, k:]
-    row, column = summit.nonzero()
-    return row, column
-
-
-class Rays:
-    """Sorts points by the rays from a point above, told apart by where they meet the picture's lower edge.
-
-    Counted there the rays of a point high above are as far apart as those of a low one.
-    """
-
-    def __init__(self, camera: CameraModel) -> None:
-        self.bottom = float(camera.rays((camera.matrix[0, 2], camera.height_px - 1.0))[1] * camera.matrix[0, 0])
-        self._most, self._ahead = ACROSS * camera.width_px, AHEAD * camera.width_px
-
-    def profile(self, points: FloatArray, u0: float, v0: float) -> FloatArray:
-        """The weight (BINS,) of the points (n, 3) on each step of rays from (u0, v0)."""
-        depth = self.bottom - v0
-        across = (points[:, 0] - u0) * (depth / np.maximum(points[:, 1] - v0, 1.0))
-        index = np.floor((across + self._most) * (0.5 * BINS / self._most))
-        there = (index >= 0) & (index < BINS) & (np.abs(across) < MOST_SLOPE * depth)
-        weights = np.bincount(index[there].astype(np.intp), weights=points[there, 2], minlength=BINS)
-        return np.convolve(weights, (0.5, 1.0, 0.5), "same")
-
-    def slopes(self, v0: float) -> FloatArray:
-        """The slope du / dv (BINS,) of each step's ray."""
-        across = (np.arange(BINS) + 0.5 - 0.5 * BINS) * (2.0 * self._most / BINS)
-        return np.asarray(across / (self.bottom - v0), dtype=np.float64)
-
-    def sharpness(self, points: FloatArray, u0: float, v0: float, most: float = math.inf) -> float:
-        """How much the points lie on few rays from (u0, v0), each of which counts for `most` at most."""
-        values = self.profile(points, u0, v0)
-        around = usual(values)
-        return float(np.minimum(np.maximum(values - around, 0.0) ** 2 / (around + 4.0), most).sum())
-
-    def sharpest(
-        self, pictures: Sequence[FloatArray], us: FloatArray, vs: FloatArray, below: float | None
-    ) -> FloatArray:
-        """The place (2,) of a grid with the largest sum of sharpness: of all points, or of those that lie `below` it.
-
-        These are many, on anything: one ray of them counts for `MOST_OF_ONE` at most.
-        """
-        most = math.inf if below is None else MOST_OF_ONE
-        score = np.zeros((len(vs), len(us)))
-        for i, v0 in enumerate(vs):
-            there = pictures if below is None else [p[p[:, 1] > v0 + below] for p in pictures]
-            for j, u0 in enumerate(us):
-                score[i, j] = sum(self.sharpness(points, u0, v0, most) for points in there)
-        score *= np.exp(-0.5 * (us / self._ahead) ** 2)
-        row, column = np.unravel_index(int(score.argmax()), score.shape)
-        return np.array((us[column], vs[row]))
-
-
-def usual(values: FloatArray) -> FloatArray:
-    """What is usual around each of the steps of a profile."""
-    return np.convolve(values, np.full(31, 1.0 / 31.0), "same")
-
-
-def common_vanishing_point(pictures: Sequence[Image], camera: CameraModel) -> tuple[FloatArray, list[FloatArray]]:
-    """Where (2,) the lines of all pictures meet, in ideal pixels, and the points (n, 3) on markings of each picture."""
-    width, height, rays = camera.width_px, camera.height_px, Rays(camera)
-    bright = [bright_points(image, camera) for image in pictures]
-    best = np.zeros(2)
-    u, v = np.arange(-0.35, 0.3501, 1.0 / 32.0) * width, np.arange(-0.9, 0.3001, 1.0 / 32.0) * height
-    for share in (1.0, 0.5, 0.25):
-        best = rays.sharpest(bright, u, v, BELOW * height)
-        steps = share * np.linspace(-1.0, 1.0, 5) / 40.0
-        u, v = best[0] + steps * width, best[1] + steps * height
-    found: list[tuple[float, FloatArray, list[FloatArray]]] = []
-    for marking in MARKINGS:
-        points = list(map(partial(marking_points, camera=camera, vanishing_px=best, marking=marking), pictures))
-        u, v = best[0] + 0.02 * width * np.linspace(-1, 1, 11), best[1] + 0.035 * height * np.linspace(-1, 1, 21)
-        place = rays.sharpest(points, u, v, None)
-        found.append((sum(rays.sharpness(p, *place) for p in points), place, points))
-    return max(found, key=lambda each: each[0])[1:]

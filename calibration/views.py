@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.sources.errors import SourceError
+from automodel.sources.images import in_colour
 from automodel.types import FloatArray, Image
 from calibration.boards import Board, FoundBoard, find_board
 
@@ -128,7 +129,7 @@ def edge_width_px(image: Image, found: FoundBoard, margin: float) -> float:
     Rise over steepest slope of the grey level, on profiles across the edge between every two neighbouring corners,
     `margin` squares to both sides; a sharp camera gives 1 to 2.
     """
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    grey = in_colour(image, False)
     widths = []
     for a, b in _pairs(found):
         if len(a) == 0:

@@ -1,7 +1,7 @@
-"""The car's own motion from what its camera saw of the floor, for cars without a gyro.
+"""The car's motion from its camera's images of the floor, for cars without a gyro.
 
-Bird's-eye views of the floor before the car are kept while it drives and compared afterwards. What is the same in all
-of them (vignetting, reflections of lamps, a bumper) moves with the camera and is taken away first; else a plain floor
+Bird's-eye views of the floor ahead are kept while the car drives and compared afterwards. What is equal in all of them
+(vignetting, reflections of lamps, a bumper) moves with the camera and is subtracted first; otherwise a plain floor
 under a lamp would seem to stand still.
 """
 
@@ -22,26 +22,26 @@ from automodel.types import FloatArray, Image
 
 Float32Array = NDArray[np.float32]
 
-_REACH_HEIGHTS = 4.5  # how far the view reaches beyond the first visible ground, in camera heights
+_REACH_HEIGHTS = 4.5  # length of the view beyond the first visible ground, in camera heights
 _HALF_WIDTH_HEIGHTS = 2.7
 _ROWS = 200
 _BLUR_PX = 1.5
-_BROAD_PX = 31  # brightness that changes over more than this is light, no floor
-_CLIP = 3.0  # times the usual contrast: else one bright line would be all that counts, and it says nothing along itself
-_ALIKE = 0.3  # correlation from which two views are taken for the same floor
-_SURE = 0.75  # from which no other guess is tried
-_TURNS_RAD = (0.0, 0.06, -0.06, 0.14, -0.14)  # guesses around the motion before
+_BROAD_PX = 31  # slower changes of brightness are light, not floor
+_CLIP = 3.0  # times the median contrast; without it one bright line would dominate, which has no texture along itself
+_SAME_FLOOR = 0.3  # least correlation of two views of the same floor
+_SURE = 0.75  # correlation from which no other start is tried
+_TURNS_RAD = (0.0, 0.06, -0.06, 0.14, -0.14)  # starts, relative to the motion before
 _STOP = (3, 30, 1e-5)  # cv2.TERM_CRITERIA_EPS + MAX_ITER
-_LEAST_SHARE = 0.6  # of the pairs that must tell a motion
+_LEAST_SHARE = 0.6  # of the pairs that must be registered
 
 
 class FloorError(ValueError):
-    """The floor shows too little to tell the motion; the text says what to do."""
+    """The floor shows too little to measure the motion; the text says what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Driven:
-    """The motion between successive views: at `t_ns` (n,), midway, speed `speed_mps` (n,) and `yaw_rate_radps` (n,)."""
+    """The motion between successive views, at `t_ns` (n,) midway: `speed_mps` (n,) and `yaw_rate_radps` (n,)."""
 
     t_ns: NDArray[np.int64]
     speed_mps: FloatArray
@@ -49,7 +49,7 @@ class Driven:
 
 
 def floor_view(camera: GroundCamera) -> BirdsEye:
-    """The bird's-eye view of the floor that motion is told from; raises ValueError where the camera sees no floor."""
+    """The bird's-eye view of the floor for `motion_of`; raises ValueError where the camera sees no floor."""
     near = camera.first_visible_x_m()
     height = float(camera.centre_m[2])
     reach = _REACH_HEIGHTS * height
@@ -65,34 +65,36 @@ def floor_view(camera: GroundCamera) -> BirdsEye:
 
 
 def motion_of(views: Sequence[Image], t_ns: Sequence[int], floor: BirdsEye) -> Driven:
-    """The motion between each two successive `views` (h, w) grey, taken at `t_ns`; raises FloorError.
+    """The motion between successive `views` (h, w) grey, taken at `t_ns`; raises FloorError.
 
-    Each pair is registered by the enhanced correlation coefficient (Evangelidis and Psarakis 2008) with a rotation and
-    a shift; pairs that do not correlate are left out.
+    Each pair is registered with a rotation and a shift by the enhanced correlation coefficient (Evangelidis and
+    Psarakis 2008); pairs that do not correlate are left out.
     """
     if len(views) < 3:
-        raise FloorError(f"{len(views)} pictures of the floor were taken; does the camera work?")
+        raise FloorError(f"{len(views)} images of the floor were taken; does the camera work?")
     shown = _without_fixed([_floor_only(view) for view in views])
     mask = cv2.erode(np.pad(floor.mask, 1), np.ones((_BROAD_PX - 6, _BROAD_PX - 6), np.uint8))[1:-1, 1:-1].copy()
-    middles, ways, turns, spans = [], [], [], []
-    way, turn = 0.0, 0.0
+    middles, distances, turns, spans = [], [], [], []
+    distance, turn = 0.0, 0.0
     for i in range(1, len(views)):
-        found = _registered(shown[i - 1], shown[i], mask, floor.view, (way, turn))
+        found = _registered(shown[i - 1], shown[i], mask, floor.view, (distance, turn))
         if found is None:
             continue
-        way, turn = found
-        ways.append(way)
+        distance, turn = found
+        distances.append(distance)
         turns.append(turn)
         spans.append((t_ns[i] - t_ns[i - 1]) * 1e-9)
         middles.append((t_ns[i] + t_ns[i - 1]) // 2)
-    if len(ways) < _LEAST_SHARE * (len(views) - 1):
+    if len(distances) < _LEAST_SHARE * (len(views) - 1):
         raise FloorError(
-            f"only {len(ways)} of {len(views) - 1} pairs of pictures tell how the car moved: the floor is too plain or "
-            "too dark; spread newspapers on it, or switch a light on"
+            f"only {len(distances)} of {len(views) - 1} pairs of images show the motion: the floor is too plain or too "
+            "dark; spread newspapers on it, or switch a light on"
         )
     span = np.array(spans)
     return Driven(
-        t_ns=np.array(middles, dtype=np.int64), speed_mps=np.array(ways) / span, yaw_rate_radps=np.array(turns) / span
+        t_ns=np.array(middles, dtype=np.int64),
+        speed_mps=np.array(distances) / span,
+        yaw_rate_radps=np.array(turns) / span,
     )
 
 
@@ -110,24 +112,24 @@ def _without_fixed(views: list[Float32Array]) -> list[Float32Array]:
 def _registered(
     before: Float32Array, after: Float32Array, mask: Image, view: View, last: tuple[float, float]
 ) -> tuple[float, float] | None:
-    """(way [m], turn [rad]) from one view to the next, None where they are not alike."""
-    best, warp = _ALIKE, None
+    """(distance [m], rotation [rad]) from one view to the next, None where they do not correlate."""
+    best, warp = _SAME_FLOOR, None
     for turn in _TURNS_RAD:
         guess = _warp_of(last[0], last[1] + turn, view)
         with contextlib.suppress(cv2.error):  # it has not converged
-            alike, found = cv2.findTransformECC(before, after, guess, cv2.MOTION_EUCLIDEAN, _STOP, mask, 1)
-            if alike > best:
-                best, warp = alike, found.astype(np.float32)
+            correlation, found = cv2.findTransformECC(before, after, guess, cv2.MOTION_EUCLIDEAN, _STOP, mask, 1)
+            if correlation > best:
+                best, warp = correlation, found.astype(np.float32)
         if best > _SURE:
             break
     return None if warp is None else _motion_of_warp(warp, view)
 
 
-def _warp_of(way_m: float, turn_rad: float, view: View) -> Float32Array:
-    """The affine (2, 3) that carries view pixels before a motion along an arc to where the same floor is after it."""
+def _warp_of(distance_m: float, turn_rad: float, view: View) -> Float32Array:
+    """The affine transform (2, 3) of view pixels by a motion along an arc."""
     corners = np.array([(0.0, 0.0), (view.width_px - 1.0, 0.0), (0.0, view.height_px - 1.0)])
     half = 0.5 * turn_rad
-    chord = way_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+    chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
     shift = chord * np.array((math.cos(half), math.sin(half)))
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     after_m = (view.to_body(corners) - shift) @ np.array(((c, -s), (s, c)))
@@ -136,7 +138,7 @@ def _warp_of(way_m: float, turn_rad: float, view: View) -> Float32Array:
 
 
 def _motion_of_warp(warp: Float32Array, view: View) -> tuple[float, float]:
-    """Way [m] and turn [rad] of the rear axle, the inverse of `_warp_of` but for the side slip, which is left out."""
+    """Distance [m] and rotation [rad] of the rear axle: the inverse of `_warp_of`, side slip ignored."""
     pixels = np.array([(0.0, 0.0), (view.width_px - 1.0, 0.0)])
     before = view.to_body(pixels)
     after = view.to_body(pixels @ warp[:, :2].T + warp[:, 2])

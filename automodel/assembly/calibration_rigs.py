@@ -7,14 +7,13 @@ import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
-from automodel.assembly.parts import car_of, make_camera
+from automodel.assembly.links import arduino_link
+from automodel.assembly.parts import build_run, car_of, make_camera
+from automodel.assembly.simulated_car import has_our_firmware
 from automodel.config import CarConfig, ConfigError
-from automodel.estimation.ego_motion import MotionEstimator
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
 from automodel.runtime.clocks import MonotonicClock, SleepingClock, VirtualClock
-from automodel.runtime.run_types import RunParts
-from automodel.runtime.safety import Safety
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.randomised_plant import randomised_servo
@@ -23,7 +22,6 @@ from automodel.sources.cameras import CaptureThread
 from automodel.types import Image
 from calibration.car_file import check_car_file
 from calibration.drive import Rig, Ticks, plant_of
-from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.transport import LoggedTransport, MemoryTransport, SerialTransport, Transport
 
@@ -45,7 +43,7 @@ def car_to_calibrate(
     if not dry_run:
         check_car_file(car_file)
     car = car_of(car_file)
-    if needs_board_log and car.link.kind != "arduino":
+    if needs_board_log and not has_our_firmware(car):
         raise ConfigError(
             f'{car_file}: [link] kind = "{car.link.kind}": only the board with kind = "arduino" reports pulses and '
             "ticks; see --manual and --ticks"
@@ -100,7 +98,7 @@ def rig_on(
 ) -> Rig:
     """The rig of a board on `transport`."""
     board = LoggedTransport(transport, clock)
-    link = ArduinoLink(board, car.link, car.vehicle)
+    link = arduino_link(car, board)
     return Rig(
         car=car,
         link=link,
@@ -108,15 +106,7 @@ def rig_on(
         auto_arm=auto_arm,
         board=board,
         plant=plant,
-        run_parts=lambda loop: RunParts(
-            source=source,
-            link=link,
-            recorder=None,
-            motion=MotionEstimator(car.vehicle),
-            loop=loop,
-            safety=Safety(car.safety, auto_arm=auto_arm),
-            clock=clock,
-        ),
+        run_parts=lambda loop: build_run(car, source=source, link=link, clock=clock, loop=loop, auto_arm=auto_arm),
     )
 
 

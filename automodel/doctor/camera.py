@@ -28,6 +28,7 @@ from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.interfaces import Source
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.errors import EndOfSource, SourceError
+from automodel.sources.images import in_colour
 from automodel.types import Image
 
 RATE_OK = 0.1  # share by which the rate may be off
@@ -169,11 +170,6 @@ BLUR_WARN_PX, BLUR_FAIL_PX = 1.9, 3.2
 _SMOOTHING_PX = 0.7
 
 
-def grey_of(image: Image) -> Image:
-    """The picture (h, w) of one (h, w) or (h, w, 3) BGR."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
 def judge_exposure(grey: Image) -> Finding:
     """Too dark, burnt out, without contrast, or right; `grey` is uint8 (h, w)."""
     name = "exposure"
@@ -252,7 +248,7 @@ def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: l
     yield judge_resolution(capture, car)
     yield judge_stamps(capture)
     yield judge_rate(capture, car)
-    grey = grey_of(capture.frames[-1].image)
+    grey = in_colour(capture.frames[-1].image, False)
     yield judge_exposure(grey)
     yield judge_sharpness(grey)
 

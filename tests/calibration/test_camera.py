@@ -55,7 +55,7 @@ def test_the_lens_is_found_again(found: CameraCalibration) -> None:
 
 
 def test_the_error_of_a_view_is_that_of_its_corners(found: CameraCalibration) -> None:
-    squares = [np.sum(error.misses_px**2, axis=1) for error in found.views]
+    squares = [np.sum(error.residuals_px**2, axis=1) for error in found.views]
     assert [error.rms_px for error in found.views] == pytest.approx([np.sqrt(s.mean()) for s in squares])
     assert found.rms_px == pytest.approx(np.sqrt(np.concatenate(squares).mean()))
 
@@ -100,7 +100,7 @@ def test_a_view_that_does_not_fit_is_dropped_and_named(views: list[View]) -> Non
 
 
 def test_too_few_views_are_refused(views: list[View]) -> None:
-    with pytest.raises(CalibrationError, match="3 usable views of the board; 4 at least are wanted, 15 are good"):
+    with pytest.raises(CalibrationError, match="expected at least 4 usable views of the board, better 15, got 3"):
         calibrate_camera(views[:3], BOARD)
 
 
@@ -159,7 +159,7 @@ def test_views_that_are_no_good_are_refused_with_the_reason(pictures: list[np.nd
     assert reason(views, far) in ("too far away: squares of 5 px", "no board found")
     assert reason(views, np.full((360, 640), 90, np.uint8)) == "no board found"
     larger = seen(chessboard(10, 7), scale, turned(0.2, 0.1), np.array([0.0, 0.0, 0.4]))
-    assert reason(views, larger) == "a board of 10x7 inner corners where 9x6 are wanted"
+    assert reason(views, larger) == "expected a board of 9x6 inner corners, got 10x7"
 
 
 def test_edges_are_as_wide_as_the_blur(pictures: list[np.ndarray], views: list[View]) -> None:
@@ -181,7 +181,9 @@ def test_mixed_sizes_are_refused_and_a_few_left_out(pictures: list[np.ndarray]) 
     views.consider("large", np.pad(pictures[5], ((0, 1), (0, 1)), mode="edge"))
     kept, refused = settle(views)
     assert len(kept) == 5
-    assert [(seen.name, seen.reason) for seen in refused] == [("large", "641x361 pixels where the others have 640x360")]
+    assert [(seen.name, seen.reason) for seen in refused] == [
+        ("large", "expected 640x360 pixels, as most images have, got 641x361")
+    ]
     for number, image in enumerate(pictures[6:8]):
         views.consider(f"b{number}", np.asarray(cv2.resize(image, (960, 540)), np.uint8))
     with pytest.raises(CalibrationError, match=r"mixed sizes \(5 of 640x360, 2 of 960x540, 1 of 641x361\)"):
@@ -201,10 +203,10 @@ def test_the_wrong_size_is_answered_with_the_right_one(pictures: list[np.ndarray
 
 def test_nothing_found_is_said() -> None:
     views = Views(BOARD)
-    with pytest.raises(CalibrationError, match="there are no pictures"):
+    with pytest.raises(CalibrationError, match="there are no images"):
         settle(views)
     views.consider("x", np.zeros((360, 640), np.uint8))
-    with pytest.raises(CalibrationError, match="a chessboard of 9x6 inner corners is in none of the 1 pictures"):
+    with pytest.raises(CalibrationError, match="a chessboard of 9x6 inner corners is in none of the 1 images"):
         settle(views)
 
 
@@ -240,7 +242,7 @@ def test_the_real_camera(data_root: Path) -> None:
     kept, refused = settle(views)
     cut = {view.name for view in kept if view.found.size != "9x6"}
     assert cut == {"calibration1.jpg", "calibration5.jpg"}
-    assert [seen.reason for seen in refused] == ["1281x721 pixels where the others have 1280x720"] * 2
+    assert [seen.reason for seen in refused] == ["expected 1280x720 pixels, as most images have, got 1281x721"] * 2
     found = calibrate_camera(kept, BOARD)
     assert len(found.views) == 18
     assert found.rms_px <= 0.9

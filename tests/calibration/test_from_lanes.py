@@ -15,7 +15,7 @@ import pytest
 from automodel.config import Extrinsics
 from automodel.geometry import GroundCamera, cam_from_body_rotation
 from calibration.from_lanes import LanesCalibration, camera_from_lanes, level, solve_attitude, steepness
-from calibration.vanishing_point_fit import Pencil
+from calibration.vanishing_point_fit import ConvergingLines
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
 BENT = (-0.25, 0.06, 0.0, 0.0, 0.0)
@@ -86,12 +86,12 @@ def test_a_scale_car_s_camera() -> None:
     model = camera_model(640, 360, 480.0)
     camera = mounted(model, z_m=0.18, pitch_rad=0.26, x_m=0.2)
     small = [Line(0.2, (0.3, 0.3), 0.0, 0.03), Line(-0.2, SOLID, 0.0, 0.03), Line(0.6, SOLID, 0.0, 0.03)]
-    pictures = [
+    images = [
         draw(camera, [Line(one.offset_m - o, one.pattern, p, 0.03) for one in small], h, seed=k)
         for k, (o, h, p) in enumerate([(0.02, 0.0, 0.0), (-0.03, 0.02, 0.2), (0.01, -0.02, 0.5), (0.0, 0.0, 0.35)])
     ]
-    result = camera_from_lanes(pictures, model, 0.4, Extrinsics(x_m=0.2, y_m=0.01))
-    assert (result.extrinsics.x_m, result.extrinsics.y_m) == (0.2, 0.01)  # pictures do not tell
+    result = camera_from_lanes(images, model, 0.4, Extrinsics(x_m=0.2, y_m=0.01))
+    assert (result.extrinsics.x_m, result.extrinsics.y_m) == (0.2, 0.01)  # images do not tell
     assert result.extrinsics.z_m == pytest.approx(0.18, rel=0.015)
     assert result.extrinsics.pitch_rad == pytest.approx(0.26, abs=0.003)
     assert list(result.ground_error_m) == [0.5, 1.0, 2.0]
@@ -107,15 +107,15 @@ def test_all_lengths_grow_with_the_lane_s_width_and_nothing_else_changes() -> No
 
 def test_one_bend_among_straight_roads_is_left_out() -> None:
     camera = mounted()
-    pictures = [*drive(camera), draw(camera, road(0.0), 0.0, 1.0 / 40.0)]
-    result = camera_from_lanes(pictures, camera.camera, LANE_M)
+    images = [*drive(camera), draw(camera, road(0.0), 0.0, 1.0 / 40.0)]
+    result = camera_from_lanes(images, camera.camera, LANE_M)
     assert (result.frames_used, result.frames_seen) == (5, 6)
     assert result.extrinsics.pitch_rad == pytest.approx(0.1, abs=0.002)
 
 
-def refusal(pictures: list[np.ndarray], width_m: float = LANE_M, **more: Any) -> str:
+def refusal(images: list[np.ndarray], width_m: float = LANE_M, **more: Any) -> str:
     with pytest.raises(ValueError) as caught:
-        camera_from_lanes(pictures, camera_model(), width_m, **more)
+        camera_from_lanes(images, camera_model(), width_m, **more)
     text = str(caught.value)
     assert "\n" not in text
     return text
@@ -124,9 +124,9 @@ def refusal(pictures: list[np.ndarray], width_m: float = LANE_M, **more: Any) ->
 def test_what_nothing_can_be_concluded_from_is_refused_in_a_line() -> None:
     camera = mounted()
     straight = drive(camera)
-    assert refusal(straight[:2]).startswith("pictures: 2 where 3 or more")
+    assert refusal(straight[:2]).startswith("images: expected 3 or more of a straight road, got 2")
     assert "lane_width_m" in refusal(straight, 0.0)
-    assert "number 1 has 100x50 pixels; the camera has 512x288" in refusal(
+    assert "expected 512x288 pixels as the camera has, number 1 has 100x50" in refusal(
         [straight[0], np.zeros((50, 100), np.uint8), straight[1]]
     )
     bare = [draw(camera, [], seed=seed) for seed in range(4)]
@@ -140,7 +140,7 @@ def test_what_nothing_can_be_concluded_from_is_refused_in_a_line() -> None:
 def test_a_road_that_bends_is_refused() -> None:
     camera = mounted()
     bends = [draw(camera, road(0.1 * k), 0.0, 1.0 / 40.0, seed=k) for k in range(4)]
-    assert "wanted" in refusal(bends)
+    assert "expected" in refusal(bends)
 
 
 def test_pitch_yaw_and_roll_come_back_from_the_direction_of_travel() -> None:
@@ -149,8 +149,8 @@ def test_pitch_yaw_and_roll_come_back_from_the_direction_of_travel() -> None:
         assert level(cam_from_body_rotation(camera)[:, 0], roll) == pytest.approx((pitch, yaw))
 
 
-def pencil_of(camera: GroundCamera, laterals_m: list[float], heading_rad: float = 0.0) -> Pencil:
-    """The exact pencil of straight lines on the ground, from two projected points of each."""
+def pencil_of(camera: GroundCamera, laterals_m: list[float], heading_rad: float = 0.0) -> ConvergingLines:
+    """The exact lines of straight lines on the ground, from two projected points of each."""
     focal, matrix = camera.camera.matrix[0, 0], camera.camera.matrix
     along = np.array([math.cos(heading_rad), math.sin(heading_rad)])
     slopes = []
@@ -160,7 +160,7 @@ def pencil_of(camera: GroundCamera, laterals_m: list[float], heading_rad: float 
     ray = camera.cam_from_body @ np.array([*along, 0.0])
     place = ray[:2] / ray[2] * focal
     assert matrix[0, 0] == matrix[1, 1]
-    return Pencil(
+    return ConvergingLines(
         vanishing_px=place, slopes=np.array(slopes), support=np.ones(len(slopes)), bend_px2=0.0,
         covariance=1e-12 * np.eye(3 + len(slopes)), residual_px=0.1,
     )  # fmt: skip
@@ -168,15 +168,15 @@ def pencil_of(camera: GroundCamera, laterals_m: list[float], heading_rad: float 
 
 def test_lines_lie_where_their_planes_say() -> None:
     camera = mounted(pitch_rad=0.2, yaw_rad=0.1)
-    pencil = pencil_of(camera, [5.2, 1.9, -1.6])
-    np.testing.assert_allclose(np.tan(steepness(pencil, 450.0)), np.array([5.2, 1.9, -1.6]) / 1.6, atol=1e-9)
+    lines = pencil_of(camera, [5.2, 1.9, -1.6])
+    np.testing.assert_allclose(np.tan(steepness(lines, 450.0)), np.array([5.2, 1.9, -1.6]) / 1.6, atol=1e-9)
 
 
 @pytest.mark.parametrize("roll", [-0.06, 0.0, 0.035])
 def test_roll_is_what_makes_all_lanes_one_width(roll: float) -> None:
     camera = mounted(pitch_rad=0.15, yaw_rad=-0.04, roll_rad=roll)
-    pencils = [pencil_of(camera, [1.8 + 3.6 - o, 1.8 - o, -1.8 - o]) for o in (0.2, -0.5, 0.1)]
-    found = solve_attitude(pencils, 450.0, 0.0)
+    bundles = [pencil_of(camera, [1.8 + 3.6 - o, 1.8 - o, -1.8 - o]) for o in (0.2, -0.5, 0.1)]
+    found = solve_attitude(bundles, 450.0, 0.0)
     assert found.roll_known
     assert found.roll_rad == pytest.approx(roll, abs=0.002)
     assert found.pitch_rad == pytest.approx(0.15, abs=0.001)
@@ -186,16 +186,16 @@ def test_roll_is_what_makes_all_lanes_one_width(roll: float) -> None:
 
 def test_one_lane_seen_from_its_middle_tells_no_roll() -> None:
     camera = mounted(roll_rad=0.05)
-    pencils = [pencil_of(camera, [1.8, -1.8])] * 4
-    found = solve_attitude(pencils, 450.0, 0.01)
+    bundles = [pencil_of(camera, [1.8, -1.8])] * 4
+    found = solve_attitude(bundles, 450.0, 0.01)
     assert not found.roll_known
     assert found.roll_rad == pytest.approx(0.01)
 
 
 def test_two_lanes_together_are_no_lane() -> None:
     camera = mounted()
-    pencils = [pencil_of(camera, [5.4, 1.8, -1.8]), pencil_of(camera, [5.4, -1.8]), pencil_of(camera, [1.8, -1.8])]
-    assert solve_attitude(pencils, 450.0, 0.0).width_heights == pytest.approx(3.6 / 1.6, rel=0.01)
+    bundles = [pencil_of(camera, [5.4, 1.8, -1.8]), pencil_of(camera, [5.4, -1.8]), pencil_of(camera, [1.8, -1.8])]
+    assert solve_attitude(bundles, 450.0, 0.0).width_heights == pytest.approx(3.6 / 1.6, rel=0.01)
     with pytest.raises(ValueError, match="the camera between them"):
         solve_attitude([pencil_of(camera, [5.4, 1.8])] * 3, 450.0, 0.0)
 
@@ -207,10 +207,10 @@ def test_the_highway_video_s_camera(data_root: Path) -> None:
     if not file.is_file():
         pytest.skip(f"no {file}")
     video = cv2.VideoCapture(str(file))
-    pictures = [np.asarray(video.read()[1], np.uint8) for _ in range(220)][::30]
+    images = [np.asarray(video.read()[1], np.uint8) for _ in range(220)][::30]
     video.release()
     model = camera_model(960, 540, 868.0)
-    found = camera_from_lanes(pictures, model, 3.7)
+    found = camera_from_lanes(images, model, 3.7)
     assert found.extrinsics.pitch_rad == pytest.approx(-0.0411, abs=0.003)
     assert found.extrinsics.yaw_rad == pytest.approx(0.0025, abs=0.005)
     assert found.extrinsics.z_m == pytest.approx(1.246, rel=0.03)
@@ -224,8 +224,8 @@ def test_ten_highway_frames_agree_with_their_labels(data_root: Path) -> None:
         pytest.skip(f"no {root}/label_data.json")
     labels = [json.loads(line) for line in (root / "label_data.json").read_text().splitlines()]
     files = [str(root / label["raw_file"]) for label in labels]
-    pictures = [np.asarray(cv2.imread(file, cv2.IMREAD_GRAYSCALE), np.uint8) for file in files]
-    found = camera_from_lanes(pictures, camera_model(f_px=443.0), 3.7)
+    images = [np.asarray(cv2.imread(file, cv2.IMREAD_GRAYSCALE), np.uint8) for file in files]
+    found = camera_from_lanes(images, camera_model(f_px=443.0), 3.7)
     # by the labels alone lines meet in (257 +- 8, 96.5 +- 2), and lanes are 2.2 slopes wide: 3.7 / 2.2 m
     np.testing.assert_allclose(found.vanishing_px, (257.0, 96.5), atol=5.0)
     assert found.extrinsics.z_m == pytest.approx(1.68, rel=0.04)

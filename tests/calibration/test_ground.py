@@ -123,20 +123,22 @@ def refused(points: np.ndarray, pixels: np.ndarray | None = None) -> str:
 
 
 def test_what_says_nothing_is_refused() -> None:
-    assert refused(POINTS[:3]) == "3 ground points; four at least are wanted, six are better"
+    assert refused(POINTS[:3]) == "expected at least four ground points, better six, got 3"
     line = np.column_stack((np.linspace(0.5, 1.4, 6), 0.02 * np.array([0, 1, 0, 1, 0, 1])))
     assert refused(line).startswith("the points lie nearly on one line on the ground; spread them")
     across = np.column_stack(([0.9, 0.92, 0.9, 0.92], [-0.4, -0.1, 0.1, 0.4]))
     assert "nearly on one line on the ground" in refused(across)
     lined_up = pixels_of(MOUNT, POINTS)
     lined_up[:, 1] = 200.0
-    assert "nearly on one line in the picture" in refused(POINTS, lined_up)
+    assert "nearly on one line in the image" in refused(POINTS, lined_up)
     outside = pixels_of(MOUNT, POINTS)
     outside[1] = 700.0, 100.0
-    assert refused(POINTS, outside) == "point 2: pixel (700, 100) lies outside the picture of 640x360"
+    assert refused(POINTS, outside) == "point 2: pixel (700, 100) lies outside the image of 640x360"
     assert refused(POINTS, np.full((6, 2), np.nan)) == "the ground points are not all finite numbers"
     together = np.array([(0.9, 0.0), (0.9, 0.01), (0.92, 0.0), (0.92, 0.01)])
-    assert refused(together).startswith("the points say too little: 0.5 m ahead the ground would be wrong by ")
+    assert refused(together).startswith(
+        "the points do not determine the camera: 0.5 m ahead the ground would be wrong by "
+    )
 
 
 def test_a_wrong_point_is_named() -> None:

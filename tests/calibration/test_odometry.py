@@ -45,7 +45,7 @@ def test_the_deviation_of_equal_runs_is_that_of_counting_whole_ticks() -> None:
 @pytest.mark.parametrize(
     ("ways", "said"),
     [
-        ([], "one run at least"),
+        ([], "expected at least one run"),
         ([(10, 0.0)], "above 0 m"),
         ([(0, 4.0), (0, 4.0)], "counted nothing"),
         ([(-800, 4.0)], "count down while the car goes ahead"),
@@ -91,7 +91,7 @@ def test_a_motor_without_a_band() -> None:
 @pytest.mark.parametrize(
     ("pairs", "said"),
     [
-        ([(1550.0, 0.5)], "1 motor pulse was driven, two at least"),
+        ([(1550.0, 0.5)], "expected at least two motor pulses, got 1"),
         ([(1550.0, 0.5), (1600.0, 0.4)], "more pulse must give more speed"),
         ([(1550.0, 0.0), (1600.0, 0.4)], "more pulse must give more speed"),
         ([(1450.0, 0.5), (1600.0, 0.4)], "both sides of neutral"),

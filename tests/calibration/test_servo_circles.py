@@ -60,8 +60,8 @@ def test_the_outer_front_wheel_runs_outside_and_ahead() -> None:
         ([(1100, 1.2, "left"), (1100, 1.6, "left"), (1900, 1.3, "right")], "1100 us: 1.2 m left and 1.6 m left contra"),
         ([(1100, 1.2, "left"), (1100, 1.2, "right"), (1900, 1.3, "right")], "1.2 m left and 1.2 m right contradict"),
         ([(1100, 1.2, "left"), (1300, 1.3, "right"), (1900, 1.3, "left")], "contradict"),
-        ([(1100, 1.2, "left"), (1300, 2.0, "left")], "circles on both sides are wanted"),
-        ([], "circles on both sides are wanted"),
+        ([(1100, 1.2, "left"), (1300, 2.0, "left")], "expected circles on both sides"),
+        ([], "expected circles on both sides"),
     ],
 )
 def test_contradictory_circles_are_refused(circles: list[tuple[float, float, str]], said: str) -> None:
@@ -72,7 +72,7 @@ def test_contradictory_circles_are_refused(circles: list[tuple[float, float, str
 @pytest.mark.parametrize(
     ("pulse_us", "diameter_m", "side", "said"),
     [
-        (1500.0, 1.0, "links", "'links' is none of left, right, straight"),
+        (1500.0, 1.0, "links", "expected one of left, right, straight, got 'links'"),
         (100.0, 1.0, "left", "500 .. 2500"),
         (1200.0, 0.0, "left", "positive"),
         (1200.0, math.nan, "left", "positive"),

@@ -26,7 +26,7 @@ def test_keys_move_the_pulse() -> None:
 def test_the_pulse_stays_within_the_span_and_says_so() -> None:
     dialog = typed("[" * 30)
     assert dialog.pulse_us == 1000.0
-    assert "no further" in dialog.line()
+    assert "limit reached" in dialog.line()
     assert typed("]" * 30).pulse_us == 2000.0
 
 

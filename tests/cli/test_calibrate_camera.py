@@ -107,26 +107,26 @@ def test_a_charuco_board_with_other_markers(folder: Path, cli) -> None:
 
 
 REFUSED = {
-    "pictures --board 8x5 --square-mm 25": "no picture shows a board of 8x5 inner corners, and 6 of 6 show one of 9x6; "
+    "pictures --board 8x5 --square-mm 25": "no image shows a board of 8x5 inner corners, and 6 of 6 show one of 9x6; "
     "give --board 9x6 if that is yours",
-    "blank --board 9x6 --square-mm 25": "a chessboard of 9x6 inner corners is in none of the 1 pictures; is the size "
+    "blank --board 9x6 --square-mm 25": "a chessboard of 9x6 inner corners is in none of the 1 images; is the size "
     "right?",
-    "mixed --board 9x6 --square-mm 25": "the pictures have mixed sizes (2 of 640x360, 2 of 800x450); give those of one "
+    "mixed --board 9x6 --square-mm 25": "the images have mixed sizes (2 of 640x360, 2 of 800x450); give those of one "
     "camera at one size",
-    "few --board 9x6 --square-mm 25": "2 usable views of the board; 4 at least are wanted, 15 are good: near and far, "
-    "in the picture's corners too, tilted to all sides",
+    "few --board 9x6 --square-mm 25": "expected at least 4 usable views of the board, better 15, got 2: near and far, "
+    "in the corners of the image too, tilted to all sides",
     "nowhere --board 9x6 --square-mm 25": "nowhere: no such file or folder",
-    "text --board 9x6 --square-mm 25": "text: no pictures in this folder (.jpg, .jpeg, .png, .bmp, .webp, .tif, "
+    "text --board 9x6 --square-mm 25": "text: no images in this folder (.jpg, .jpeg, .png, .bmp, .webp, .tif, "
     ".tiff, .pgm, .ppm)",
-    "pictures --board 9x6 --square-mm 25 --car small.toml": "small.toml: [camera] says 320x180 and the pictures have "
-    "640x360; a calibration holds for one size: take them at the size in which the car drives",
+    "pictures --board 9x6 --square-mm 25 --car small.toml": "small.toml: [camera] is 320x180 and the images are "
+    "640x360; a calibration holds for one size: take the images at the size in which the car drives",
     "pictures --board 9x6 --square-mm 25 --car wrong.toml": "wrong.toml:1: camer: unknown key; did you mean camera?",
     "pictures --board 9x6 --square-mm 25 --car text/none/car.toml": "text/none/car.toml: there is no folder "
     "{cwd}/text/none",
     "pictures --board 9x6 --square-mm 25 --car locked.toml": "locked.toml: cannot be written; look at the permissions "
     "of the file and its folder",
     "pictures --board 9x6 --square-mm 25 --out small.toml": "--out small.toml: small.toml is not a folder",
-    "live --board 9x6 --square-mm 25": 'car.toml: [camera] source "sim" gives no pictures; live is for "csi" and "usb"',
+    "live --board 9x6 --square-mm 25": 'car.toml: [camera] source "sim" gives no images; live is for "csi" and "usb"',
 }
 
 
@@ -154,12 +154,15 @@ def test_what_cannot_be_is_refused_in_one_line(arguments: str, folder: Path, dra
     ("arguments", "named"),
     [
         ("x --square-mm 25", "--board"),
-        ("x --board 9 --square-mm 25", "'9' where columns x rows"),
-        ("x --board 9x2 --square-mm 25", "board 9x2: 3 .. 50 inner corners"),
+        ("x --board 9 --square-mm 25", "expected columns x rows of inner corners, as 9x6, got '9'"),
+        ("x --board 9x2 --square-mm 25", "expected a board of 3 .. 50 inner corners each way, got 9x2"),
         ("x --board 9x6", "--square-mm"),
         ("x --board 9x6 --square-mm nan", "--square-mm"),
         ("x --board 9x6 --square-mm 25 --marker-mm 10", "--marker-mm is for --charuco"),
-        ("x --board 9x6 --square-mm 25 --charuco --marker-mm 30", "marker 0.03 m: must be smaller"),
+        (
+            "x --board 9x6 --square-mm 25 --charuco --marker-mm 30",
+            "expected markers smaller than squares of 0.025 m, got 0.03 m",
+        ),
         ("--board 9x6 --square-mm 25", "SOURCE"),
     ],
 )
@@ -181,7 +184,7 @@ def test_an_implausible_camera_is_drawn_but_not_written(folder: Path, cli) -> No
     said = cli("calibrate", "camera", folder, *BOARD)
     assert said.code == 2
     assert "FAIL  focal length: f = " in said.out
-    assert said.err.splitlines()[-1].startswith("automodel: car.toml is left as it is, this camera cannot be: ")
+    assert said.err.splitlines()[-1].startswith("automodel: car.toml is unchanged, the camera found is implausible: ")
     assert not Path("car.toml").exists()
 
 
@@ -197,7 +200,7 @@ def test_the_real_boards(data_root: Path, tmp_path: Path, monkeypatch: pytest.Mo
     assert notes == {
         "calibration1.jpg": "used: 45 corners of a part of the board",
         "calibration5.jpg": "used: 45 corners of a part of the board",
-        "calibration7.jpg": "1281x721 pixels where the others have 1280x720",
-        "calibration15.jpg": "1281x721 pixels where the others have 1280x720",
+        "calibration7.jpg": "expected 1280x720 pixels, as most images have, got 1281x721",
+        "calibration15.jpg": "expected 1280x720 pixels, as most images have, got 1281x721",
     }
     assert load_car("car.toml").camera.width_px == 1280

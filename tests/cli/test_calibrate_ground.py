@@ -129,7 +129,7 @@ def test_a_height_that_is_another_is_questioned(place: Path, cli) -> None:
         cv2.imwrite(f"drive/{number}.png", on_floor(paper, 0.004, (3.0, 0.0), 0.002 * number, MOUNT))
     said = cli("calibrate", "ground", "drive", "--from-lanes", "--lane-width-m", 0.8, "--dry-run")
     assert said.code == 0, said.err
-    assert "and was 0.18: check it with a rule" in said.err
+    assert "and was 0.18: check it with a ruler" in said.err
     before = Path("car.toml").read_bytes()
     said = cli("calibrate", "ground", "drive", "--from-lanes", "--lane-width-m", 0.8)
     assert said.code == 2
@@ -140,23 +140,23 @@ def test_a_height_that_is_another_is_questioned(place: Path, cli) -> None:
 BOARD = "--board 9x6 --square-mm 30 --at 0.6 0"
 POINTS = " ".join(f"--point {x} {y} {u:.1f} {v:.1f}" for (x, y), (u, v) in zip(PLACES, pixels(), strict=True))
 REFUSED = {
-    f"floor.png {BOARD}": "the whole board of 9x6 inner corners is in none of 1 pictures; is its size right, and all "
-    "of it in the light?",
-    "floor.png --aruco 1x1 --marker-mm 200 --at 0.6 0": "the sheet of markers is in none of 1 pictures; is its size "
-    "right, and all of it in the light?",
-    "small.png --points points.csv": "small.png: 320x180 pixels where [camera] was calibrated for 640x360; take the "
-    "picture at that size, or calibrate the camera at this one",
-    "small.png --from-lanes": "small.png: 320x180 pixels where [camera] was calibrated for 640x360; take the picture "
-    "at that size, or calibrate the camera at this one",
+    f"floor.png {BOARD}": "the whole board of 9x6 inner corners is in none of 1 images; is its size right, and is "
+    "all of it visible and lit?",
+    "floor.png --aruco 1x1 --marker-mm 200 --at 0.6 0": "the sheet of markers is in none of 1 images; is its size right, "
+    "and is all of it visible and lit?",
+    "small.png --points points.csv": "small.png: expected 640x360 pixels, for which [camera] was calibrated, got "
+    "320x180; take the image at that size, or calibrate the camera at this one",
+    "small.png --from-lanes": "small.png: expected 640x360 pixels, for which [camera] was calibrated, got 320x180; "
+    "take the image at that size, or calibrate the camera at this one",
     "floor.png --points line.csv": "the points lie nearly on one line on the ground; spread them from near to far and "
     "from side to side",
-    "floor.png --points cut.csv": "cut.csv:3: '0.5,-0.1,400' where four finite numbers are wanted",
+    "floor.png --points cut.csv": "cut.csv:3: expected four finite numbers, got '0.5,-0.1,400'",
     "floor.png --points head.csv": "head.csv:1: the first line must be x_m,y_m,u_px,v_px",
     "floor.png --points none.csv": "none.csv: cannot be read: No such file or directory",
     "none.png --points points.csv": "none.png: no such file or folder",
     "bad.png --points points.csv": "bad.png: not a picture, or a damaged one; replace it or take it out",
-    f"floor.png {' '.join(POINTS.split()[:15])}": "3 ground points; four at least are wanted, six are better",
-    "live --points points.csv": 'car.toml: [camera] source "sim" gives no pictures; live is for "csi" and "usb"',
+    f"floor.png {' '.join(POINTS.split()[:15])}": "expected at least four ground points, better six, got 3",
+    "live --points points.csv": 'car.toml: [camera] source "sim" gives no images; live is for "csi" and "usb"',
 }
 
 
@@ -180,10 +180,13 @@ def test_what_cannot_be_is_refused_in_one_line(arguments: str, place: Path, cli)
     [
         ("floor.png", "give one of --board, --aruco, --point or --points, --from-lanes"),
         (f"floor.png {BOARD} --from-lanes", "give one of --board, --aruco, --point or --points, --from-lanes"),
-        ("floor.png --board 9x6 --square-mm 30", "--at X Y is wanted"),
-        ("floor.png --board 9x6 --at 0.6 0", "--square-mm is wanted"),
-        ("floor.png --aruco 2x2 --at 0.6 0", "--marker-mm is wanted"),
-        ("floor.png --aruco 0x2 --marker-mm 20 --at 0.6 0", "ArUco sheet 0x2: 1 .. 30 markers"),
+        ("floor.png --board 9x6 --square-mm 30", "--at X Y is missing"),
+        ("floor.png --board 9x6 --at 0.6 0", "--square-mm is missing"),
+        ("floor.png --aruco 2x2 --at 0.6 0", "--marker-mm is missing"),
+        (
+            "floor.png --aruco 0x2 --marker-mm 20 --at 0.6 0",
+            "expected an ArUco sheet of 1 .. 30 markers each way, got 0x2",
+        ),
     ],
 )
 def test_wrong_arguments(arguments: str, named: str, place: Path, cli) -> None:

@@ -48,7 +48,7 @@ def test_odometry_counted(car: Path, cli) -> None:
     [
         (("--ticks", "800", "--ticks", "640"), "measure again"),
         (("--speeds", "0.5,9"), "--speeds 9.0: above [safety] speed_max_mps"),
-        (("--speeds", "slow"), "positive numbers with commas between"),
+        (("--speeds", "slow"), "expected positive numbers with commas between"),
         (("--push",), "--push: nobody can push a simulated car"),
     ],
 )
@@ -86,7 +86,7 @@ def test_a_board_that_says_neither_pulses_nor_ticks(tmp_path: Path, cli) -> None
     for command in (("servo", "--auto", "--arm"), ("odometry", "--distance-m", 4)):
         said = cli("calibrate", *command, "--car", path)
         assert said.code == 2
-        assert 'only the board with kind = "arduino" says' in said.line()
+        assert 'only the board with kind = "arduino" reports' in said.line()
     assert cli("calibrate", "odometry", "--distance-m", 4, "--ticks", 800, "--car", path).code == 0
 
 

@@ -50,7 +50,7 @@ def test_without_a_car_nothing_is_written(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     said = cli("calibrate", "servo", "--auto", "--sim")
     assert said.code == 2  # the short drive tells no table
-    assert "pulses were driven for long enough" in said.err
+    assert "pulses that were driven for long enough" in said.err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -114,7 +114,7 @@ def test_a_servo_that_does_not_answer(car: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(servo_drive, "randomised_servo", lambda seed, plant: dataclasses.replace(plant, servo=dead))
     said = cli("calibrate", "servo", "--auto", "--car", car)
     assert said.code == 2
-    assert "automodel: the servo does not answer: 1050 .. 1950 us" in said.err.splitlines()[-1]
+    assert "automodel: the servo does not respond: 1050 .. 1950 us" in said.err.splitlines()[-1]
     assert untouched(car)
 
 
@@ -130,7 +130,7 @@ def test_wheels_that_nobody_counts(car: Path, short: None, monkeypatch: pytest.M
     monkeypatch.setattr(servo_drive, "randomised_servo", blind)
     said = cli("calibrate", "servo", "--auto", "--car", car)
     assert said.code == 2
-    assert "the wheels did not turn, or nothing counts them" in said.err.splitlines()[-1]
+    assert "no wheel ticks were counted" in said.err.splitlines()[-1]
     assert untouched(car)
 
 

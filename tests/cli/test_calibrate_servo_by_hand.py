@@ -37,9 +37,12 @@ def test_circles_become_a_table(car: Path, tmp_path: Path, cli) -> None:
     ("circles", "told"),
     [
         (("1100,1.2,left", "1300,1.0,left", "1900,1.3,right"), "contradict the other circles"),
-        (("1100,1.2,left", "1900,1.3"), "--circle 1900,1.3: 2 values"),
+        (
+            ("1100,1.2,left", "1900,1.3"),
+            "--circle 1900,1.3: expected pulse_us,diameter_m,side (1200,1.35,left), got 2 values",
+        ),
         (("1100,wide,left",), "--circle 1100,wide,left: pulse and diameter must be numbers"),
-        (("1100,1.2,up",), "'up' is none of left, right, straight"),
+        (("1100,1.2,up",), "expected one of left, right, straight, got 'up'"),
     ],
 )
 def test_circles_that_make_no_table(circles: tuple[str, ...], told: str, car: Path, cli) -> None:
