@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image, IntArray
 
 DICTIONARIES = (
@@ -93,7 +93,7 @@ def find_board(image: Image, board: Board) -> FoundBoard | None:
 
     A chessboard larger than `board` is found, too, with its own size: the caller must compare.
     """
-    grey = in_colour(image, False)
+    grey = with_channels(image, False)
     return _find_chessboard(grey, board) if board.marker_m is None else _find_charuco(grey, board)
 
 
@@ -217,7 +217,7 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
 
 def other_dictionary(image: Image, board: Board) -> str | None:
     """The dictionary other than the board's of which the image shows at least 4 markers; None without one."""
-    grey = in_colour(image, False)
+    grey = with_channels(image, False)
     numbers = {}
     for name in (name for name in DICTIONARIES if "_" not in name or name.endswith(("_1000", "_36h11"))):
         _, ids, _ = cv2.aruco.ArucoDetector(dictionary_of(name)).detectMarkers(grey)

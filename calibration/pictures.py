@@ -12,6 +12,7 @@ import numpy as np
 from automodel.config import ConfigError
 from automodel.console.messages import say
 from automodel.geometry import CameraModel, GroundCamera
+from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.ground import distances_m
 from calibration.views import CELLS, View, coverage
@@ -53,7 +54,7 @@ def write_pictures(folder: Path, pictures: Mapping[str, Image], *, quiet: bool =
 
 def in_bgr(image: Image) -> Image:
     """A copy of an image, (h, w, 3)."""
-    return image.copy() if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+    return with_channels(image, True).copy()
 
 
 def write_text(picture: Image, text: str, place: tuple[int, int], scale: float = 1.0) -> None:

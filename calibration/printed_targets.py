@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.boards import DICTIONARIES, Board, dictionary_of, find_board
 from calibration.ground import GroundCalibration, GroundPoints, camera_from_points
@@ -76,7 +76,7 @@ def find_sheet(image: Image, sheet: Board | ArucoSheet) -> SeenSheet | None:
 
 
 def _find_markers(image: Image, sheet: ArucoSheet) -> SeenSheet | None:
-    grey = in_colour(image, False)
+    grey = with_channels(image, False)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR  # other methods may be wrong by 10 px
     detector = cv2.aruco.ArucoDetector(dictionary_of(sheet.dictionary), parameters)

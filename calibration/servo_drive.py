@@ -18,7 +18,7 @@ from automodel.geometry import GroundCamera
 from automodel.signals import Frame, VehicleState
 from automodel.sim.plant import PlantConfig
 from automodel.sim.randomised_plant import randomised_servo
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import Image
 from calibration.actuator import Actuator, fit_actuator
 from calibration.car_file import write_values
@@ -109,7 +109,7 @@ class FloorLog:
         """Keep the view of a frame, unless the last one kept is too recent."""
         if self.t_ns and frame.t_ns - self.t_ns[-1] < VIEW_NS:
             return
-        self.views.append(self.floor.warp(in_colour(frame.image, False)))
+        self.views.append(self.floor.warp(with_channels(frame.image, False)))
         self.t_ns.append(frame.t_ns)
 
 

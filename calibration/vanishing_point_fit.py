@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import Float32Array, FloatArray, Image, Ints
 
 WIDTHS_PX = (3, 5, 9, 15, 25)  # of ridges, where nothing is known
@@ -44,7 +44,7 @@ CORRELATED = 4.0  # points along a marking with a common error: this many count 
 
 def bright_points(image: Image, camera: CameraModel) -> FloatArray:
     """Points (n, 3) on bright ridges of any width: ideal u, v [px], and a weight."""
-    grey = in_colour(image, False)
+    grey = with_channels(image, False)
     height, width = grey.shape
     rows = np.unique(np.linspace(0, height - 1, min(height, ROWS)).astype(np.intp))
     values = grey[rows].astype(np.float32)
@@ -75,7 +75,7 @@ def marking_points(image: Image, camera: CameraModel, vanishing_px: FloatArray, 
     pixels = camera.project(np.stack((u, v, np.full_like(u, focal)), axis=-1))
     inside = camera.inside(pixels, 0.5)
     maps = np.where(inside[..., None], pixels, -9.0).astype(np.float32)
-    values = cv2.remap(in_colour(image, False), maps[..., 0].copy(), maps[..., 1].copy(), cv2.INTER_LINEAR).astype(
+    values = cv2.remap(with_channels(image, False), maps[..., 0].copy(), maps[..., 1].copy(), cv2.INTER_LINEAR).astype(
         np.float32
     )
     span = max(round(marking / _STEP), 1)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.sources.errors import SourceError
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.boards import Board, FoundBoard, find_board
 
@@ -129,7 +129,7 @@ def edge_width_px(image: Image, found: FoundBoard, margin: float) -> float:
     Rise over steepest slope of the grey level, on profiles across the edge between every two neighbouring corners,
     `margin` squares to both sides; a sharp camera gives 1 to 2.
     """
-    grey = in_colour(image, False)
+    grey = with_channels(image, False)
     widths = []
     for a, b in _pairs(found):
         if len(a) == 0:

@@ -28,7 +28,7 @@ from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.interfaces import Source
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import in_colour
+from automodel.sources.images import with_channels
 from automodel.types import Image
 
 RATE_OK = 0.1  # share by which the rate may be off
@@ -248,7 +248,7 @@ def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: l
     yield judge_resolution(capture, car)
     yield judge_stamps(capture)
     yield judge_rate(capture, car)
-    grey = in_colour(capture.frames[-1].image, False)
+    grey = with_channels(capture.frames[-1].image, False)
     yield judge_exposure(grey)
     yield judge_sharpness(grey)
 

@@ -39,7 +39,7 @@ def test_from_pictures_to_car_toml(folder: Path, cli) -> None:
     said = cli("calibrate", "camera", folder, *BOARD)
     assert said.code == 0, said.err
     assert "6.png" not in said.out
-    assert "empty.jpg: not a picture" in said.out
+    assert "empty.jpg: not an image" in said.out
     assert "OK    residual: 0." in said.out
     car = load_car("car.toml")
     assert car.camera.intrinsics.fx_px == pytest.approx(LENS.fx_px, rel=0.01)

@@ -142,8 +142,8 @@ POINTS = " ".join(f"--point {x} {y} {u:.1f} {v:.1f}" for (x, y), (u, v) in zip(P
 REFUSED = {
     f"floor.png {BOARD}": "the whole board of 9x6 inner corners is in none of 1 images; is its size right, and is "
     "all of it visible and lit?",
-    "floor.png --aruco 1x1 --marker-mm 200 --at 0.6 0": "the sheet of markers is in none of 1 images; is its size right, "
-    "and is all of it visible and lit?",
+    "floor.png --aruco 1x1 --marker-mm 200 --at 0.6 0": "the sheet of markers is in none of 1 images; is its size "
+    "right, and is all of it visible and lit?",
     "small.png --points points.csv": "small.png: expected 640x360 pixels, for which [camera] was calibrated, got "
     "320x180; take the image at that size, or calibrate the camera at this one",
     "small.png --from-lanes": "small.png: expected 640x360 pixels, for which [camera] was calibrated, got 320x180; "
@@ -154,7 +154,7 @@ REFUSED = {
     "floor.png --points head.csv": "head.csv:1: the first line must be x_m,y_m,u_px,v_px",
     "floor.png --points none.csv": "none.csv: cannot be read: No such file or directory",
     "none.png --points points.csv": "none.png: no such file or folder",
-    "bad.png --points points.csv": "bad.png: not a picture, or a damaged one; replace it or take it out",
+    "bad.png --points points.csv": "bad.png: not an image, or a damaged one; replace or remove it",
     f"floor.png {' '.join(POINTS.split()[:15])}": "expected at least four ground points, better six, got 3",
     "live --points points.csv": 'car.toml: [camera] source "sim" gives no images; live is for "csi" and "usb"',
 }
