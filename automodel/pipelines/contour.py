@@ -55,7 +55,6 @@ class Contour:
     SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # of a new lane: on one line; of a certain one: on each, on both
     START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: limits of a car's pose in its own lane
     LINE_NODES = 2  # that make a line seen
-    FITTED = 0.15  # factor on the sigmas of an initial lane that was fitted to both lines
     MAX_DISTANCE, MAX_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: a larger motion is not a car's
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     BLIND = 0.5  # lane widths of distance without a line from which on the lane is also searched on whole rows
@@ -197,7 +196,7 @@ class Contour:
         return lane
 
     def _restart(self, lane: InitialLane) -> None:
-        self._tracker.start(lane.arc_lane(self.FITTED))
+        self._tracker.start(lane)
         self._new_m = self.NEW * self._unit
         self._search.forget(lane.edge)
         self._paired = lane.pair
@@ -236,7 +235,7 @@ class Contour:
         lane = self._search_lane(image)
         if lane is None or not lane.pair:
             return None
-        lateral, turned = self._tracker.difference(lane.arc_lane(self.FITTED))
+        lateral, turned = self._tracker.difference(lane)
         if abs(lateral) > self.LATERAL * self._unit or abs(turned) > self.TURNED_RAD:
             return None
         before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m

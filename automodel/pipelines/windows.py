@@ -22,7 +22,7 @@ from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.windows.lane_initialiser import LaneCandidate, LaneInitialiser
-from automodel.perception.windows.sliding_windows import LaneWindows
+from automodel.perception.windows.sliding_windows import SlidingWindows
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
 from automodel.types import FloatArray, Image
@@ -59,7 +59,7 @@ class Windows:
         self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
         self._paint_check = TemporalPaintCheck(self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m)
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
-        self._windows = LaneWindows(self.view, lane.marking_width_m)
+        self._windows = SlidingWindows(self.view, lane.marking_width_m)
         self._tracker = LaneTracker(
             LaneFitConfig(
                 lane_width_m=lane.width_m,

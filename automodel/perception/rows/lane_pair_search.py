@@ -22,33 +22,16 @@ from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class InitialLane:
-    """An arc of a lane at the reference point: the car's offset [m], and the lane's heading [rad] in the body frame.
+class InitialLane(ArcLane):
+    """A lane to start with, and how it was found.
 
-    It fits best at distance `sure_m` ahead of the reference point, where it was seen. `pair`: both lines support it.
-    `edge`: how sharp markings are, as in `Ridges`. `fitted`: it was fitted to many rows of both lines, and its error is
-    some hundredths of a lane width.
+    `pair`: both lines support it. `edge`: how sharp markings are, as in `Ridges`. `fitted`: it was fitted to many rows
+    of both lines, and its error is some hundredths of a lane width.
     """
 
-    offset_m: float
-    heading_rad: float
-    width_m: float
-    curvature_per_m: float
-    sure_m: float
     pair: bool
     edge: float
     fitted: bool = False
-
-    def arc_lane(self, fitted_share: float) -> ArcLane:
-        """The lane for a tracker to start with; the sigmas of a fitted one are multiplied by `fitted_share`."""
-        return ArcLane(
-            offset_m=self.offset_m,
-            heading_rad=self.heading_rad,
-            width_m=self.width_m,
-            curvature_per_m=self.curvature_per_m,
-            sure_m=self.sure_m,
-            share=fitted_share if self.fitted else 1.0,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,30 +106,6 @@ class RoughPair:
     width_m: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedPair:
-    """The lane's middle y = a + b dx + c dx^2 / 2 with dx = x - `near_m`, its width, and how sharp its markings are.
-
-    `both`: each of the lines was seen.
-    """
-
-    near_m: float
-    middle: tuple[float, float, float]
-    width_m: float
-    edge: float
-    both: bool
-
-    def middle_m(self, x_m: float) -> float:
-        """y [m] of the lane's middle at body x `x_m`."""
-        a, b, c = self.middle
-        dx = x_m - self.near_m
-        return a + dx * (b + 0.5 * c * dx)
-
-    def heading_rad(self, x_m: float) -> float:
-        """The lane's heading there."""
-        return self.middle[1] + self.middle[2] * (x_m - self.near_m)
-
-
 class LineIntegralSearch:
     """Searches a lane in single images of one camera, on roads with radii of `radius_lanes` and more."""
 
@@ -167,7 +126,6 @@ class LineIntegralSearch:
         unit = config.lane_width_m
         self._unit, self._brightness = unit, brightness
         self._near = max(camera.first_visible_x_m(), config.reference_x_m)
-        self._reference_x_m = config.reference_x_m
         far = self._near + self.AHEAD * unit
         self._step = config.marking_m / PER_MARKING
         self._lookup = RowGroundLookup(camera, (self._near, far), self.ROWS)
@@ -197,20 +155,7 @@ class LineIntegralSearch:
         rough = self._pair(self._sums(evidence) * self._weight)
         if rough is None:
             return None
-        fitted = self._fit.step(image, rough, np.interp(self._fit.rows, self._lookup.rows, noise))
-        if fitted is None:
-            return None
-        x = self._reference_x_m
-        return InitialLane(
-            offset_m=-fitted.middle_m(x),
-            heading_rad=fitted.heading_rad(x),
-            width_m=fitted.width_m,
-            curvature_per_m=fitted.middle[2],
-            sure_m=self._near - x + self._unit,
-            pair=fitted.both,
-            edge=fitted.edge,
-            fitted=fitted.both,
-        )
+        return self._fit.step(image, rough, np.interp(self._fit.rows, self._lookup.rows, noise))
 
     def _evidence(self, image: Image) -> tuple[Float32Array, Float32Array]:
         """The filter's response (r, n) above the noise, in noises of the row, limited; and the noises (r,)."""
@@ -268,6 +213,7 @@ class LanePairFit:
     SIGMA, SIGMA_PX = 0.15, 0.5  # of a ridge's place: markings and pixels
     TAPER = 0.02  # 1 / lane width: apparent change of the lane's width with distance when the car pitches, one sigma
     HITS, HITS_OF_ONE = 7, 5  # minimum rows that show the lines: both together, and the better one
+    SHARE = 0.15  # of an initial lane's usual sigmas, where both lines were fitted
     _SAMPLES = 2 * (REACH + MARGIN) + 1
 
     def __init__(
@@ -279,6 +225,7 @@ class LanePairFit:
         rows: int,
     ) -> None:
         self._near, self._unit, self._marking = between_m[0], config.lane_width_m, config.marking_m
+        self._reference_x_m = config.reference_x_m
         self._brightness, self._step = brightness, config.marking_m / PER_MARKING
         self._lookup = RowGroundLookup(camera, between_m, rows)
         self.rows = self._lookup.rows
@@ -294,7 +241,7 @@ class LanePairFit:
         sigmas = np.array((unit, 0.2, 0.5 * kappa, 0.3 * unit, 2.0 * self.TAPER))
         self._prior = np.diag(sigmas**-2.0)
 
-    def step(self, image: Image, rough: RoughPair, noise: Floats) -> FittedPair | None:
+    def step(self, image: Image, rough: RoughPair, noise: Floats) -> InitialLane | None:
         """The lane near `rough`; None where too few rows show it.
 
         `noise` (r,): the ridge filter's usual response to the road on each of `rows` [sums of `WINDOW` grey levels].
@@ -314,9 +261,19 @@ class LanePairFit:
         rows = [int(np.count_nonzero(seen & (self._side == side))) for side in (0.5, -0.5)]
         if sum(rows) < self.HITS or max(rows) < self.HITS_OF_ONE:
             return None
-        middle = float(x[0]), float(x[1]), float(x[2])
-        width = float(x[3] + self._unit * x[4])
-        return FittedPair(self._near, middle, width, float(np.median(edge[seen])), min(rows) > 0)
+        both, (y0, heading, kappa) = min(rows) > 0, x[:3].tolist()  # the middle where the image starts
+        dx = self._reference_x_m - self._near
+        return InitialLane(
+            offset_m=-(y0 + dx * (heading + 0.5 * kappa * dx)),
+            heading_rad=heading + kappa * dx,
+            width_m=float(x[3] + self._unit * x[4]),
+            curvature_per_m=kappa,
+            sure_m=self._unit - dx,
+            share=self.SHARE if both else 1.0,
+            pair=both,
+            edge=float(np.median(edge[seen])),
+            fitted=both,
+        )
 
     def _ridges(self, image: Image, line: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
         """The best ridge of each run about `line` (2 r,): place [samples to the left], edge, and weight 0 .. 1."""

@@ -11,7 +11,7 @@ from automodel.estimation.polynomial.lane_fit import LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.polynomial.regression import fit_polynomial
 from automodel.perception.markings.crossings import CrossingScan
-from automodel.perception.windows.sliding_windows import HistogramStart, LaneWindows
+from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
 from automodel.types import FloatArray, Image
 
 
@@ -42,21 +42,21 @@ class LaneInitialiser:
     CANDIDATE_FRAMES = 3  # consecutive frames in which it must be seen
     LINE_WINDOWS = 2  # windows that make a line seen
 
-    def __init__(self, lines: LaneWindows, tracker: LaneTracker) -> None:
-        self._lines, self._tracker, self.view = lines, tracker, lines.view
+    def __init__(self, windows: SlidingWindows, tracker: LaneTracker) -> None:
+        self._windows, self._tracker, self.view = windows, tracker, windows.view
         config = tracker.fit.config
         self._lane_m, self._reference_x_m = config.lane_width_m, config.reference_x_m
-        self._start = HistogramStart(self.view, self._lane_m, lines.marking_m, self._reference_x_m)
+        self._start = HistogramStart(self.view, self._lane_m, windows.marking_m, self._reference_x_m)
         self._frames = 0  # consecutive, with a candidate
 
     def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> LaneCandidate | None:
         """A lane from a filtered view (h, w): a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
         best: Observation | None = None
         for start in self._start.step(lines, everywhere):
-            along = start.slope * (self._lines.windows.centre_x_m - self._reference_x_m)
+            along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
             nowhere = np.full(len(along), np.nan)
             left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
-            seen = self._lines.observe(lines, left, right)
+            seen = self._windows.observe(lines, left, right)
             pair = start.left_m is not None and start.right_m is not None
             counts = (len(seen.left_m), len(seen.right_m))
             enough = min(counts) >= windows if pair else max(counts) >= self.SINGLE_WINDOWS

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,29 +48,12 @@ class LineFollowing:
     `visible` (h, w) is nonzero where the view shows ground that the camera sees; None: everywhere.
     """
 
-    STEP_LANES = 0.1  # minimum distance between windows
-    MAX_GAP_LANES, MAX_BLIND_GAP_LANES = 4.0, 1.25  # with an expected line, and without
-    WIDE_GAP_LANES = 0.6  # a junction's, not one between two dashes
-    MIN_RADIUS_LANES = 1.0
     MAX_REACH_LANES = 0.35
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, visible: Image | None = None) -> None:
         self.view, self._lane_m, self._marking_m = view, lane_width_m, marking_width_m
         self._windows = LineWindows(view, marking_width_m, visible)
-        step = max(LineWindows.ALONG * marking_width_m, self.STEP_LANES * lane_width_m)
-        length = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
-        max_turn = step / (self.MIN_RADIUS_LANES * lane_width_m)
-        self._settings = TrackerSettings(
-            step_m=step,
-            spacing_m=0.6 * LineWindows.ACROSS * marking_width_m,
-            marking_m=marking_width_m,
-            max_gap_m=self.MAX_GAP_LANES * lane_width_m,
-            max_blind_gap_m=self.MAX_BLIND_GAP_LANES * lane_width_m,
-            max_turn_rad=max_turn,
-            max_shift_m=0.5 * (step * max_turn + marking_width_m),
-            wide_gap=math.ceil(self.WIDE_GAP_LANES * lane_width_m / step),
-            max_steps=math.ceil(1.5 * length / step),
-        )
+        self._settings = TrackerSettings(view, lane_width_m, marking_width_m)
 
     def follow(
         self,

@@ -1,6 +1,6 @@
 """The histogram start and the sliding windows of the AutoModelCar paper (sections IV-C, IV-D), in metres.
 
-`HistogramStart` finds where the lines begin, `SlidingWindows` follows one line through the view, `LaneWindows` both.
+`HistogramStart` finds where the lines start, `SlidingWindows` follows them through the view.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class _Piece:
 
 
 class SlidingWindows:
-    """Follows one line from the near rows to the far ones with a stack of windows.
+    """Follows lines from the near rows to the far ones, each with a stack of windows.
 
     The paper: 12 windows of 52x24 px, re-centred only if more than 14 px belong to the line. Here a window is `WIDTH`
     markings wide and a twelfth of the view high; its place extrapolates the piece in the window before it, or is where
@@ -129,7 +129,7 @@ class SlidingWindows:
     SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:
-        self.view = view
+        self.view, self.marking_m = view, marking_width_m
         edges = np.linspace(view.height_px, 0, self.COUNT + 1).astype(int)
         self._rows = [(int(far), int(near)) for near, far in itertools.pairwise(edges)]
         self.centre_rows: FloatArray = np.array([0.5 * (far + near - 1) for far, near in self._rows])
@@ -181,22 +181,6 @@ class SlidingWindows:
             return None
         return round(expected + (last.offset if last is not None else 0.0))
 
-
-def _slopes(expected: FloatArray, rows: FloatArray) -> FloatArray:
-    """The expected line's slope at each window [columns a row], NaN where it is not known."""
-    slope = np.empty(len(rows))
-    slope[1:-1] = (expected[2:] - expected[:-2]) / (rows[2:] - rows[:-2])
-    slope[0], slope[-1] = slope[1], slope[-2]
-    return slope
-
-
-class LaneWindows:
-    """The sliding windows of a lane's left and right line."""
-
-    def __init__(self, view: View, marking_width_m: float) -> None:
-        self.view, self.marking_m = view, marking_width_m
-        self.windows = SlidingWindows(view, marking_width_m)
-
     def observe(
         self,
         lines: Image,
@@ -205,8 +189,8 @@ class LaneWindows:
         widening: float = 1.0,
         max_turn: float = math.inf,
     ) -> Observation:
-        """The points of both lines; all arguments as in `SlidingWindows.follow`."""
-        left, right = (self.windows.follow(lines, y_m, widening, max_turn) for y_m in (left_y_m, right_y_m))
+        """The points of both lines; all arguments as in `follow`."""
+        left, right = (self.follow(lines, y_m, widening, max_turn) for y_m in (left_y_m, right_y_m))
         return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:
@@ -216,7 +200,7 @@ class LaneWindows:
         first = int(np.argmin(np.abs(lane.s_m)))  # beside the car; in a tight bend the line passes there again
         folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (lane.s_m[1] - lane.s_m[0]))
         last = first + int(folds[0]) if len(folds) else len(x) - 1
-        wanted = self.windows.centre_x_m
+        wanted = self.centre_x_m
         if last <= first:
             return np.full(len(wanted), np.nan)
         part = points[first : last + 1]
@@ -226,3 +210,11 @@ class LaneWindows:
         """Standard deviations (n,): 0.12 markings near the car; further out the calibration's error dominates."""
         ahead = points_m[:, 0] - self.view.x_near_m
         return np.asarray(0.12 * self.marking_m + 0.01 * np.maximum(ahead, 0.0))
+
+
+def _slopes(expected: FloatArray, rows: FloatArray) -> FloatArray:
+    """The expected line's slope at each window [columns a row], NaN where it is not known."""
+    slope = np.empty(len(rows))
+    slope[1:-1] = (expected[2:] - expected[:-2]) / (rows[2:] - rows[:-2])
+    slope[0], slope[-1] = slope[1], slope[-2]
+    return slope

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from automodel.geometry import View
 from automodel.perception.windows.line_windows import LineWindows, WindowHit
 from automodel.types import FloatArray, Image
 
@@ -53,11 +54,6 @@ class PathCursor:
 
     MAX_STEPS = 4096  # a longer line is cut
 
-    __slots__ = (
-        "_at", "_cos", "_known_m", "_nodes", "_sin", "_step_m", "ended", "heading_rad", "known", "s_m", "turn_rad",
-        "x_m", "y_m",
-    )  # fmt: skip
-
     def __init__(self, expected: ExpectedLine, step_m: float) -> None:
         points, heading = expected.points_m, expected.heading_rad
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
@@ -92,19 +88,25 @@ class PathCursor:
         return (y_m - self.y_m) * self._cos - (x_m - self.x_m) * self._sin
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TrackerSettings:
-    """Lengths of a track: see `LineFollowing`."""
+    """Lengths of a track in a view."""
 
-    step_m: float
-    spacing_m: float  # between the windows of a search
-    marking_m: float
-    max_gap_m: float
-    max_blind_gap_m: float  # without an expected line
-    max_turn_rad: float  # on one step
-    max_shift_m: float  # lateral, between two windows of a line that is not lost
-    max_steps: int
-    wide_gap: int  # windows; wider than any gap between two dashes
+    STEP_LANES = 0.1  # minimum distance between windows
+    MAX_GAP_LANES, MAX_BLIND_GAP_LANES = 4.0, 1.25  # with an expected line, and without
+    WIDE_GAP_LANES = 0.6  # a junction's, not one between two dashes
+    MIN_RADIUS_LANES = 1.0
+
+    def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
+        self.marking_m = marking_width_m
+        self.step_m = max(LineWindows.ALONG * marking_width_m, self.STEP_LANES * lane_width_m)
+        self.spacing_m = 0.6 * LineWindows.ACROSS * marking_width_m  # between the windows of a search
+        self.max_gap_m = self.MAX_GAP_LANES * lane_width_m
+        self.max_blind_gap_m = self.MAX_BLIND_GAP_LANES * lane_width_m
+        self.max_turn_rad = self.step_m / (self.MIN_RADIUS_LANES * lane_width_m)  # on one step
+        self.max_shift_m = 0.5 * (self.step_m * self.max_turn_rad + marking_width_m)  # lateral, of a line not lost
+        self.wide_gap = math.ceil(self.WIDE_GAP_LANES * lane_width_m / self.step_m)  # windows
+        length = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
+        self.max_steps = math.ceil(1.5 * length / self.step_m)
 
 
 class WindowPose:
