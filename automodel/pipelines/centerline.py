@@ -15,8 +15,8 @@ import numpy as np
 from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
-from automodel.geometry import SE2, GroundCamera, View
-from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold
+from automodel.geometry import SE2, GroundCamera
+from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing
@@ -61,7 +61,6 @@ class Centerline:
     name = "centerline"
     MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
     MAX_DISTANCE_LANES, MAX_TURN_RAD = 6.0, 1.5  # between two frames; a larger motion is not a car's
-    MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
     SEEN_POINTS = 2  # that make a line seen
     START_POINTS = 4  # on each line of a pair that starts a lane
@@ -79,15 +78,12 @@ class Centerline:
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
-        near = GroundCamera.from_config(car.camera).first_visible_x_m()
         marking = max(lane.marking_width_m, self.MIN_MARKING_LANES * lane.width_m)
-        across = marking / options.marking_px
-        self.view = View(
-            x_near_m=near,
-            x_far_m=near + options.view_ahead_lanes * lane.width_m,
-            half_width_m=options.view_half_lanes * lane.width_m,
-            m_per_px=across,
-            m_per_row=max(across, options.view_ahead_lanes * lane.width_m / self.MAX_ROWS),
+        self.view = road_view(
+            GroundCamera.from_config(car.camera),
+            options.view_ahead_lanes * lane.width_m,
+            options.view_half_lanes * lane.width_m,
+            marking / options.marking_px,
         )
         self._options, self._unit, self._reference_x_m = options, lane.width_m, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)

@@ -18,8 +18,8 @@ from automodel.curves import Curve, GraphCurve
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
 from automodel.estimation.polynomial.regression import fit_polynomial
-from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas
+from automodel.geometry import SE2, BirdsEye, GroundCamera
+from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.windows.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.perception.windows.sliding_windows import SlidingWindows
@@ -38,20 +38,16 @@ class Windows:
     CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
     CONFIRM_NS = 250_000_000  # a lane started from one line is reported once it was seen for so long
-    MAX_ROWS = 240  # of the bird's-eye view; a long view is coarser along the road than across
     MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
 
     def __init__(self, car: CarConfig) -> None:
         options, lane = car.pipeline.windows, car.lane
         camera = GroundCamera.from_config(car.camera)
-        near = camera.first_visible_x_m()
-        across = lane.marking_width_m / options.marking_px
-        self.view = View(
-            x_near_m=near,
-            x_far_m=near + options.view_ahead_lanes * lane.width_m,
-            half_width_m=options.view_half_lanes * lane.width_m,
-            m_per_px=across,
-            m_per_row=max(across, options.view_ahead_lanes * lane.width_m / self.MAX_ROWS),
+        self.view = road_view(
+            camera,
+            options.view_ahead_lanes * lane.width_m,
+            options.view_half_lanes * lane.width_m,
+            lane.marking_width_m / options.marking_px,
         )
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
@@ -66,7 +62,7 @@ class Windows:
                 reference_x_m=self._reference_x_m,
                 ahead_lanes=(self.view.x_far_m - self._reference_x_m) / lane.width_m + 0.3,
             ),
-            near,
+            self.view.x_near_m,
         )
         self._initialiser = LaneInitialiser(self._windows, self._tracker)
         self.stages = StageClock()

@@ -19,6 +19,19 @@ from automodel.types import Image
 HIGH, LOW = 160, 70  # of 255: a marking whatever surrounds it; a marking if it exceeds its surroundings
 ABOVE = 34  # by how much it must exceed the mean around it
 AROUND_PX = (21, 7)  # for a mask 512 px wide: lines run up the image, so the box is wider than high
+MAX_ROWS = 240  # of a bird's-eye view; a long view is coarser along the road than across
+
+
+def road_view(camera: GroundCamera, ahead_m: float, half_width_m: float, m_per_px: float) -> View:
+    """The bird's-eye view from the first visible ground to `ahead_m` beyond it."""
+    near = camera.first_visible_x_m()
+    return View(
+        x_near_m=near,
+        x_far_m=near + ahead_m,
+        half_width_m=half_width_m,
+        m_per_px=m_per_px,
+        m_per_row=max(m_per_px, ahead_m / MAX_ROWS),
+    )
 
 
 def adaptive_threshold(probability: Image) -> Image:

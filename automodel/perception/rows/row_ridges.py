@@ -81,11 +81,10 @@ def measure_ridges(
 
     A marking has at least `contrast` [grey levels]. Beyond its ends a row is continued with its last value.
     """
-    n, last = len(at), values.shape[1] - 1
+    n, last, half = len(at), values.shape[1] - 1, WINDOW // 2
     place, height, edge = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
     flags = np.empty((2, n), np.bool_)
     around = np.empty(2 * AROUND + 1, np.float32)
-    half = WINDOW // 2
     for i in range(n):
         for k in range(2 * AROUND + 1):
             around[k] = values[row[i], min(max(at[i] + k - AROUND, 0), last)]
