@@ -83,7 +83,7 @@ def test_a_gyro_with_a_bias(bias_radps: float) -> None:
 @pytest.mark.parametrize("rate_hz", [15.0, 60.0])
 @pytest.mark.parametrize("name", ["straight", "bend", "oval"])
 def test_without_odometry(rate_hz: float, name: str) -> None:
-    """Only what the picture shows; the line is looked for where it was in the frame before."""
+    """Only what the image shows; the line is looked for where it was in the frame before."""
     track = {"straight": road(line(9.0)), "bend": road(BEND), "oval": load_track("oval")}[name]
     seen = MaskedDrive(track=track, source=MotionSource.NONE, rate_hz=rate_hz).run(0.8, 4.0)
     found = errors(seen, skip=10)

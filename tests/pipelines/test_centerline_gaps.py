@@ -34,7 +34,7 @@ def meter(seen: list[Seen]) -> dict[str, float | None]:
     ("ahead", "car"), [(STRAIGHT, CAR), (BENT, WIDE), (TIGHT, WIDE)], ids=["straight", "2 m", "1 m"]
 )
 def test_one_line_missing_for_three_seconds(side: str, ahead: str, car: CarConfig) -> None:
-    """At 1 m/s; the picture ends some lanes ahead, so that more than 3 m have to be missing."""
+    """At 1 m/s; the image ends some lanes ahead, so that more than 3 m have to be missing."""
     seen = MaskedDrive(track=road(ahead, gap(2.0, 5.8, side)), car=car).run(0.5, 6.8)
     missing = [i for i, s in enumerate(seen) if s.estimate.status is LaneStatus.ONE_LINE]
     assert len(missing) > 70

@@ -141,17 +141,17 @@ def test_an_output_that_cannot_be_used_is_no_lane(small: Path, monkeypatch: pyte
     seen = RenderedDrive(track=road(line(6.0)), pipeline=pipeline).run(0.8, 1.2)
     assert seen[-1].estimate.status is LaneStatus.TRACKING
     monkeypatch.setattr(network, "_session", types.SimpleNamespace(run=OUTPUTS[name]))
-    told = []
+    reported = []
     for k in range(1, 91):
         t_ns = seen[-1].frame.t_ns + 33_333_333 * k
         frame = Frame(t_ns=t_ns, index=k, image=seen[-1].frame.image)
         estimate = pipeline.step(frame, Motion(t_ns=t_ns, speed_mps=1.0, yaw_rate_radps=0.0))
         check_sound(estimate, t_ns)
-        told.append(estimate.status)
+        reported.append(estimate.status)
     assert network.faults == 90
-    coasted = told.index(LaneStatus.LOST)
-    assert set(told[:coasted]) == {LaneStatus.COASTING}
-    assert set(told[coasted:]) == {LaneStatus.LOST}
+    coasted = reported.index(LaneStatus.LOST)
+    assert set(reported[:coasted]) == {LaneStatus.COASTING}
+    assert set(reported[coasted:]) == {LaneStatus.LOST}
     fresh = Centerline(CAR, network)
     assert fresh.step(seen[-1].frame, seen[-1].motion).status is LaneStatus.LOST
     assert network.faults == 91

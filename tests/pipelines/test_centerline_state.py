@@ -14,7 +14,7 @@ from automodel.pipelines.centerline import Centerline
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.truth import Truth
 from automodel.types import Image
-from tests.support.masked_drives import PERIOD_NS, MaskedDrive, Told, arc, bits, gap, line, road
+from tests.support.masked_drives import PERIOD_NS, GivenMarkings, MaskedDrive, arc, bits, gap, line, road
 from tests.support.rendered_drives import CAR, check_sound
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
@@ -61,14 +61,14 @@ class Car:
     """`centerline` fed by hand; every estimate is checked to be sound."""
 
     def __init__(self) -> None:
-        self.told = Told(SIZE)
-        self.pipeline = Centerline(CAR, self.told)
+        self.markings = GivenMarkings(SIZE)
+        self.pipeline = Centerline(CAR, self.markings)
         self.t_ns = 0
 
     def see(self, mask: Image, dt_ns: int = PERIOD_NS, speed_mps: float = 1.0, image: Image = BLANK) -> LaneEstimate:
         """One frame `dt_ns` after the last."""
         self.t_ns += dt_ns
-        self.told.mask = mask
+        self.markings.mask = mask
         motion = Motion(t_ns=self.t_ns, speed_mps=speed_mps, yaw_rate_radps=0.0)
         return self.step(Frame(t_ns=self.t_ns, index=0, image=image), motion)
 
@@ -79,12 +79,12 @@ class Car:
 
     def replay(self, drive: list[Shown], from_ns: int = 0) -> list[LaneEstimate]:
         """The frames as they were, their times `from_ns` later."""
-        told = []
+        reported = []
         for one in drive:
             self.t_ns = one.frame.t_ns + from_ns
-            self.told.mask = one.mask
-            told.append(self.step(Frame(t_ns=self.t_ns, index=0, image=one.frame.image), one.motion))
-        return told
+            self.markings.mask = one.mask
+            reported.append(self.step(Frame(t_ns=self.t_ns, index=0, image=one.frame.image), one.motion))
+        return reported
 
 
 def statuses(estimates: list[LaneEstimate]) -> list[LaneStatus]:
@@ -100,10 +100,10 @@ def test_the_first_frame_with_two_lines_tells_the_lane(both: list[Shown]) -> Non
     assert first.pose.heading_rad == pytest.approx(both[0].truth.heading_rad, abs=0.05)
 
 
-def test_a_lane_of_one_line_is_told_when_it_was_seen_in_three_frames(single: list[Shown]) -> None:
-    told = Car().replay(single[:6])
-    assert statuses(told) == [LaneStatus.LOST] * 2 + [LaneStatus.ONE_LINE] * 4
-    for estimate, one in zip(told[3:], single[3:], strict=False):
+def test_a_lane_of_one_line_is_reported_when_it_was_seen_in_three_frames(single: list[Shown]) -> None:
+    reported = Car().replay(single[:6])
+    assert statuses(reported) == [LaneStatus.LOST] * 2 + [LaneStatus.ONE_LINE] * 4
+    for estimate, one in zip(reported[3:], single[3:], strict=False):
         assert estimate.pose is not None
         assert estimate.pose.offset_m == pytest.approx(one.truth.offset_m, abs=0.02)
 
@@ -125,12 +125,12 @@ def test_no_line_is_no_lane() -> None:
 def test_coasting_is_bounded_in_way(both: list[Shown]) -> None:
     car = Car()
     last = car.replay(both)[-1]
-    told = [car.see(BLANK) for _ in range(90)]
-    coasting = [e for e in told if e.valid]
+    reported = [car.see(BLANK) for _ in range(90)]
+    coasting = [e for e in reported if e.valid]
     assert set(statuses(coasting)) == {LaneStatus.COASTING}
-    assert told[: len(coasting)] == coasting  # once lost, lost for good
+    assert reported[: len(coasting)] == coasting  # once lost, lost for good
     assert len(coasting) * PERIOD_NS * 1e-9 == pytest.approx(OPTIONS.coast_lanes * CAR.lane.width_m, abs=0.04)
-    assert [e.frame_age_ns for e in told] == [k * PERIOD_NS for k in range(1, 91)]  # it goes on growing
+    assert [e.frame_age_ns for e in reported] == [k * PERIOD_NS for k in range(1, 91)]  # it goes on growing
     assert last.pose is not None
     moved = coasting[14].pose
     assert moved is not None
@@ -143,16 +143,16 @@ def test_coasting_is_bounded_in_way(both: list[Shown]) -> None:
 def test_coasting_is_bounded_in_time_where_the_car_stands(both: list[Shown]) -> None:
     car = Car()
     car.replay(both)
-    told = [car.see(BLANK, speed_mps=0.0) for _ in range(90)]
-    assert sum(e.valid for e in told) * PERIOD_NS * 1e-9 == pytest.approx(OPTIONS.coast_s, abs=0.04)
+    reported = [car.see(BLANK, speed_mps=0.0) for _ in range(90)]
+    assert sum(e.valid for e in reported) * PERIOD_NS * 1e-9 == pytest.approx(OPTIONS.coast_s, abs=0.04)
 
 
 def test_coasting_backwards_is_bounded_too(both: list[Shown]) -> None:
     car = Car()
     car.replay(both)
-    told = [car.see(BLANK, speed_mps=-1.0) for _ in range(90)]
+    reported = [car.see(BLANK, speed_mps=-1.0) for _ in range(90)]
     most = OPTIONS.coast_lanes * CAR.lane.width_m
-    assert sum(e.valid for e in told) * PERIOD_NS * 1e-9 <= most + 0.04
+    assert sum(e.valid for e in reported) * PERIOD_NS * 1e-9 <= most + 0.04
 
 
 def test_the_lane_is_found_again(both: list[Shown]) -> None:
@@ -185,10 +185,10 @@ def test_a_car_that_was_carried_to_one_side_finds_its_lane(both: list[Shown]) ->
     car.replay(both)
     for _ in range(20):
         car.see(BLANK, speed_mps=0.0)
-    told = [car.see(one.mask) for one in moved]
-    assert told[-1].status is LaneStatus.TRACKING
-    assert told[-1].pose is not None
-    assert told[-1].pose.offset_m == pytest.approx(moved[-1].truth.offset_m, abs=0.01)
+    reported = [car.see(one.mask) for one in moved]
+    assert reported[-1].status is LaneStatus.TRACKING
+    assert reported[-1].pose is not None
+    assert reported[-1].pose.offset_m == pytest.approx(moved[-1].truth.offset_m, abs=0.01)
 
 
 @pytest.mark.parametrize("jump_ns", [-(10**10), -1, 0, 500_000_001, 10**10])
@@ -210,7 +210,7 @@ def test_half_a_second_is_no_gap(both: list[Shown]) -> None:
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (360, 641), (1, 1), (720, 1280, 3), (640, 360)])
-def test_pictures_of_another_size_are_no_lane(both: list[Shown], shape: tuple[int, ...]) -> None:
+def test_images_of_another_size_are_no_lane(both: list[Shown], shape: tuple[int, ...]) -> None:
     car = Car()
     car.replay(both)
     odd = np.zeros(shape, np.uint8)
@@ -221,7 +221,7 @@ def test_pictures_of_another_size_are_no_lane(both: list[Shown], shape: tuple[in
     assert fresh.see(both[0].mask).status is LaneStatus.TRACKING
 
 
-def test_blind_time_counts_pictures_of_another_size(both: list[Shown]) -> None:
+def test_blind_time_counts_images_of_another_size(both: list[Shown]) -> None:
     car = Car()
     car.replay(both)
     for _ in range(90):
@@ -264,23 +264,23 @@ def test_masks_of_nothing_are_lost_and_coasted_over(both: list[Shown], kind: str
     assert {fresh.see(spoilt(kind, rng)).status for _ in range(6)} == {LaneStatus.LOST}
     car = Car()
     car.replay(both)
-    told = [car.see(spoilt(kind, rng)) for _ in range(80)]
-    assert told[-1].status is LaneStatus.LOST
-    for estimate in told[:15]:
+    reported = [car.see(spoilt(kind, rng)) for _ in range(80)]
+    assert reported[-1].status is LaneStatus.LOST
+    for estimate in reported[:15]:
         if estimate.pose is not None:
             assert abs(estimate.pose.offset_m - both[-1].truth.offset_m) < 0.1
 
 
 @pytest.mark.parametrize("size", [(128, 256), (256, 512), (720, 1280)])
-def test_masks_of_any_size_are_the_whole_picture(both: list[Shown], size: tuple[int, int]) -> None:
+def test_masks_of_any_size_are_the_whole_image(both: list[Shown], size: tuple[int, int]) -> None:
     car = Car()
     way = cv2.INTER_AREA
-    told = car.replay(
+    reported = car.replay(
         [replace(s, mask=np.asarray(cv2.resize(s.mask, size[::-1], interpolation=way))) for s in both[:20]]
     )
-    assert set(statuses(told)) == {LaneStatus.TRACKING}
-    assert told[-1].pose is not None
-    assert told[-1].pose.offset_m == pytest.approx(both[19].truth.offset_m, abs=0.006)
+    assert set(statuses(reported)) == {LaneStatus.TRACKING}
+    assert reported[-1].pose is not None
+    assert reported[-1].pose.offset_m == pytest.approx(both[19].truth.offset_m, abs=0.006)
 
 
 def test_the_same_frames_give_the_same_bits(both: list[Shown]) -> None:
@@ -300,7 +300,7 @@ def test_reset_forgets_everything(both: list[Shown], single: list[Shown]) -> Non
     assert statuses(car.replay(single[:3])) == [LaneStatus.LOST] * 2 + [LaneStatus.ONE_LINE]
 
 
-class Keeping(Told):
+class Keeping(GivenMarkings):
     """Keeps what it was given."""
 
     def step(self, grey: Image) -> Image:
@@ -362,7 +362,7 @@ def test_motion_that_cannot_be(both: list[Shown], speed_mps: float, yaw_rate_rad
     car.replay(both[:5])
     for one in both[5:9]:
         t_ns = one.frame.t_ns
-        car.told.mask = BLANK if blank else one.mask
+        car.markings.mask = BLANK if blank else one.mask
         moved = Motion(t_ns=t_ns, speed_mps=speed_mps, yaw_rate_radps=yaw_rate_radps)
         car.step(Frame(t_ns=t_ns, index=0, image=BLANK), moved)
     assert car.replay(both[9:])[-1].status is LaneStatus.TRACKING
@@ -378,7 +378,7 @@ def test_nothing_a_mask_or_gyro_says_raises_or_gives_nan(
     car.replay(both[:3], t_ns)
     for index, (kind, seed, dt_ns, speed, yaw_rate, source) in enumerate(steps):
         t_ns += dt_ns
-        car.told.mask = both[index].mask if kind is None else spoilt(kind, np.random.default_rng(seed))
+        car.markings.mask = both[index].mask if kind is None else spoilt(kind, np.random.default_rng(seed))
         moved = Motion(t_ns=t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate, source=source)
         car.step(Frame(t_ns=t_ns, index=index, image=BLANK), moved)
 
@@ -404,7 +404,7 @@ def test_a_bend_is_coasted_through() -> None:
     car = Car()
     car.replay(frames[:40])
     for one in frames[40:50]:
-        car.told.mask = BLANK
+        car.markings.mask = BLANK
         estimate = car.step(one.frame, one.motion)
         assert estimate.status is LaneStatus.COASTING
         assert estimate.pose is not None

@@ -1,4 +1,4 @@
-"""`contour` on roads whose lane is known: errors, missing lines, blindness, and motion that is told wrongly."""
+"""`contour` on roads whose lane is known: errors, missing lines, blindness, and motion that is reported wrongly."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LONG_GAP_FROM_M, LONG_GAP_TO_M = 1.5, 6.0
 
 
 def checked(seen: list[Seen]) -> list[Seen]:
-    """What is told is sound, and no lane is a false one."""
+    """What is reported is sound, and no lane is a false one."""
     for one in seen[::4]:
         check_sound(one.estimate, one.frame.t_ns)
     for one in seen:
@@ -57,17 +57,17 @@ def driven(name: str) -> list[Seen]:
 
 
 def driven_again(name: str, car: CarConfig = CAR, **motion) -> list[Seen]:
-    """The same pictures, where something else is said of the car's motion."""
+    """The same images, where something else is said of the car's motion."""
     pipeline = Contour(car)
     return checked([replace(s, estimate=pipeline.step(s.frame, replace(s.motion, **motion))) for s in driven(name)])
 
 
 def mean_errors(seen: Sequence[Seen]) -> tuple[float, float]:
     """Mean absolute errors of offset [m] and heading [rad]."""
-    told = [s for s in seen if s.estimate.valid]
-    assert told, "no estimate at all"
-    offset = float(np.mean([abs(s.offset_error_m) for s in told]))
-    return offset, float(np.mean([abs(s.heading_error_rad) for s in told]))
+    reported = [s for s in seen if s.estimate.valid]
+    assert reported, "no estimate at all"
+    offset = float(np.mean([abs(s.offset_error_m) for s in reported]))
+    return offset, float(np.mean([abs(s.heading_error_rad) for s in reported]))
 
 
 def check_errors(seen: Sequence[Seen], scale: float = 1.0) -> None:
@@ -104,9 +104,9 @@ def test_the_curvature_is_that_of_the_road(update: str) -> None:
     seen = driven_again("bend", replace(CAR, pipeline=options))
     check_errors(seen)
     inside = [s for s in seen if s.truth.curvature_per_m > 0.0][15:]
-    told = [s.estimate.pose.curvature_per_m for s in inside if s.estimate.pose]
-    assert len(told) == len(inside) > 40
-    assert np.abs(np.array(told) - 1.0 / 1.5).mean() < 0.1
+    reported = [s.estimate.pose.curvature_per_m for s in inside if s.estimate.pose]
+    assert len(reported) == len(inside) > 40
+    assert np.abs(np.array(reported) - 1.0 / 1.5).mean() < 0.1
 
 
 @pytest.mark.slow
@@ -199,9 +199,9 @@ def test_a_width_that_changes_is_followed() -> None:
         )
         assert all(s.estimate.valid for s in seen)
         check_errors(seen)
-        told = [s.estimate.pose.width_m for s in seen if s.estimate.pose]
-        assert max(abs(w - s.truth.width_m) for w, s in zip(told[5:], seen[5:], strict=True)) < 0.02
-        assert told[-1] == pytest.approx(width, abs=0.005)
+        reported = [s.estimate.pose.width_m for s in seen if s.estimate.pose]
+        assert max(abs(w - s.truth.width_m) for w, s in zip(reported[5:], seen[5:], strict=True)) < 0.02
+        assert reported[-1] == pytest.approx(width, abs=0.005)
 
 
 def test_points_and_curves_lie_on_the_lines() -> None:
@@ -212,9 +212,9 @@ def test_points_and_curves_lie_on_the_lines() -> None:
         assert estimate.left is not None
         assert estimate.right is not None
         assert estimate.centerline is not None
-        for told, true in ((estimate.left, drive.lane.left), (estimate.right, drive.lane.right)):
-            if told.seen:
-                away = [abs(true.project(p)[1]) for p in pose.apply(told.points_m)]
+        for reported, true in ((estimate.left, drive.lane.left), (estimate.right, drive.lane.right)):
+            if reported.seen:
+                away = [abs(true.project(p)[1]) for p in pose.apply(reported.points_m)]
                 assert np.quantile(away, 0.8) < 0.01
         along = estimate.centerline.position(np.linspace(0.0, estimate.centerline.length_m, 60))
         near = [(x, y) for x, y in along if 0.13 < x < 0.7]
@@ -244,10 +244,10 @@ def test_a_lane_that_is_left_right_after_it_was_found_is_no_lane_of_the_car() ->
     """But one that was followed for a while is kept."""
     for from_m, kept in ((2.0, True), (3.4, False)):
         seen = Leaving(track=road(line(9.0)), pipeline=Contour(CAR)).run(from_m, 4.15)
-        told = [s.estimate.valid and abs(s.offset_error_m) < FALSE_LANE * s.truth.width_m for s in seen]
+        reported = [s.estimate.valid and abs(s.offset_error_m) < FALSE_LANE * s.truth.width_m for s in seen]
         aside = [s.truth.offset_m / s.truth.width_m for s in seen]
-        assert all(mine for mine, away in zip(told, aside, strict=True) if 0.38 < away < 0.52)
-        outside = [mine for mine, away in zip(told, aside, strict=True) if 0.57 < away < 0.7]
+        assert all(mine for mine, away in zip(reported, aside, strict=True) if 0.38 < away < 0.52)
+        outside = [mine for mine, away in zip(reported, aside, strict=True) if 0.57 < away < 0.7]
         assert len(outside) >= 5
         assert outside == [kept] * len(outside)
 

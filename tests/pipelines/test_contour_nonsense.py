@@ -1,4 +1,4 @@
-"""`contour` on nonsense: noise, pictures of a few pixels, odometers and clocks that say anything."""
+"""`contour` on nonsense: noise, images of a few pixels, odometers and clocks that say anything."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def test_black_white_and_plain_noise_are_no_lane() -> None:
     for image in (BLACK, WHITE, faint, noises()[0]):
         pipeline = Contour(CAR)
         for k in range(6):
-            told = pipeline.step(Frame(t_ns=k * PERIOD_NS, index=k, image=image), motion(k * PERIOD_NS))
-            check_sound(told, k * PERIOD_NS)
-            assert told.status is LaneStatus.LOST
+            reported = pipeline.step(Frame(t_ns=k * PERIOD_NS, index=k, image=image), motion(k * PERIOD_NS))
+            check_sound(reported, k * PERIOD_NS)
+            assert reported.status is LaneStatus.LOST
 
 
 @pytest.mark.parametrize("options", [{"precision": "single"}, {"update": "gradient_descent"}], ids=str)
@@ -88,7 +88,7 @@ def pictures(draw: st.DrawFn) -> np.ndarray:
 
 
 STEPS = st.tuples(
-    st.one_of(st.none(), pictures()),  # None: a good picture
+    st.one_of(st.none(), pictures()),  # None: a good image
     st.sampled_from([0, 1, 16_666_667, 33_333_333, 400_000_000, 10**10, -(10**8), -(10**12)]),
     st.one_of(st.floats(-5.0, 5.0), st.sampled_from([1.0, 100.0, *ODD])),
     st.one_of(st.floats(-5.0, 5.0), st.sampled_from([50.0, -400.0, *ODD])),

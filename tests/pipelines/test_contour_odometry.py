@@ -22,17 +22,17 @@ def drive(name: str, direction: str, from_m: float, to_m: float) -> list[Seen]:
 
 
 def longest_false_s(seen: list[Seen], factor: float) -> tuple[float, float]:
-    """The longest time that another lane is told, and the share of frames with a lane."""
-    pipeline, longest, run, told = Contour(CAR), 0, 0, 0
+    """The longest time that another lane is reported, and the share of frames with a lane."""
+    pipeline, longest, run, reported = Contour(CAR), 0, 0, 0
     for k, one in enumerate(seen):
         motion = one.motion if k < RIGHT else replace(one.motion, speed_mps=factor * one.motion.speed_mps)
         estimate = pipeline.step(one.frame, motion)
         check_sound(estimate, one.frame.t_ns)
-        told += estimate.valid
+        reported += estimate.valid
         off = estimate.pose is not None and abs(estimate.pose.offset_m - one.truth.offset_m)
         run = run + 1 if off > FALSE_LANE * one.truth.width_m else 0
         longest = max(longest, run)
-    return longest * PERIOD_S, told / len(seen)
+    return longest * PERIOD_S, reported / len(seen)
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, 0.5, 2.0])
@@ -40,9 +40,9 @@ def longest_false_s(seen: list[Seen], factor: float) -> tuple[float, float]:
     "place", [("tmr", "forward", 16.0, 21.0), ("oval", "reverse", 0.5, 6.0), ("chicane", "reverse", 0.5, 6.0)]
 )
 def test_a_wrong_speed_tells_no_other_lane_for_long(place: tuple[str, str, float, float], factor: float) -> None:
-    false_s, told = longest_false_s(drive(*place), factor)
+    false_s, reported = longest_false_s(drive(*place), factor)
     assert false_s <= 0.34
-    assert told > 0.85
+    assert reported > 0.85
 
 
 @pytest.mark.parametrize("place", [("tmr", "forward", 16.0, 21.0), ("chicane", "reverse", 0.5, 6.0)])

@@ -1,4 +1,4 @@
-"""What `contour` reads and holds: single pixels, no memory that grows with the picture, one channel, single floats."""
+"""What `contour` reads and holds: single pixels, no memory that grows with the image, one channel, single floats."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601
 
 
 class WatchedImage:
-    """A picture that is no array: what is taken out of it is remembered, and nothing else can be done with it.
+    """An image that is no array: what is taken out of it is remembered, and nothing else can be done with it.
 
     Views (`reshape`, slices) read nothing; values leave it only by `take`, by indexing with arrays or single places,
     and by conversion to an array, which reads all of it.
@@ -91,7 +91,7 @@ class WatchedImage:
 
 
 class Watched:
-    """`contour` on watched pictures: `shares` of their pixels that each step read, and whether it found a lane then."""
+    """`contour` on watched images: `shares` of their pixels that each step read, and whether it found a lane then."""
 
     name = "contour"
 
@@ -101,9 +101,9 @@ class Watched:
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         image = WatchedImage(frame.image)
-        told = Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image)
-        object.__setattr__(told, "image", image)  # a frame takes arrays only
-        estimate = self.watched.step(told, motion)
+        reported = Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image)
+        object.__setattr__(reported, "image", image)  # a frame takes arrays only
+        estimate = self.watched.step(reported, motion)
         self.shares.append(len(image.read) / (frame.image.shape[0] * frame.image.shape[1]))
         return estimate
 
@@ -204,7 +204,7 @@ def test_no_memory_grows_with_the_picture() -> None:
         assert all(s.estimate.valid for s in seen)
         at[width] = peaks(car, seen)
     small, large = at[640], at[1920]
-    assert max(large[1:]) < 200_000  # a picture of 1920x1080 has 2 MB
+    assert max(large[1:]) < 200_000  # an image of 1920x1080 has 2 MB
     assert max(large[1:]) < 1.1 * max(small[1:]) + 2_000
     assert large[0] < 1.2 * small[0] + 20_000
 
@@ -275,12 +275,12 @@ def test_colour_read_as_grey_is_grey() -> None:
     coloured = [(s.frame.image * tint).astype(np.uint8) for s in seen]
     assert (coloured[0][..., 0] != coloured[0][..., 1]).any()
     grey = [np.rint(image @ GREY).astype(np.uint8) for image in coloured]
-    told = []
+    reported = []
     for pictures in (coloured, grey):
         pipeline = Contour(optioned(CAR, colour="grey"))
         frames = [replace(s.frame, image=image) for s, image in zip(seen, pictures, strict=True)]
-        told.append([pipeline.step(frame, s.motion) for frame, s in zip(frames, seen, strict=True)])
-    np.testing.assert_allclose(poses(told[0]), poses(told[1]), rtol=0.0, atol=1e-9)
+        reported.append([pipeline.step(frame, s.motion) for frame, s in zip(frames, seen, strict=True)])
+    np.testing.assert_allclose(poses(reported[0]), poses(reported[1]), rtol=0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("colour", "channel"), [("blue", 0), ("green", 1), ("red", 2)])
@@ -290,10 +290,10 @@ def test_one_channel_is_read(colour: str, channel: int) -> None:
     for one in seen:
         image = np.full((*one.frame.image.shape, 3), 128, np.uint8)
         image[..., channel] = one.frame.image
-        told = pipeline.step(replace(one.frame, image=image), one.motion)
+        reported = pipeline.step(replace(one.frame, image=image), one.motion)
         assert one.estimate.pose is not None
-        assert told.pose is not None
-        assert told.pose.offset_m == one.estimate.pose.offset_m
+        assert reported.pose is not None
+        assert reported.pose.offset_m == one.estimate.pose.offset_m
 
 
 def test_watching_refuses_what_is_not_watched() -> None:

@@ -47,11 +47,11 @@ style = "solid"
 direction = "forward"
 s_m = 0.0
 """
-AGAIN_NS = 60_000_000  # long enough for a lane that is not sure to be told
+AGAIN_NS = 60_000_000  # long enough for a lane that is not sure to be reported
 
 
 class Anew:
-    """`contour` that starts anew with every picture, and may look at it twice."""
+    """`contour` that starts anew with every image, and may look at it twice."""
 
     name = "contour"
 
@@ -83,8 +83,10 @@ def told_widths(seen: Sequence[Seen]) -> np.ndarray:
 
 def false_lanes(seen: Sequence[Seen]) -> list[tuple[int, float]]:
     """Index and offset error of the frames whose lane is another one."""
-    told = [s for s in seen if s.estimate.valid]
-    return [(s.frame.index, s.offset_error_m) for s in told if abs(s.offset_error_m) >= FALSE_LANE * s.truth.width_m]
+    reported = [s for s in seen if s.estimate.valid]
+    return [
+        (s.frame.index, s.offset_error_m) for s in reported if abs(s.offset_error_m) >= FALSE_LANE * s.truth.width_m
+    ]
 
 
 def sound(seen: list[Seen]) -> list[Seen]:
@@ -124,10 +126,10 @@ def test_a_wrong_width_is_put_right_slowly_once_the_second_line_appears(factor: 
     """On one line the lane's width is the configured one."""
     drive = RenderedDrive(track=road(line(12.0), gap(0.0, 2.0, "left")), pipeline=Contour(expecting(CAR, factor)))
     seen = sound(drive.run(0.3, 5.0))
-    told = [s for s in seen if s.estimate.valid]
-    assert told[0].estimate.status is LaneStatus.ONE_LINE
-    assert told[0].estimate.pose is not None
-    assert told[0].estimate.pose.width_m == pytest.approx(factor * 0.4, rel=0.02)
+    reported = [s for s in seen if s.estimate.valid]
+    assert reported[0].estimate.status is LaneStatus.ONE_LINE
+    assert reported[0].estimate.pose is not None
+    assert reported[0].estimate.pose.width_m == pytest.approx(factor * 0.4, rel=0.02)
     assert not false_lanes(seen)
     assert seen[-1].estimate.status is LaneStatus.TRACKING
     assert told_widths(seen)[-1] == pytest.approx(0.4, rel=0.01)
@@ -204,15 +206,15 @@ def test_zebra_bars_are_driven_over() -> None:
     seen = sound(crossing_drive(Contour(CAR), 30.0))
     assert not false_lanes(seen)
     assert all(s.estimate.valid for s in seen[5:])
-    told = [s for s in seen if s.estimate.valid]
-    assert np.mean([abs(s.offset_error_m) for s in told]) <= 0.007
-    assert np.mean([abs(s.heading_error_rad) for s in told]) <= math.radians(0.7)
+    reported = [s for s in seen if s.estimate.valid]
+    assert np.mean([abs(s.offset_error_m) for s in reported]) <= 0.007
+    assert np.mean([abs(s.heading_error_rad) for s in reported]) <= math.radians(0.7)
 
 
 def test_no_start_among_zebra_bars_takes_them_for_lines() -> None:
     seen = crossing_drive(Anew(), 20.0)
-    told = [s for s in seen if s.estimate.valid]
-    assert len(told) > 0.4 * len(seen)
+    reported = [s for s in seen if s.estimate.valid]
+    assert len(reported) > 0.4 * len(seen)
     assert not false_lanes(seen)
 
 

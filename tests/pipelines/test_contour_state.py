@@ -46,14 +46,14 @@ def replayed(pipeline: Pipeline, drive: list[Seen], from_ns: int = 0) -> list[La
 def shown(
     pipeline: Pipeline, image: np.ndarray, after: list[Seen], frames: int, speed_mps: float
 ) -> list[LaneEstimate]:
-    """One picture again and again after a drive; what is said is sound."""
+    """One image again and again after a drive; what is said is sound."""
     last_ns = after[-1].frame.t_ns
-    told = []
+    reported = []
     for k in range(1, frames + 1):
         t_ns = last_ns + k * PERIOD_NS
-        told.append(pipeline.step(Frame(t_ns=t_ns, index=100 + k, image=image), motion(t_ns, speed_mps)))
-        check_sound(told[-1], t_ns)
-    return told
+        reported.append(pipeline.step(Frame(t_ns=t_ns, index=100 + k, image=image), motion(t_ns, speed_mps)))
+        check_sound(reported[-1], t_ns)
+    return reported
 
 
 def test_the_same_frames_give_the_same_bits(seen: list[Seen]) -> None:
@@ -86,37 +86,37 @@ def test_the_frames_are_left_alone(seen: list[Seen]) -> None:
     np.testing.assert_array_equal(seen[3].frame.image, before)
 
 
-def test_what_was_told_stays_as_it_was(seen: list[Seen]) -> None:
+def test_what_was_reported_stays_as_it_was(seen: list[Seen]) -> None:
     """Estimates are read later, by other threads: no buffer of the pipeline shows through."""
     pipeline = Contour(CAR)
-    told = replayed(pipeline, seen[:8])
-    before = [bits(e) for e in told]
+    reported = replayed(pipeline, seen[:8])
+    before = [bits(e) for e in reported]
     replayed(pipeline, seen[8:])
     pipeline.reset()
-    assert [bits(e) for e in told] == before
+    assert [bits(e) for e in reported] == before
 
 
 @pytest.mark.parametrize("image", [BLACK, WHITE], ids=["black", "white"])
 @pytest.mark.parametrize("speed_mps", [1.0, 0.0])
-def test_a_blank_picture_is_coasted_over_for_a_while(straight: list[Seen], image: np.ndarray, speed_mps: float) -> None:
+def test_a_blank_image_is_coasted_over_for_a_while(straight: list[Seen], image: np.ndarray, speed_mps: float) -> None:
     pipeline, options = Contour(CAR), CAR.pipeline.contour
     replayed(pipeline, straight)
-    told = shown(pipeline, image, straight, 90, speed_mps)
-    coasting = [e for e in told if e.valid]
+    reported = shown(pipeline, image, straight, 90, speed_mps)
+    coasting = [e for e in reported if e.valid]
     assert all(e.status is LaneStatus.COASTING for e in coasting)
-    assert told[: len(coasting)] == coasting  # once lost, lost for good
+    assert reported[: len(coasting)] == coasting  # once lost, lost for good
     way_s = options.coast_lanes * CAR.lane.width_m / speed_mps if speed_mps else math.inf
     assert 0.5 <= len(coasting) * PERIOD_NS * 1e-9 <= min(options.coast_s, way_s) + 0.1
-    assert [e.frame_age_ns for e in told] == [k * PERIOD_NS for k in range(1, 91)]
-    assert not told[-1].valid
+    assert [e.frame_age_ns for e in reported] == [k * PERIOD_NS for k in range(1, 91)]
+    assert not reported[-1].valid
 
 
 def test_while_coasting_the_lane_moves_with_the_car_and_is_less_sure(seen: list[Seen]) -> None:
     pipeline = Contour(CAR)
     last = replayed(pipeline, seen)[-1].pose
-    told = shown(pipeline, BLACK, seen, 8, 1.0)
+    reported = shown(pipeline, BLACK, seen, 8, 1.0)
     assert last is not None
-    sigmas = [math.sqrt(e.pose.covariance[0, 0]) for e in told if e.pose]
+    sigmas = [math.sqrt(e.pose.covariance[0, 0]) for e in reported if e.pose]
     assert len(sigmas) == 8
     assert all(after > before for before, after in pairwise(sigmas))
     standing = Contour(CAR)
@@ -125,7 +125,7 @@ def test_while_coasting_the_lane_moves_with_the_car_and_is_less_sure(seen: list[
     assert still is not None
     assert still.offset_m == pytest.approx(last.offset_m, abs=1e-4)
     assert still.heading_rad == pytest.approx(last.heading_rad, abs=1e-3)
-    moved = told[-1].pose
+    moved = reported[-1].pose
     assert moved is not None
     assert moved.offset_m != still.offset_m
 
@@ -165,20 +165,20 @@ def test_a_car_that_stands_keeps_its_lane(seen: list[Seen]) -> None:
 
 
 def test_frames_that_jump_are_not_followed_into_another_lane(seen: list[Seen]) -> None:
-    """Every third picture comes from elsewhere on the road; what is told stays sound, and the lane is kept."""
+    """Every third image comes from elsewhere on the road; what is reported stays sound, and the lane is kept."""
     pipeline = Contour(CAR)
-    told = []
+    reported = []
     for k, s in enumerate(seen):
         image = seen[(k * 17) % len(seen)].frame.image if k % 3 == 2 else s.frame.image
-        told.append(pipeline.step(replace(s.frame, image=image), s.motion))
-        check_sound(told[-1], s.frame.t_ns)
-    errors = [abs(e.pose.offset_m - s.truth.offset_m) for e, s in zip(told, seen, strict=True) if e.pose]
+        reported.append(pipeline.step(replace(s.frame, image=image), s.motion))
+        check_sound(reported[-1], s.frame.t_ns)
+    errors = [abs(e.pose.offset_m - s.truth.offset_m) for e, s in zip(reported, seen, strict=True) if e.pose]
     assert len(errors) == len(seen)
     assert max(errors) < 0.25 * CAR.lane.width_m
 
 
 @pytest.mark.parametrize("shape", [(240, 320), (360, 641), (1, 1), (720, 1280, 3), (640, 360), (1080, 1920)])
-def test_pictures_of_another_size_are_no_lane(seen: list[Seen], shape: tuple[int, ...]) -> None:
+def test_images_of_another_size_are_no_lane(seen: list[Seen], shape: tuple[int, ...]) -> None:
     pipeline = Contour(CAR)
     for before in ([], seen):
         replayed(pipeline, before)
@@ -198,20 +198,20 @@ def test_motion_that_cannot_be_is_not_used(seen: list[Seen], speed: float, yaw_r
     pipeline = Contour(CAR)
     replayed(pipeline, seen[:10])
     for s in seen[10:13]:
-        told = pipeline.step(s.frame, motion(s.frame.t_ns, speed, yaw_rate))
-        check_sound(told, s.frame.t_ns)
-        assert told.pose is not None
-        assert told.pose.offset_m == pytest.approx(s.truth.offset_m, abs=0.02)
+        reported = pipeline.step(s.frame, motion(s.frame.t_ns, speed, yaw_rate))
+        check_sound(reported, s.frame.t_ns)
+        assert reported.pose is not None
+        assert reported.pose.offset_m == pytest.approx(s.truth.offset_m, abs=0.02)
 
 
 def test_motion_that_cannot_be_counts_as_none(seen: list[Seen]) -> None:
-    told = []
+    reported = []
     for source, speed in ((MotionSource.MEASURED, math.nan), (MotionSource.NONE, 0.0), (MotionSource.NONE, math.nan)):
         pipeline = Contour(CAR)
         replayed(pipeline, seen[:10])
         missing = [replace(s.motion, speed_mps=speed, source=source) for s in seen[10:20]]
-        told.append([bits(pipeline.step(s.frame, m)) for s, m in zip(seen[10:20], missing, strict=True)])
-    assert told[0] == told[1] == told[2]
+        reported.append([bits(pipeline.step(s.frame, m)) for s, m in zip(seen[10:20], missing, strict=True)])
+    assert reported[0] == reported[1] == reported[2]
 
 
 @pytest.mark.parametrize("pitch_rad", [-1.2, -0.6])

@@ -48,8 +48,8 @@ def noisy(picture: np.ndarray, seed: int) -> np.ndarray:
     return np.clip(picture + np.random.default_rng(seed).normal(0.0, 2.0, SIZE), 0, 255).astype(np.uint8)
 
 
-def told(picture: np.ndarray, seed: int = 0, frames: int = 4) -> LaneEstimate:
-    """What is told of a car that stands before a picture, after long enough for a lane that is not sure."""
+def reported(picture: np.ndarray, seed: int = 0, frames: int = 4) -> LaneEstimate:
+    """What is reported of a car that stands before an image, after long enough for a lane that is not sure."""
     pipeline = Contour(CAR)
     for k in range(frames):
         t_ns = k * PERIOD_NS
@@ -74,7 +74,7 @@ def test_a_guard_rail_beside_the_lane_is_none_of_its_lines(offset_m: float, asid
         for y in LINES:
             band(picture, y - offset_m)
         rail(picture, side * (HALF_M + aside_m) - offset_m, z_m)
-        check_lane(told(picture), offset_m)
+        check_lane(reported(picture), offset_m)
 
 
 @pytest.mark.parametrize("y_m", [0.15, 0.25, 0.35, 0.5])
@@ -85,7 +85,7 @@ def test_a_guard_rail_and_one_line_are_no_pair(y_m: float, z_m: float) -> None:
         picture = floor()
         band(picture, -side * HALF_M)
         rail(picture, side * y_m, z_m)
-        estimate = told(picture)
+        estimate = reported(picture)
         assert estimate.status is LaneStatus.ONE_LINE
         check_lane(estimate, 0.0)
 
@@ -95,10 +95,10 @@ def test_a_guard_rail_and_one_line_are_no_pair(y_m: float, z_m: float) -> None:
 def test_the_edge_of_a_shadow_is_no_line(edge_m: float, lit: float) -> None:
     picture = floor(30.0)
     picture[edge_m < Y] += lit
-    assert told(picture).status is LaneStatus.LOST
+    assert reported(picture).status is LaneStatus.LOST
     for y in LINES:
         band(picture, y + 0.05, grey=200.0)
-    check_lane(told(picture), -0.05)
+    check_lane(reported(picture), -0.05)
 
 
 @pytest.mark.parametrize("kerb_m", [0.27, 0.35, 0.5])
@@ -108,22 +108,22 @@ def test_a_kerb_is_no_line(kerb_m: float, width_m: float) -> None:
     for side in (1.0, -1.0):
         picture = floor()
         band(picture, side * (kerb_m + 0.5 * width_m), width_m, 180.0)
-        assert told(picture).status is LaneStatus.LOST
+        assert reported(picture).status is LaneStatus.LOST
         for y in LINES:
             band(picture, y)
-        check_lane(told(picture), 0.0)
+        check_lane(reported(picture), 0.0)
 
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.1, -0.2])
 @pytest.mark.parametrize("tile_m", [0.16, 0.2, 0.24])
 def test_joints_of_tiles_are_no_lane(tile_m: float, turned_rad: float) -> None:
-    """Bright joints as broad as a marking, of which every second ones lie a lane apart."""
+    """Bright joints as wide as a marking, of which every second ones lie a lane apart."""
     cos, sin = np.cos(turned_rad), np.sin(turned_rad)
     x, y = np.where(BELOW, X, 0.0), np.where(BELOW, Y, 0.0)
     joint = ((x * cos + y * sin) % tile_m < 0.03) | ((y * cos - x * sin) % tile_m < 0.03)
     picture = floor()
     picture[BELOW & joint] = 200.0
-    assert told(picture).status is LaneStatus.LOST
+    assert reported(picture).status is LaneStatus.LOST
 
 
 @pytest.mark.parametrize("fine_px", [0.7, 1.5, 3.0])
@@ -132,4 +132,4 @@ def test_rough_asphalt_is_no_lane(fine_px: float, contrast: float) -> None:
 
     for seed in range(8):
         grain = cv2.GaussianBlur(np.random.default_rng(seed).normal(0.0, 1.0, SIZE), (0, 0), fine_px)
-        assert told(90.0 + contrast * grain / grain.std(), seed).status is LaneStatus.LOST
+        assert reported(90.0 + contrast * grain / grain.std(), seed).status is LaneStatus.LOST

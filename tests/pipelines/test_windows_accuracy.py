@@ -100,9 +100,9 @@ def test_pose_on_the_straight_and_in_the_bend(name: str, direction: str) -> None
     assert np.mean([abs(s.heading_error_rad) for s in after]) < math.radians(0.8)
     widths = [s.estimate.pose.width_m for s in after if s.estimate.pose]
     assert np.abs(np.array(widths) - 0.4).max() < 0.01
-    told = np.array([s.estimate.pose.curvature_per_m for s in after if s.estimate.pose])
+    reported = np.array([s.estimate.pose.curvature_per_m for s in after if s.estimate.pose])
     true = np.array([s.truth.curvature_per_m for s in after])
-    assert np.abs(told - true)[np.abs(np.gradient(true)) == 0].mean() < 0.12
+    assert np.abs(reported - true)[np.abs(np.gradient(true)) == 0].mean() < 0.12
 
 
 def start_of_straight(track: Track, direction: str) -> float:
@@ -131,11 +131,11 @@ def test_competition_light(seed: int) -> None:
     for one in seen:
         check_sound(one.estimate, one.frame.t_ns)
     settled = seen[15:]
-    told = [s for s in settled if s.estimate.valid]
-    assert len(told) >= 0.97 * len(settled)
-    assert np.mean([abs(s.offset_error_m) for s in told]) < 0.01
-    assert np.mean([abs(s.heading_error_rad) for s in told]) < math.radians(1.0)
-    assert max(abs(s.offset_error_m) for s in told) < 0.1
+    reported = [s for s in settled if s.estimate.valid]
+    assert len(reported) >= 0.97 * len(settled)
+    assert np.mean([abs(s.offset_error_m) for s in reported]) < 0.01
+    assert np.mean([abs(s.heading_error_rad) for s in reported]) < math.radians(1.0)
+    assert max(abs(s.offset_error_m) for s in reported) < 0.1
 
 
 def test_colour_is_as_good_as_grey() -> None:
@@ -150,7 +150,7 @@ def test_colour_is_as_good_as_grey() -> None:
 
 
 def test_one_line_carries_through_a_tight_bend() -> None:
-    """In the bends of the contest's floor the inner line leaves the picture."""
+    """In the bends of the contest's floor the inner line leaves the image."""
     track = load_track("tmr")
     drive = RenderedDrive(track=track, rate_hz=30.0)
     line = track.lane("forward").centerline
@@ -203,10 +203,10 @@ def test_a_highway_lane_at_full_scale(turn: str) -> None:
     seen = drive.run(5.0, 105.0)
     settled = seen[15:]
     assert sum(s.estimate.valid for s in settled) >= 0.97 * len(settled)
-    told = [s for s in settled if s.estimate.valid]
-    assert np.mean([abs(s.offset_error_m) for s in told]) < 0.10
-    assert np.mean([abs(s.heading_error_rad) for s in told]) < math.radians(0.8)
-    assert max(abs(s.offset_error_m) for s in told) < 0.4
+    reported = [s for s in settled if s.estimate.valid]
+    assert np.mean([abs(s.offset_error_m) for s in reported]) < 0.10
+    assert np.mean([abs(s.heading_error_rad) for s in reported]) < math.radians(0.8)
+    assert max(abs(s.offset_error_m) for s in reported) < 0.4
 
 
 def test_without_odometry_the_lane_is_still_found() -> None:
@@ -214,7 +214,7 @@ def test_without_odometry_the_lane_is_still_found() -> None:
     seen = drive.run(0.8, 4.0)
     for one in seen:
         check_sound(one.estimate, one.frame.t_ns)
-    told = [s for s in seen[10:] if s.estimate.valid]
-    assert len(told) >= 0.95 * len(seen[10:])
-    assert np.mean([abs(s.offset_error_m) for s in told]) < 0.02
-    assert np.mean([abs(s.heading_error_rad) for s in told]) < math.radians(2.5)
+    reported = [s for s in seen[10:] if s.estimate.valid]
+    assert len(reported) >= 0.95 * len(seen[10:])
+    assert np.mean([abs(s.offset_error_m) for s in reported]) < 0.02
+    assert np.mean([abs(s.heading_error_rad) for s in reported]) < math.radians(2.5)

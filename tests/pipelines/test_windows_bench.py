@@ -75,7 +75,7 @@ def test_over_an_intersection(rate_hz: float, speed_mps: float) -> None:
     assert LaneStatus.COASTING in statuses  # the lines stop inside it
 
 
-def test_a_crossing_is_told_on_the_way_to_the_zebra() -> None:
+def test_a_crossing_is_reported_on_the_way_to_the_zebra() -> None:
     crossing_m = first_crossing_m()
     line = LANE.centerline
     bars = [p.polygon_m for p in TMR.paint() if p.kind == "zebra"]

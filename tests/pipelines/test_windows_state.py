@@ -39,12 +39,12 @@ def replayed(pipeline: Pipeline, drive: list[Seen], from_ns: int = 0) -> list[La
 
 def go_dark(pipeline: Pipeline, drive: list[Seen], frames: int, speed_mps: float) -> list[LaneEstimate]:
     last_ns = drive[-1].frame.t_ns
-    told = []
+    reported = []
     for k in range(1, frames + 1):
         t_ns = last_ns + k * PERIOD_NS
-        told.append(pipeline.step(Frame(t_ns=t_ns, index=100 + k, image=BLACK), motion(t_ns, speed_mps)))
-        check_sound(told[-1], t_ns)
-    return told
+        reported.append(pipeline.step(Frame(t_ns=t_ns, index=100 + k, image=BLACK), motion(t_ns, speed_mps)))
+        check_sound(reported[-1], t_ns)
+    return reported
 
 
 def bits(estimate: LaneEstimate) -> tuple[object, ...]:
@@ -86,11 +86,11 @@ def test_a_dark_picture_is_coasted_over_for_a_while(seen: list[Seen]) -> None:
     last = replayed(pipeline, seen)[-1]
     assert last.status is LaneStatus.TRACKING
     assert last.frame_age_ns == 0
-    told = go_dark(pipeline, seen, 90, 1.0)
-    coasting = [e for e in told if e.valid]
+    reported = go_dark(pipeline, seen, 90, 1.0)
+    coasting = [e for e in reported if e.valid]
     assert all(e.status is LaneStatus.COASTING for e in coasting)
-    assert told[: len(coasting)] == coasting  # once lost, lost for good
-    assert len(told) > len(coasting)
+    assert reported[: len(coasting)] == coasting  # once lost, lost for good
+    assert len(reported) > len(coasting)
     bound_s = min(options.coast_s, options.coast_m / 1.0)
     assert len(coasting) * PERIOD_NS * 1e-9 == pytest.approx(bound_s, abs=0.1)
     for k, estimate in enumerate(coasting, 1):
@@ -108,16 +108,16 @@ def test_a_dark_picture_is_coasted_over_for_a_while(seen: list[Seen]) -> None:
 def test_coasting_is_bounded_in_time_where_the_car_stands(seen: list[Seen]) -> None:
     pipeline = Windows(CAR)
     replayed(pipeline, seen)
-    told = go_dark(pipeline, seen, 90, 0.0)
-    assert sum(e.valid for e in told) * PERIOD_NS * 1e-9 == pytest.approx(CAR.pipeline.windows.coast_s, abs=0.1)
+    reported = go_dark(pipeline, seen, 90, 0.0)
+    assert sum(e.valid for e in reported) * PERIOD_NS * 1e-9 == pytest.approx(CAR.pipeline.windows.coast_s, abs=0.1)
 
 
 def test_age_goes_on_growing_once_lost(seen: list[Seen]) -> None:
     pipeline = Windows(CAR)
     replayed(pipeline, seen)
-    told = go_dark(pipeline, seen, 90, 1.0)
-    ages = [e.frame_age_ns for e in told]
-    assert not told[-1].valid
+    reported = go_dark(pipeline, seen, 90, 1.0)
+    ages = [e.frame_age_ns for e in reported]
+    assert not reported[-1].valid
     assert ages == [k * PERIOD_NS for k in range(1, 91)]
 
 
@@ -196,7 +196,7 @@ def pictures(draw: st.DrawFn) -> np.ndarray:
 
 
 STEPS = st.tuples(
-    st.one_of(st.none(), pictures()),  # None: a good picture
+    st.one_of(st.none(), pictures()),  # None: a good image
     st.sampled_from([0, 1, 16_666_667, 33_333_333, 400_000_000, 10**10, -(10**8), -(10**12)]),
     st.one_of(st.floats(-5.0, 5.0), st.sampled_from([0.0, 1.0, 100.0, -100.0])),
     st.one_of(st.floats(-5.0, 5.0), st.sampled_from([0.0, 50.0, -400.0, 1e6])),

@@ -68,8 +68,8 @@ class Oracle:
         return self.change(self.eye.render_mask(self.pose.x_m, self.pose.y_m, self.pose.yaw_rad))
 
 
-class Told:
-    """Markings that are told frame by frame."""
+class GivenMarkings:
+    """Markings that are reported frame by frame."""
 
     def __init__(self, size: tuple[int, int] = (CAR.camera.height_px, CAR.camera.width_px)) -> None:
         self.mask: Image = np.zeros(size, np.uint8)
@@ -87,8 +87,8 @@ def swing(amplitude: float, wave_lanes: float) -> Callable[[float], float]:
 class MaskedDrive:
     """A car whose rear axle goes beside a lane's centerline, and `centerline` on the mask that its camera would give.
 
-    `offset` [lane widths] is a function of the way [lane widths]. The speed told is the true one times `speed_factor`,
-    the yaw rate is wrong by `yaw_bias_radps`.
+    `offset` [lane widths] is a function of the distance [lane widths]. The reported speed is the true one times
+    `speed_factor`, the yaw rate is wrong by `yaw_bias_radps`.
     """
 
     track: Track
@@ -120,7 +120,7 @@ class MaskedDrive:
         return float(x), float(y)
 
     def frames(self, from_m: float, to_m: float, t0_ns: int = 0) -> Iterator[tuple[Frame, Motion, SE2]]:
-        """The frames, motions and poses of a stretch; the picture itself is blank."""
+        """The frames, motions and poses of a stretch; the image itself is blank."""
         period_s = 1.0 / self.rate_hz
         known = self.source is not MotionSource.NONE
         for index in range(round((to_m - from_m) / (self.speed_mps * period_s))):
@@ -179,10 +179,10 @@ class Errors:
 def errors(seen: Sequence[Seen], skip: int = 0) -> Errors:
     """The errors from frame `skip` on, of the frames that have an estimate."""
     counted = seen[skip:]
-    told = [one for one in counted if one.estimate.valid]
-    assert told, "no estimate at all"
-    offset = np.abs([one.offset_error_m for one in told])
-    heading = np.degrees(np.abs([one.heading_error_rad for one in told]))
+    reported = [one for one in counted if one.estimate.valid]
+    assert reported, "no estimate at all"
+    offset = np.abs([one.offset_error_m for one in reported])
+    heading = np.degrees(np.abs([one.heading_error_rad for one in reported]))
     every = [one.estimate.status for one in counted]
     return Errors(
         offset_mean_m=float(offset.mean()),

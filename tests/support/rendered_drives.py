@@ -72,7 +72,7 @@ class Seen:
 class RenderedDrive:
     """A car that follows a lane with a swinging offset, its camera, and a pipeline.
 
-    The motion told is the true one, or unknown.
+    The motion reported is the true one, or unknown.
     """
 
     track: Track
@@ -121,7 +121,7 @@ class RenderedDrive:
 
 
 def check_sound(estimate: LaneEstimate, t_ns: int) -> None:
-    """What holds for every estimate, whatever the picture: no NaN, and everything or nothing."""
+    """What holds for every estimate, whatever the image: no NaN, and everything or nothing."""
     assert estimate.t_ns == t_ns
     assert estimate.frame_age_ns >= 0
     if estimate.status is LaneStatus.LOST:

@@ -1,4 +1,4 @@
-"""Sure markings and sharp faint ones count, broad faint areas do not."""
+"""Sure markings and sharp faint ones count, wide faint areas do not."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_what_is_hardly_seen_never_counts() -> None:
     assert adaptive_threshold(probability).max() < 128
 
 
-def test_what_counts_is_told_by_128_and_nothing_else_is_changed_in_order() -> None:
+def test_what_counts_is_raised_to_128_and_nothing_else_is_changed_in_order() -> None:
     probability = np.random.default_rng(0).integers(0, 256, (256, 512)).astype(np.uint8)
     before = probability.copy()
     out = adaptive_threshold(probability)

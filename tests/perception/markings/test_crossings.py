@@ -39,7 +39,7 @@ def zebra(x_m: float, length_m: float = 0.2, bar_m: float = 0.05, gap_m: float =
 
 @pytest.mark.parametrize("distance_m", [0.4, 0.62, 0.9, 1.2])
 @pytest.mark.parametrize("depth_m", [0.04, 0.06])
-def test_a_stop_line_is_told_by_its_near_edge(distance_m: float, depth_m: float) -> None:
+def test_a_stop_line_is_reported_by_its_near_edge(distance_m: float, depth_m: float) -> None:
     crossing = search(*LINES, bar(REFERENCE_M + distance_m, depth_m)).crossing
     assert crossing is not None
     assert crossing.distance_m == pytest.approx(distance_m, abs=0.02)
@@ -47,7 +47,7 @@ def test_a_stop_line_is_told_by_its_near_edge(distance_m: float, depth_m: float)
 
 
 @pytest.mark.parametrize("skew_deg", [-10.0, -5.0, 6.0, 12.0])
-def test_a_slanting_line_is_told_with_its_angle(skew_deg: float) -> None:
+def test_a_slanting_line_is_reported_with_its_angle(skew_deg: float) -> None:
     angle = 0.5 * math.pi + math.radians(skew_deg)
     crossing = search(*LINES, bar(REFERENCE_M + 0.8, 0.06, angle)).crossing
     assert crossing is not None
@@ -62,7 +62,7 @@ def test_a_line_along_the_lane_is_none(skew_deg: float) -> None:
 
 
 @pytest.mark.parametrize("distance_m", [0.45, 0.8])
-def test_a_zebra_is_told_by_its_near_edge(distance_m: float) -> None:
+def test_a_zebra_is_reported_by_its_near_edge(distance_m: float) -> None:
     crossing = search(*LINES, zebra(REFERENCE_M + distance_m)).crossing
     assert crossing is not None
     assert crossing.distance_m == pytest.approx(distance_m, abs=0.02)

@@ -30,7 +30,7 @@ SIZES = [(640, 360), NETWORK, (256, 128)]
 
 @functools.lru_cache
 def ground_under(camera: CameraConfig, size_px: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Body x and y (4, h, w) under four points of each pixel of a mask: pixels cut the picture into equal parts."""
+    """Body x and y (4, h, w) under four points of each pixel of a mask: pixels cut the image into equal parts."""
     seen, (width, height) = GroundCamera.from_config(camera), size_px
     v, u = np.mgrid[0:height, 0:width]
     parts = [(u + a, v + b) for a in (0.25, 0.75) for b in (0.25, 0.75)]
@@ -69,7 +69,7 @@ def test_pictures_resized_are_those_of_the_resized_camera() -> None:
 
 
 def test_cv2_resizes_about_the_same_points() -> None:
-    """A blob's middle in a picture that OpenCV makes smaller lies where the resized camera has it."""
+    """A blob's middle in an image that OpenCV makes smaller lies where the resized camera has it."""
     picture = np.zeros((360, 640), np.float32)
     cv2.circle(picture, (413, 207), 20, 1.0, -1)
     for width, height in (NETWORK, (256, 128), (320, 180)):

@@ -1,4 +1,4 @@
-"""The ridge filter on drawn and rendered pictures."""
+"""The ridge filter on drawn and rendered images."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def full_size(markings: RidgeFilter) -> bool:
 
 
 class Whole(RidgeFilter):
-    """At the picture's own size, so that evidence and drawing can be compared pixel by pixel."""
+    """At the image's own size, so that evidence and drawing can be compared pixel by pixel."""
 
     MAX_WIDTH_PX = 4096
 
@@ -81,7 +81,7 @@ def test_lines_are_found_whole_and_nothing_else_is(slope: float) -> None:
     drawn, about = (share(CAMERA, *(line_at(y, w * MARKING_M, slope) for y in (0.15, -0.2))) for w in (1.0, 1.5))
     found = evidence(drawn)
     u = np.arange(drawn.shape[1])
-    inside = NEAR & (u > 100) & (u < 540)  # a line that the picture's edge cuts has one side only
+    inside = NEAR & (u > 100) & (u < 540)  # a line that the image's edge cuts has one side only
     assert found[inside & (drawn > 0.9)].mean() > (0.93 if abs(slope) < 0.5 else 0.75)  # an oblique one looks broader
     assert found[inside & (about == 0.0)].mean() < 1e-4
 
@@ -131,7 +131,7 @@ def test_dark_markings_are_bright_ones_of_the_negative() -> None:
 
 class TestLevel:
     def test_it_lies_between_two_classes(self) -> None:
-        """Texture of 20 grey levels beside markings of 140: the level is told by the picture, not by the contrast."""
+        """Texture of 20 grey levels beside markings of 140: the image sets the level, not the contrast."""
         markings = Whole.of_camera(CAMERA, MARKING_M)
         texture = share(CAMERA, *(line_at(y) for y in (-0.45, -0.3, 0.3, 0.45)))
         paint = share(CAMERA, line_at(0.0), line_at(0.15), line_at(-0.15))

@@ -33,7 +33,7 @@ def middle_columns(lines: np.ndarray) -> np.ndarray:
 
 
 def rows_in_sight(filter_: WhiteAreas, near: np.ndarray) -> np.ndarray:
-    """Rows in which all of `near` (h, w) is well inside the picture."""
+    """Rows in which all of `near` (h, w) is well inside the image."""
     return np.asarray(((filter_.mask == 0) & (near > 0)).sum(axis=1) == 0)
 
 
@@ -141,7 +141,7 @@ def test_a_line_that_the_pictures_edge_cuts_is_kept_inside_of_it(side: int) -> N
     filter_, shape = white_areas(), line_at(side * 0.16, slope=side * 0.3)
     visible = BirdsEye(CAMERA, VIEW).mask > 0
     seen = grey(VIEW, shape)
-    for row in np.flatnonzero(visible.any(axis=1)):  # the view repeats the picture's edge
+    for row in np.flatnonzero(visible.any(axis=1)):  # the view repeats the image's edge
         inside = np.flatnonzero(visible[row])
         seen[row, : inside[0]], seen[row, inside[-1] + 1 :] = seen[row, inside[0]], seen[row, inside[-1]]
     lines = filter_.step(seen)[1]

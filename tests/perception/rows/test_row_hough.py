@@ -1,4 +1,4 @@
-"""A lane from nothing, on pictures of roads whose lane is known."""
+"""A lane from nothing, on images of roads whose lane is known."""
 
 from __future__ import annotations
 

@@ -46,14 +46,14 @@ def run_ridges(picture: NDArray[np.uint8], first: FloatArray, step: float = 1.0,
 
 
 def around(*markings: tuple[float, float]) -> NDArray[np.float32]:
-    """One column of brightness about sample 0 with markings (middle, breadth) [samples]."""
+    """One column of brightness about sample 0 with markings (middle, width) [samples]."""
     at = np.arange(-AROUND, AROUND + 1.0)
     share = sum((covered(at, m - 0.5 * b, m + 0.5 * b) for m, b in markings), np.zeros(len(at)))
     return (GROUND + PAINT * share)[:, None].astype(np.float32)
 
 
 def row(middle: float, breadth: float = PER_MARKING, paint: float = PAINT) -> NDArray[np.uint8]:
-    """A picture of one row with one marking at pixel `middle`."""
+    """An image of one row with one marking at pixel `middle`."""
     at = np.arange(float(WIDTH))
     low, high = middle - 0.5 * breadth, middle + 0.5 * breadth
     return np.rint(GROUND + paint * covered(at, low, high))[None].astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The search about a pair's nodes, in pictures drawn pixel by pixel from the ground that each of them shows."""
+"""The search about a pair's nodes, in images drawn pixel by pixel from the ground that each of them shows."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def from_the_centerline(points: FloatArray, offset: float, curvature: float) -> 
 
 @functools.cache
 def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: int = 110) -> Image:
-    """A grey picture of markings at `lines` [lane widths] beside an arc through the reference point."""
+    """A grey image of markings at `lines` [lane widths] beside an arc through the reference point."""
     aside = from_the_centerline(ground(lens), 0.0, ROADS[road])
     seen = np.zeros(aside.shape)
     for line in lines:

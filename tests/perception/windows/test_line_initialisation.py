@@ -42,7 +42,7 @@ def check(start: LineStart | None, road: Road, d_m: float) -> None:
 
 @given(bend=st.integers(-125, 125), heading=st.integers(-40, 40), aside=st.integers(-12, 12))
 @settings(max_examples=40, deadline=None, derandomize=True)
-def test_the_lines_of_any_lane_are_told_left_from_right(bend: int, heading: int, aside: int) -> None:
+def test_the_lines_of_any_lane_are_found_left_and_right(bend: int, heading: int, aside: int) -> None:
     road = Road(curvature_per_m=0.01 * bend, heading_rad=math.radians(heading), aside_m=0.01 * aside)
     found = find(road.line(HALF), road.line(-HALF))
     assert any(found)
@@ -56,7 +56,7 @@ def test_the_lines_of_any_lane_are_told_left_from_right(bend: int, heading: int,
 def test_dashes_make_a_pair_with_a_whole_line(bend: float, from_m: float) -> None:
     road = Road(curvature_per_m=bend)
     found = find(road.dashed(HALF, 0.2, 0.2, from_m), road.line(-HALF), visible=VISIBLE)
-    if bend >= 0.0:  # in a bend the inner line leaves the picture at once
+    if bend >= 0.0:  # in a bend the inner line leaves the image at once
         check(found[1], road, -HALF)
     if bend <= 0.0:
         check(found[0], road, HALF)
@@ -71,7 +71,7 @@ def test_lanes_of_other_widths_are_found(width: float) -> None:
 
 @pytest.mark.parametrize("lane", [-1, 0, 1])
 @pytest.mark.parametrize("bend", [0.0, -0.7])
-def test_of_several_lanes_the_cars_own_is_told(lane: int, bend: float) -> None:
+def test_of_several_lanes_the_cars_own_is_found(lane: int, bend: float) -> None:
     road = Road(curvature_per_m=bend)
     lines = [road.line((2 * k + 1) * HALF) for k in range(lane - 2, lane + 2)]
     left, right = find(*lines)
@@ -81,14 +81,14 @@ def test_of_several_lanes_the_cars_own_is_told(lane: int, bend: float) -> None:
 
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("road", [STRAIGHT, Road(curvature_per_m=0.6), Road(heading_rad=0.5, aside_m=-0.1)])
-def test_one_line_alone_is_told_by_its_side(side: int, road: Road) -> None:
+def test_one_line_alone_is_found_on_its_side(side: int, road: Road) -> None:
     found = find(road.line(side * HALF))
     check(found[0 if side > 0 else 1], road, side * HALF)
     assert found[1 if side > 0 else 0] is None
 
 
 def test_the_inner_line_that_a_camera_does_not_see_is_not_taken_from_the_next_lane() -> None:
-    """In a bend to the right, of three lines the two left ones are in the picture: one of them is the lane's."""
+    """In a bend to the right, of three lines the two left ones are in the image: one of them is the lane's."""
     road = Road(curvature_per_m=-0.8)
     found = find(road.line(3 * HALF), road.dashed(HALF, 0.2, 0.2), road.line(-HALF), visible=VISIBLE)
     check(found[0], road, HALF)

@@ -53,7 +53,7 @@ def test_areas_crossing_lines_and_specks_are_no_pieces() -> None:
         assert windows.look(binary(VIEW, shape), 1.2, 0.0, 0.0) is None
 
 
-def test_a_discs_direction_is_not_told() -> None:
+def test_a_disc_has_no_direction() -> None:
     windows = LineWindows(VIEW, MARKING_M)
     seen = windows.look(binary(VIEW, disc(1.2, 0.0, 0.7 * MARKING_M)), 1.2, 0.0, 0.0)
     assert seen is not None

@@ -134,7 +134,7 @@ class TestHistogramStart:
             assert place + best.slope * middle == pytest.approx(there, abs=0.06)
 
     @pytest.mark.parametrize("place_m", [0.2, 0.15, -0.2, -0.3])
-    def test_a_line_is_told_left_from_right(self, place_m: float) -> None:
+    def test_a_line_is_found_left_or_right(self, place_m: float) -> None:
         best = starts_of(line_at(place_m))[0]
         seen, missing = (best.left_m, best.right_m) if place_m > 0 else (best.right_m, best.left_m)
         assert seen == pytest.approx(place_m, abs=0.02)
