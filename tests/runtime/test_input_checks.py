@@ -1,13 +1,35 @@
+"""What the checks say of a camera, a lane and a servo that are not well; and of those that are nothing."""
+
 from __future__ import annotations
 
 import dataclasses
+import math
 
 import numpy as np
+import pytest
 
 from automodel.config import CameraConfig, CarConfig
-from automodel.runtime.input_checks import InputChecks
+from automodel.curves import line
+from automodel.runtime.input_checks import (
+    FLAT_LEVELS,
+    KEPT_S,
+    ImageCheck,
+    InputChecks,
+    LaneJumpCheck,
+    SteeringCheck,
+    contrast,
+)
 from automodel.runtime.loop import Loop
-from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
+from automodel.signals import (
+    Frame,
+    LaneEstimate,
+    LanePose,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
 from tests.support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline
 
 CAR = dataclasses.replace(CarConfig(), camera=CameraConfig(width_px=160, height_px=90))
@@ -38,7 +60,7 @@ def test_a_frame_of_another_size_never_reaches_the_pipeline() -> None:
     assert tick(loop, 2, ROAD[2]).faults == ()
 
 
-def test_doubts_are_told_beside_an_estimate_that_is_left_as_it_is() -> None:
+def test_a_fault_is_reported_beside_an_unchanged_estimate() -> None:
     loop, pipeline = make()
     ticks = [tick(loop, index, ROAD[0]) for index in range(6)]
     assert [len(each.faults) for each in ticks] == [0, 0, 0, 0, 1, 1]
@@ -46,7 +68,7 @@ def test_doubts_are_told_beside_an_estimate_that_is_left_as_it_is() -> None:
     assert len(pipeline.seen) == 6
 
 
-def test_a_lane_that_jumps_is_told_in_its_tick() -> None:
+def test_a_lane_that_jumps_is_reported_in_its_tick() -> None:
     loop, _ = make({3: 0.3})
     faults = [tick(loop, index, ROAD[index]).faults for index in range(5)]
     assert faults == [(), (), (), ("the lane has jumped sideways by 0.30 m",), ()]
@@ -69,3 +91,234 @@ def test_both_pictures_of_a_pair_are_looked_at() -> None:
     assert [len(texts) for texts in found] == [0, 0, 0, 0, 1, 1]
     pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[0][::2])
     assert checks.misfit(pair) is not None
+
+
+PERIOD_NS = 16_666_667
+HEIGHT, WIDTH = CAR.camera.height_px, CAR.camera.width_px
+
+
+def road(seed: int = 0, noise: float = 2.0) -> np.ndarray:
+    """A bright line on a dark floor, with a sensor's noise."""
+    picture = np.full((HEIGHT, WIDTH), 60.0)
+    picture[:, 70:76] = 200.0
+    return np.clip(picture + np.random.default_rng(seed).normal(0.0, noise, picture.shape), 0, 255).astype(np.uint8)
+
+
+def blank(level: float, noise: float, seed: int = 0) -> np.ndarray:
+    noisy = level + np.random.default_rng(seed).normal(0.0, noise, (HEIGHT, WIDTH))
+    return np.clip(noisy, 0, 255).astype(np.uint8)
+
+
+def image_faults(pictures: list[np.ndarray], period_ns: int = PERIOD_NS, noiseless: bool = False) -> list[str | None]:
+    check = ImageCheck(WIDTH, HEIGHT, 0.06, noiseless=noiseless)
+    return [check.step(picture, index * period_ns) for index, picture in enumerate(pictures)]
+
+
+def test_pictures_of_a_road_are_well() -> None:
+    assert image_faults([road(seed) for seed in range(20)]) == [None] * 20
+
+
+def test_a_picture_that_repeats_is_reported_when_the_last_new_one_is_as_old_as_a_frame_may_be() -> None:
+    texts = image_faults([road(0), *[road(1)] * 6])
+    # picture 1 was new at 16.7 ms; 66.7 ms and 83.3 ms later pictures 5 and 6 are still the same
+    assert [text is not None for text in texts] == [False] * 5 + [True, True]
+    assert texts[5] == "the camera repeats the same image for 0.067 s"
+
+
+@pytest.mark.parametrize(("period_ms", "first"), [(16, 4), (20, 3), (33, 2), (50, 2)])
+def test_the_time_counts_not_the_number_of_pictures(period_ms: int, first: int) -> None:
+    texts = image_faults([road(0)] * 8, period_ns=period_ms * MS)
+    assert [index for index, text in enumerate(texts) if text is not None] == list(range(first, 8))
+
+
+def test_one_bit_makes_another_picture() -> None:
+    pictures = []
+    for index in range(20):
+        picture = road(0).copy()
+        picture[17, 31] ^= index % 2
+        pictures.append(picture)
+    assert image_faults(pictures) == [None] * 20
+
+
+def test_a_camera_that_has_no_noise_may_see_the_same_picture_for_ever() -> None:
+    assert image_faults([road(0)] * 50, noiseless=True) == [None] * 50
+    assert image_faults([blank(9.0, 0.0)] * 5, noiseless=True) == ["the image is blank"] * 5
+
+
+def test_the_first_other_picture_makes_it_well() -> None:
+    texts = image_faults([*[road(0)] * 10, road(1), road(2)])
+    assert texts[9] is not None
+    assert texts[10:] == [None, None]
+
+
+@pytest.mark.parametrize("level", [0.0, 2.0, 50.0, 128.0, 253.0, 255.0])
+@pytest.mark.parametrize("noise", [0.0, 2.0, 5.0])
+def test_blank_pictures_are_reported_after_the_same_time(level: float, noise: float) -> None:
+    texts = image_faults([road(0), *(blank(level, noise, seed) for seed in range(6))])
+    assert [text is not None for text in texts] == [False] * 4 + [True] * 3
+    assert texts[4] == "the image is blank for 0.067 s"
+
+
+def test_blank_from_the_first_picture_on_is_reported_at_once() -> None:
+    assert image_faults([blank(0.0, 2.0)]) == ["the image is blank"]
+
+
+def test_single_bad_pictures_are_ridden_through() -> None:
+    pictures = []
+    for index in range(30):
+        pictures.append(blank(0.0, 1.0) if index % 3 else road(index))
+    assert image_faults(pictures) == [None] * 30
+
+
+def test_contrast_is_that_of_the_brightest_and_the_darkest_part() -> None:
+    halves = np.zeros((180, 320, 3), dtype=np.uint8)
+    halves[:90, :, 1] = 40
+    assert contrast(halves) == 40
+    assert contrast(np.full((37, 61), 9, dtype=np.uint8)) == 0
+    assert contrast(blank(100.0, 5.0)) < FLAT_LEVELS
+
+
+def test_the_size_must_be_the_cameras() -> None:
+    check = ImageCheck(WIDTH, HEIGHT, 0.06)
+    assert check.misfit(road()) is None
+    assert check.misfit(np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)) is None
+    assert check.misfit(road()[:45]) == "the image has 160x45 pixels; the camera has 160x90"
+    assert check.misfit(road().T) is not None
+
+
+def lane_at(
+    t_ms: float, offset_m: float = 0.0, heading_rad: float = 0.0, status: LaneStatus = LaneStatus.TRACKING
+) -> LaneEstimate:
+    if status is LaneStatus.LOST:
+        return LaneEstimate(t_ns=round(t_ms * MS), status=status)
+    pose = LanePose(
+        offset_m=offset_m, heading_rad=heading_rad, width_m=0.4, curvature_per_m=0.0, covariance=np.eye(3) * 1e-4
+    )
+    return LaneEstimate(t_ns=round(t_ms * MS), status=status, pose=pose, centerline=line(0.0, 0.0, 0.0, 1.4))
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "heading_rad", "text"),
+    [
+        (0.19, 0.0, None),
+        (-0.19, 0.55, None),
+        (0.21, 0.0, "the lane has jumped sideways by 0.21 m"),
+        (-0.40, 0.0, "the lane has jumped sideways by 0.40 m"),
+        (0.0, 0.65, "the lane has turned by 0.65 rad at once"),
+        (0.0, -1.5, "the lane has turned by 1.50 rad at once"),
+    ],
+)
+def test_half_a_lane_aside_or_a_quarter_turn_is_another_line(
+    offset_m: float, heading_rad: float, text: str | None
+) -> None:
+    check = LaneJumpCheck()
+    assert check.step(lane_at(0)) is None
+    assert check.step(lane_at(16, offset_m, heading_rad)) == text
+
+
+def test_headings_are_compared_around_the_circle() -> None:
+    check = LaneJumpCheck()
+    check.step(lane_at(0, heading_rad=math.pi - 0.1))
+    assert check.step(lane_at(16, heading_rad=-math.pi + 0.1)) is None
+
+
+def test_a_lane_that_jumped_stays_wrong_until_it_is_back_or_the_right_one_is_long_ago() -> None:
+    check = LaneJumpCheck()
+    check.step(lane_at(0))
+    assert all(check.step(lane_at(t_ms, 0.3)) for t_ms in range(16, round(KEPT_S * 1000), 16))
+    assert check.step(lane_at(KEPT_S * 1000, 0.3)) is None
+    assert check.step(lane_at(KEPT_S * 1000 + 16, 0.0)) is not None  # and the old one has jumped now
+    check = LaneJumpCheck()
+    check.step(lane_at(0))
+    check.step(lane_at(16, 0.3))
+    assert check.step(lane_at(32, 0.01)) is None
+
+
+def test_a_lane_that_wanders_may_go_anywhere() -> None:
+    check = LaneJumpCheck()
+    assert [check.step(lane_at(16 * i, 0.05 * i, 0.1 * i)) for i in range(20)] == [None] * 20
+
+
+def test_a_lost_lane_is_no_jump_but_may_be_one_when_it_is_found() -> None:
+    check = LaneJumpCheck()
+    check.step(lane_at(0))
+    assert check.step(lane_at(16, status=LaneStatus.LOST)) is None
+    assert check.step(lane_at(32, 0.3)) is not None
+
+
+def test_after_dead_reckoning_a_line_that_is_seen_again_is_right() -> None:
+    check = LaneJumpCheck()
+    check.step(lane_at(0))
+    check.step(lane_at(16, 0.1, status=LaneStatus.COASTING))
+    assert check.step(lane_at(32, 0.35)) is None
+    assert check.step(lane_at(48, 0.0)) is not None
+
+
+WHEELBASE_M = 0.26
+
+
+def steering_faults(
+    seconds: float,
+    told_rad: float | None,
+    wheels_rad: float,
+    speed_mps: float = 1.0,
+    source: MotionSource = MotionSource.MEASURED,
+    check: SteeringCheck | None = None,
+    from_s: float = 0.0,
+) -> list[str | None]:
+    """What is said each 16 ms of a car whose wheels stand at `wheels_rad`; the yaw rate is that of its circle."""
+    check = check or SteeringCheck(WHEELBASE_M)
+    radius_m = math.inf if wheels_rad == 0.0 else WHEELBASE_M / math.tan(wheels_rad)
+    said = []
+    for t_ms in range(round(from_s * 1000), round((from_s + seconds) * 1000), 16):
+        motion = Motion(t_ns=t_ms * MS, speed_mps=speed_mps, yaw_rate_radps=speed_mps / radius_m, source=source)
+        said.append(check.step(motion, VehicleState(t_ns=t_ms * MS, steering_rad=told_rad)))
+    return said
+
+
+@pytest.mark.parametrize("told_rad", [-0.4, -0.1, 0.0, 0.2, 0.45])
+@pytest.mark.parametrize("off_rad", [-0.05, 0.0, 0.05])
+def test_a_car_that_turns_as_steered_is_well_with_a_servo_three_degrees_off(told_rad: float, off_rad: float) -> None:
+    assert not any(steering_faults(1.0, told_rad, told_rad + off_rad, speed_mps=1.5))
+
+
+def test_slipping_tyres_are_no_fault() -> None:
+    assert not any(steering_faults(1.0, 0.4, math.atan(0.65 * math.tan(0.4)), speed_mps=1.5))
+
+
+@pytest.mark.parametrize(("told_rad", "wheels_rad"), [(0.35, 0.0), (-0.35, 0.0), (0.0, 0.2), (0.3, -0.1)])
+def test_wheels_that_do_not_follow_are_reported_after_a_quarter_of_a_second(told_rad: float, wheels_rad: float) -> None:
+    said = steering_faults(0.5, told_rad, wheels_rad)
+    first = next(index for index, text in enumerate(said) if text is not None)
+    assert first == math.ceil(250 / 16)
+    assert said[first] == "the car does not turn as it is steered; look at the servo and its linkage"
+    assert all(said[first:])
+
+
+def test_a_servos_lag_is_no_fault() -> None:
+    check = SteeringCheck(WHEELBASE_M)
+    for turn in range(10):
+        begin_s = 0.4 * turn
+        assert not any(steering_faults(0.2, 0.4, -0.4, check=check, from_s=begin_s))
+        assert not any(steering_faults(0.2, 0.4, 0.4, check=check, from_s=begin_s + 0.2))
+
+
+def test_a_car_that_was_slowed_down_for_it_is_not_well_at_once() -> None:
+    check = SteeringCheck(WHEELBASE_M)
+    steering_faults(0.4, 0.35, 0.0, check=check)
+    after = steering_faults(1.0, 0.35, 0.0, speed_mps=0.1, check=check, from_s=0.4)
+    assert [text is not None for text in after] == sorted((text is not None for text in after), reverse=True)
+    assert 0.3 < 0.016 * sum(text is not None for text in after) <= 0.5  # longer than a car is held
+
+
+@pytest.mark.parametrize(
+    "how",
+    [{"speed_mps": 0.3}, {"source": MotionSource.MODEL}, {"source": MotionSource.NONE}, {"told_rad": None}],
+)
+def test_where_nothing_can_be_said_nothing_is(how: dict[str, object]) -> None:
+    assert not any(steering_faults(1.0, **{"told_rad": 0.4, "wheels_rad": -0.4, **how}))  # type: ignore[arg-type]
+
+
+def test_without_a_state_nothing_is_said() -> None:
+    motion = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=3.0)
+    assert SteeringCheck(WHEELBASE_M).step(motion, None) is None
