@@ -1,4 +1,4 @@
-"""`contour`: a clothoid pair tracked on a few image rows, after the active contour of Smith (thesis).
+"""`contour`: a clothoid pair tracked on a few image rows, after the active contour of Smith 2024.
 
 Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
 them -> robust least squares -> pose. The whole image is never processed, and nothing of it is projected onto the
@@ -45,7 +45,7 @@ class Tracked(NamedTuple):
 
 
 class Contour:
-    """The pipeline of Smith's thesis."""
+    """The pipeline of Smith 2024, "Efficient Lateral Lane Position Sensing using Active Contour Modeling"."""
 
     name = "contour"
     MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline

@@ -1,4 +1,4 @@
-"""`windows`: lane lines for the AutoModelCar category (the AutoModelCar paper), in metres and over time.
+"""`windows`: the lane lines of Balbuena Palma et al. 2020, for the AutoModelCar, in metres and over time.
 
 Bird's-eye view -> binarisation, white-areas filter -> crossing search -> histogram start or prediction -> sliding
 windows -> regression -> lane fit (width, offset, heading, curvature). The paper treats every frame alone. Here the lane
@@ -32,7 +32,7 @@ Fitted = tuple[Observation, LaneSolution, Support]  # a frame's points, the lane
 
 
 class Windows:
-    """The pipeline of the AutoModelCar paper."""
+    """The pipeline of Balbuena Palma et al. 2020."""
 
     name = "windows"
     CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing

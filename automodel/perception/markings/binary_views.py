@@ -1,6 +1,6 @@
 """Binary images of line markings: from a network's mask, from a grey bird's-eye view, and their check over time.
 
-`centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (the AutoModelCar paper)
+`centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (Balbuena Palma et al. 2020)
 uses `WhiteAreas` and `TemporalPaintCheck`.
 """
 
@@ -103,7 +103,7 @@ class FeaturePoints:
 
 
 class WhiteAreas:
-    """The white-areas filter of the AutoModelCar paper, section IV-B: keeps what is about as wide as a marking.
+    """The white-areas filter of Balbuena Palma et al. 2020, section IV-B: keeps what is about as wide as a marking.
 
     A pixel is bright relative to the mean of a box five markings wide, so that slow changes of the light have no
     effect. The threshold follows the image's contrast between `contrast` and six times `contrast` [grey levels]. Of the

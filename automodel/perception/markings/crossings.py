@@ -1,4 +1,4 @@
-"""Lines across the lane: the crossing search of the AutoModelCar paper, section IV-G."""
+"""Lines across the lane: the crossing search of Balbuena Palma et al. 2020, section IV-G."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Marking evidence of a grey frame: a ridge filter as wide as a marking appears on each row.
 
-After the marking extraction of the paper of wide-baseline stereo; `centerline` uses it instead of the network.
+After section 3.1 of the paper of wide-baseline stereo lane detection; `centerline` uses it instead of the network.
 """
 
 from __future__ import annotations

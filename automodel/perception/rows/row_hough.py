@@ -184,9 +184,8 @@ class RowHough:
         kappa, theta = self._kappa[:, None, None], self._theta[None, :, None]
         ahead = config.reference_x_m - self._axis_x_m
         feet = np.vectorize(foot_on_circle)(ahead * np.cos(theta), -ahead * np.sin(theta), kappa)
-        self._s, self._d = (
-            np.ascontiguousarray(part[..., 0]) for part in feet
-        )  # (c, h) of the reference point, each axis
+        # The reference point about each axis (c, h): arc length and distance to the left.
+        self._s, self._d = (np.ascontiguousarray(part[..., 0]) for part in feet)
         heading = theta[..., 0] + kappa[..., 0] * self._s
         self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / tightest / self.CURVATURE) ** 2)
         self._offset_loss = self.LOSS / (self.OFFSET * unit) ** 2

@@ -1,6 +1,6 @@
 """Measurements of a clothoid pair's nodes: ridges on two short runs of image rows about each; nothing else is read.
 
-After the active contour of Smith (thesis): only the model is projected into the image, never the image onto the ground.
+After the active contour of Smith 2024: only the model is projected into the image, never the image onto the ground.
 A node is a short piece of line. Its ridge is searched on two rows, which also gives its direction, so that a line with
 another direction (another road's, a reflection) is rejected.
 """

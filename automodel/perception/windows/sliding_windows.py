@@ -1,4 +1,4 @@
-"""The histogram start and the sliding windows of the AutoModelCar paper (sections IV-C, IV-D), in metres.
+"""The histogram start and the sliding windows of Balbuena Palma et al. 2020, sections IV-C and IV-D, in metres.
 
 `HistogramStart` finds where the lines start, `SlidingWindows` follows them through the view.
 """

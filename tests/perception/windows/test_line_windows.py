@@ -132,7 +132,7 @@ class TestExpectations:
         for line in (firm, guess):
             assert np.abs(beside(*line.points_m.T)).max() < 0.5 * VIEW.m_per_px
 
-    def test_a_guide_goes_along_its_line(self) -> None:
+    def test_a_cursor_follows_its_line(self) -> None:
         road = Road(curvature_per_m=0.5)
         path = PathCursor(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1)
         assert path.turn_rad == pytest.approx(0.05, abs=1e-3)

@@ -1,0 +1,15 @@
+"""What importing a pipeline loads: nothing slow that it does not use."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+
+@pytest.mark.parametrize("name", ["centerline", "windows"])
+def test_pipelines_without_compiled_loops_do_not_load_the_compiler(name: str) -> None:
+    heavy = {"numba", "onnxruntime", "scipy"}
+    code = f"import sys, automodel.pipelines.{name}; sys.exit(bool({heavy} & set(sys.modules)))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
