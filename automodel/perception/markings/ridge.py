@@ -5,7 +5,7 @@ After section 3.1 of the paper of wide-baseline stereo lane detection; `centerli
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -25,8 +25,7 @@ def apparent_width_px(camera: GroundCamera, marking_width_m: float) -> FloatArra
     return np.where(np.isfinite(width), width, 0.0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Band:
+class _Band(NamedTuple):
     """Adjacent rows with the same filter: the boxes' widths, and the lateral shift of the outer boxes."""
 
     rows: slice
@@ -90,14 +89,8 @@ class RidgeFilter:
         for first_row, end in zip(edges, [*edges[1:], len(width_px)], strict=True):
             width = float(width_px[first_row:end].mean())
             if width >= self.MIN_WIDTH_PX:
-                bands.append(
-                    _Band(
-                        rows=slice(first_row, end),
-                        middle_px=_odd(self.MIDDLE * width),
-                        side_px=_odd(self.SIDE * width),
-                        shift_px=max(round(self.SHIFT * width), 2),
-                    )
-                )
+                boxes = _odd(self.MIDDLE * width), _odd(self.SIDE * width)
+                bands.append(_Band(slice(first_row, end), *boxes, max(round(self.SHIFT * width), 2)))
         return bands
 
     def step(self, grey: Image) -> Image:

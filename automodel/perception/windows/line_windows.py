@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import cv2
@@ -32,22 +31,17 @@ class Surroundings(NamedTuple):
     flanks: tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _WindowShape:
+class _WindowShape(NamedTuple):
     """A window in pixels. Its columns lie across the line and its rows along it; `sideways`: the other way round."""
 
+    rows: int
+    columns: int
     across_px: int
     along_px: int
     sideways: bool
     full: float  # share of a whole line's pixels above which it is no single line
     spread_px2: float  # variance across the line, likewise
     long_px2: float  # variance along the window from which on a line's direction is defined
-    rows: int = field(init=False)
-    columns: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rows", self.across_px if self.sideways else self.along_px)
-        object.__setattr__(self, "columns", self.along_px if self.sideways else self.across_px)
 
 
 class LineWindows:
@@ -86,14 +80,9 @@ class LineWindows:
     ) -> _WindowShape:
         across_px = max(round(across * self._marking_px[sideways]), 3)
         along_px = max(round(along * self._marking_px[not sideways]), 2)
-        return _WindowShape(
-            across_px=across_px,
-            along_px=along_px,
-            sideways=sideways,
-            full=full,
-            spread_px2=spread * self._marking_px[sideways] ** 2,
-            long_px2=long * along_px**2 / 12.0,
-        )
+        rows, columns = (across_px, along_px) if sideways else (along_px, across_px)
+        spread_px2, long_px2 = spread * self._marking_px[sideways] ** 2, long * along_px**2 / 12.0
+        return _WindowShape(rows, columns, across_px, along_px, sideways, full, spread_px2, long_px2)
 
     def _inner_part(self, visible: Image) -> Image:
         """The visible part less a rim."""
