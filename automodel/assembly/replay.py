@@ -31,6 +31,9 @@ from automodel.viewer.overlay import draw
 from automodel.viewer.video import VideoWriter
 
 AnyFrame = Frame | StereoFrame
+COLUMNS = (
+    "pipeline", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms", "source",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

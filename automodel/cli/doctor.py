@@ -14,7 +14,7 @@ import click
 from automodel.cli.options import FILE
 from automodel.config import CarConfig
 from automodel.console.messages import say
-from automodel.console.tables import show
+from automodel.console.tables import show, terminal_width, wrapped
 from automodel.doctor.board import Board, Consent
 from automodel.doctor.findings import Finding, Verdict, fail, failed, skip, summary, warn
 from automodel.interfaces import Source
@@ -136,7 +136,7 @@ def _asked(question: str) -> bool:
 
 
 def _print(finding: Finding) -> None:
-    """One line; colours only where a terminal shows them."""
-    verdict = click.style(f"{finding.verdict.value:<4}", fg=_COLOURS[finding.verdict])
-    do = f" -> {finding.do}" if finding.do else ""
-    click.echo(f"{verdict}  {finding.name:<{_NAME_WIDTH}}  {finding.what}{do}")
+    """One entry in the terminal's width; colours only where a terminal shows them."""
+    verdict, do = f"{finding.verdict.value:<4}", f" -> {finding.do}" if finding.do else ""
+    text = wrapped(f"{verdict}  {finding.name:<{_NAME_WIDTH}}  {finding.what}{do}", terminal_width(), _NAME_WIDTH + 8)
+    click.echo(click.style(verdict, fg=_COLOURS[finding.verdict]) + text[len(verdict) :])

@@ -27,7 +27,7 @@ from automodel.cli.options import FILE, PIPELINE, check_outputs, finite
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(as_json: bool, **given: Any) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of images or a donkeycar tub (v2)."""
-    from automodel.assembly.replay import ReplayOptions, replay
+    from automodel.assembly.replay import COLUMNS, ReplayOptions, replay
     from automodel.console.tables import show
 
     options = ReplayOptions(**given)
@@ -35,5 +35,5 @@ def command(as_json: bool, **given: Any) -> int:
         "SOURCE": options.source, "--car": options.car_file, "--motion": options.motion_file
     }  # fmt: skip
     check_outputs({"--csv": options.csv_file, "--video": options.video_file}, inputs)
-    show("replay", replay(options), as_json)
+    show("replay", replay(options), as_json, COLUMNS)
     return 0

@@ -38,7 +38,7 @@ def show(command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str
     columns = columns or ()
     names = list(dict.fromkeys((*columns, *rows[0])))
     names = [name for name in names if name in columns or any(row[name] is not None for row in rows)]
-    width = shutil.get_terminal_size((80, 24)).columns
+    width = terminal_width()
     lines = _fields(rows[0], names, width) if len(rows) == 1 else _table(rows, names, width)
     for line in lines:
         click.echo(line.rstrip())
@@ -56,6 +56,11 @@ def show_tables(
         if number and rows:
             click.echo()
         show(command, rows, False, columns.get(name, ()))
+
+
+def terminal_width() -> int:
+    """Of the terminal, or as $COLUMNS says; 80 characters where there is neither."""
+    return shutil.get_terminal_size((80, 24)).columns
 
 
 def wrapped(text: str, width: int, indent: int) -> str:

@@ -111,10 +111,11 @@ def test_without_a_car_all_is_well_with_the_simulated_one(cli, tmp_path: Path) -
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_report_is_one_plain_line_a_check(cli, tmp_path: Path) -> None:
+def test_the_report_is_plain_and_fits_80_columns(cli, tmp_path: Path) -> None:
     (tmp_path / "car.toml").write_text('[pipeline]\nname = "windows"\n')
     said = cli("doctor", "--car", "car.toml", "--move")
-    *lines, last = said.out.splitlines()
+    assert all(len(line) <= 80 for line in said.out.splitlines() if str(tmp_path) not in line)
+    *lines, last = (line for line in said.out.splitlines() if not line.startswith(" "))
     assert last.startswith(f"{len(lines)} checks: ")
     assert {line.split()[0] for line in lines} <= {"OK", "WARN", "FAIL", "SKIP"}
     assert "\x1b" not in said.out

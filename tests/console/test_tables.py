@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from automodel.assembly import replay
 from automodel.bench import accuracy, centerline_paper, contour_paper, latency, speed, tusimple
 from automodel.bench.accuracy import AccuracyMeter
 from automodel.bench.contour_paper import ClaimMeter
@@ -44,6 +45,12 @@ COMMANDS: dict[str, tuple[dict[str, object], tuple[str, ...]]] = {
                         "dead_error_ms"), 1234.5), ()),
     "calibrate odometry": (dict.fromkeys(("ticks_per_m", "sd_per_m", "scatter_per_m", "runs", "band_us",
                            "speed_rms_mps", "ticks_error_pct", "speed_error_mps"), 123.456), ()),
+    "replay": ({"pipeline": "centerline", "source": "/tmp/recordings/20260101-101010.mcap",
+                **dict.fromkeys(replay.COLUMNS[1:-1], 12345)}, replay.COLUMNS),
+    "calibrate camera": ({"picture": "picture_012.png", "corners": 54, "tilt_deg": 31, "edge_px": 30.12,
+                          "rms_px": 0.123, "left_out_px": 0.123,
+                          "note": "used: 12 corners of a part of the board"},
+                         ("picture", "rms_px", "left_out_px", "note", "corners")),
     "train": ({"size": "512x256", "steps": 12000, "precision": 0.98765, "recall": 0.98765, "iou": 0.98765,
                "near_precision": 0.98765, "near_recall": 0.98765}, ()),
 }  # fmt: skip

@@ -33,6 +33,10 @@ REOPENED_S = 0.7  # a port that is opened again, and a board that starts: until 
 HEARD_S = 0.3  # after a silent link: until the board's time is known again
 
 
+def _frames(spoil: hooks.Spoil) -> Hooks:
+    return Hooks(camera=hooks.at_once(spoil))
+
+
 def _time_jump(random: Random) -> int:
     return random.choice((-1, 1)) * round(random.uniform(0.1, 2.0) * 1e9)
 
@@ -42,7 +46,7 @@ def _blanked(random: Random) -> hooks.Spoil:
 
 
 def _one_wrong_image(random: Random) -> CameraHook:
-    spoil = random.choice((_blanked(random), hooks.resized(random), hooks.Frozen()))
+    spoil = random.choice((_blanked(random), hooks.resized(random), hooks.frozen()))
     return hooks.at_once(hooks.for_first(random.randint(1, 2), spoil))
 
 
@@ -51,103 +55,58 @@ def _late(random: Random, low_ms: int, high_ms: int) -> CameraHook:
 
 
 CAMERA = (
-    Fault(
-        name="camera-off", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S,
-        text="no frame comes any more",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.drop)),
-    ),
-    Fault(
-        name="camera-gone", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S, recovery_s=0.3, event="source-failed",
-        text="the driver reports that the camera is gone, and later that it is back",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.gone)),
-    ),
-    Fault(
-        name="camera-blocks", kind=Kind.SLOW, must=Must.STOP, recovery_s=0.9,
-        text="a read does not come back for 0.25 to 0.6 s: nothing else runs either",
-        hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.CAMERA, seconds=random.uniform(0.25, 0.6))),
-    ),
-    Fault(
-        name="camera-pauses", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.27),
-        text="no frame for 0.1 to 0.27 s",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.drop)),
-    ),
-    Fault(
-        name="camera-drops-1", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=HELD_S,
-        text="every other frame is lost",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.in_bursts(1, 1, hooks.drop))),
-    ),
-    Fault(
-        name="camera-drops-2", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=HELD_S,
-        text="two frames in a row are lost, again and again",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.in_bursts(2, random.randint(1, 5), hooks.drop))),
-    ),
-    Fault(
-        name="camera-drops-3", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=HELD_S,
-        within_s=math.inf,
-        text="three to ten frames in a row are lost, again and again",
-        hooks=lambda random, end_ns: Hooks(
-            camera=hooks.at_once(hooks.in_bursts(random.randint(3, 10), random.randint(3, 8), hooks.drop))
-        ),
-    ),
-    Fault(
-        name="camera-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S,
-        text="the same image again and again, with new times",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.Frozen())),
-    ),
-    Fault(
-        name="camera-black", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
-        text="black images with sensor noise",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.blank(2.0, 2.0, random))),
-    ),
-    Fault(
-        name="camera-white", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
-        text="white images",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.blank(255.0, 2.0, random))),
-    ),
-    Fault(
-        name="camera-flat", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
-        text="images of one grey level with sensor noise",
-        hooks=lambda random, end_ns: Hooks(
-            camera=hooks.at_once(hooks.blank(random.uniform(20.0, 230.0), random.uniform(0.0, 4.0), random))
-        ),
-    ),
-    Fault(
-        name="camera-size", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S,
-        text="images of another size",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.resized(random))),
-    ),
-    Fault(
-        name="camera-type", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, recovery_s=0.3, event="source-failed",
-        text="images of another type",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.of_another_type)),
-    ),
-    Fault(
-        name="camera-blinks", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1),
-        text="one or two images are blank, frozen or of another size",
-        hooks=lambda random, end_ns: Hooks(camera=_one_wrong_image(random)),
-    ),
-    Fault(
-        name="camera-time-jumps", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S,
-        text="the times of the frames jump back or ahead by 0.1 to 2 s",
-        hooks=lambda random, end_ns: Hooks(camera=hooks.at_once(hooks.shifted_in_time(_time_jump(random)))),
-    ),
-    Fault(
-        name="camera-time-once", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1),
-        text="one frame has another time",
-        hooks=lambda random, end_ns: Hooks(
-            camera=hooks.at_once(hooks.for_first(1, hooks.shifted_in_time(_time_jump(random))))
-        ),
-    ),
-    Fault(
-        name="camera-late", kind=Kind.DELAYED, must=Must.STOP, duration_s=HELD_S, recovery_s=0.4,
-        text="frames come 65 to 150 ms after they were taken",
-        hooks=lambda random, end_ns: Hooks(camera=_late(random, *random.choice(((65, 90), (90, 150))))),
-    ),
-    Fault(
-        name="camera-jitter", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=HELD_S,
-        text="frames come 4 to 25 ms after they were taken",
-        hooks=lambda random, end_ns: Hooks(camera=_late(random, 4, 25)),
-    ),
+    Fault(name="camera-off", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S, text="no frame comes any more",
+          hooks=lambda random, end_ns: _frames(hooks.drop)),
+    Fault(name="camera-gone", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S, recovery_s=0.3, event="source-failed",
+          text="the driver reports that the camera is gone, and later that it is back",
+          hooks=lambda random, end_ns: _frames(hooks.gone)),
+    Fault(name="camera-blocks", kind=Kind.SLOW, must=Must.STOP, recovery_s=0.9,
+          text="a read does not come back for 0.25 to 0.6 s: nothing else runs either",
+          hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.CAMERA, seconds=random.uniform(0.25, 0.6)))),
+    Fault(name="camera-pauses", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.27),
+          text="no frame for 0.1 to 0.27 s", hooks=lambda random, end_ns: _frames(hooks.drop)),
+    Fault(name="camera-drops-1", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=HELD_S,
+          text="every other frame is lost",
+          hooks=lambda random, end_ns: _frames(hooks.in_bursts(1, 1, hooks.drop))),
+    Fault(name="camera-drops-2", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=HELD_S,
+          text="two frames in a row are lost, again and again",
+          hooks=lambda random, end_ns: _frames(hooks.in_bursts(2, random.randint(1, 5), hooks.drop))),
+    Fault(name="camera-drops-3", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=HELD_S, within_s=math.inf,
+          text="three to ten frames in a row are lost, again and again",
+          hooks=lambda random, end_ns: _frames(
+              hooks.in_bursts(random.randint(3, 10), random.randint(3, 8), hooks.drop))),
+    Fault(name="camera-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S,
+          text="the same image again and again, with new times",
+          hooks=lambda random, end_ns: _frames(hooks.frozen())),
+    Fault(name="camera-black", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
+          text="black images with sensor noise",
+          hooks=lambda random, end_ns: _frames(hooks.blank(2.0, 2.0, random))),
+    Fault(name="camera-white", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, text="white images",
+          hooks=lambda random, end_ns: _frames(hooks.blank(255.0, 2.0, random))),
+    Fault(name="camera-flat", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
+          text="images of one grey level with sensor noise",
+          hooks=lambda random, end_ns: _frames(
+              hooks.blank(random.uniform(20.0, 230.0), random.uniform(0.0, 4.0), random))),
+    Fault(name="camera-size", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, text="images of another size",
+          hooks=lambda random, end_ns: _frames(hooks.resized(random))),
+    Fault(name="camera-type", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, recovery_s=0.3, event="source-failed",
+          text="images of another type",
+          hooks=lambda random, end_ns: _frames(hooks.of_another_type)),
+    Fault(name="camera-blinks", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1),
+          text="one or two images are blank, frozen or of another size",
+          hooks=lambda random, end_ns: Hooks(camera=_one_wrong_image(random))),
+    Fault(name="camera-time-jumps", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S,
+          text="the times of the frames jump back or ahead by 0.1 to 2 s",
+          hooks=lambda random, end_ns: _frames(hooks.shifted_in_time(_time_jump(random)))),
+    Fault(name="camera-time-once", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1),
+          text="one frame has another time",
+          hooks=lambda random, end_ns: _frames(hooks.for_first(1, hooks.shifted_in_time(_time_jump(random))))),
+    Fault(name="camera-late", kind=Kind.DELAYED, must=Must.STOP, duration_s=HELD_S, recovery_s=0.4,
+          text="frames come 65 to 150 ms after they were taken",
+          hooks=lambda random, end_ns: Hooks(camera=_late(random, *random.choice(((65, 90), (90, 150)))))),
+    Fault(name="camera-jitter", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=HELD_S,
+          text="frames come 4 to 25 ms after they were taken",
+          hooks=lambda random, end_ns: Hooks(camera=_late(random, 4, 25))),
 )  # fmt: skip
 
 
@@ -170,51 +129,30 @@ def _crossing(random: Random) -> LaneHook:
 
 
 PERCEPTION = (
-    Fault(
-        name="perception-exception", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S, event="fault",
-        text="the pipeline raises an exception",
-        hooks=lambda random, end_ns: Hooks(lane=hooks.raising),
-    ),
-    Fault(
-        name="perception-not-finite", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, event="fault",
-        text="a value of the lane's pose is NaN or infinite",
-        hooks=lambda random, end_ns: Hooks(lane=_not_finite(random)),
-    ),
-    Fault(
-        name="perception-blip", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1), event="fault",
-        text="up to three estimates fail in any of these ways",
-        hooks=lambda random, end_ns: Hooks(lane=_blip(random)),
-    ),
-    Fault(
-        name="perception-decoy", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
-        text="a line 0.25 to 0.5 m beside it is taken for the lane's",
-        hooks=lambda random, end_ns: Hooks(lane=_decoy(random)),
-    ),
-    Fault(
-        name="perception-crossing", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
-        text="a line across the road is taken for the lane's",
-        hooks=lambda random, end_ns: Hooks(lane=_crossing(random)),
-    ),
-    Fault(
-        name="perception-wrong-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.02, 0.2),
-        text="a line beside or across the road is taken for the lane's, for 0.02 to 0.2 s",
-        hooks=lambda random, end_ns: Hooks(lane=random.choice((_decoy, _crossing))(random)),
-    ),
-    Fault(
-        name="perception-lost", kind=Kind.OFF, must=Must.STOP, duration_s=(0.4, 5.0),
-        text="no lane for 0.4 to 5 s",
-        hooks=lambda random, end_ns: Hooks(lane=hooks.lost),
-    ),
-    Fault(
-        name="perception-lost-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.25),
-        text="no lane for 0.1 to 0.25 s",
-        hooks=lambda random, end_ns: Hooks(lane=hooks.lost),
-    ),
-    Fault(
-        name="perception-coasts", kind=Kind.WRONG, must=Must.NOTHING, duration_s=HELD_S,
-        text="no line is seen, but the pipeline predicts the lane",
-        hooks=lambda random, end_ns: Hooks(lane=hooks.coasting),
-    ),
+    Fault(name="perception-exception", kind=Kind.OFF, must=Must.STOP, duration_s=HELD_S, event="fault",
+          text="the pipeline raises an exception", hooks=lambda random, end_ns: Hooks(lane=hooks.raising)),
+    Fault(name="perception-not-finite", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, event="fault",
+          text="a value of the lane's pose is NaN or infinite",
+          hooks=lambda random, end_ns: Hooks(lane=_not_finite(random))),
+    Fault(name="perception-blip", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.1), event="fault",
+          text="up to three estimates fail in any of these ways",
+          hooks=lambda random, end_ns: Hooks(lane=_blip(random))),
+    Fault(name="perception-decoy", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
+          text="a line 0.25 to 0.5 m beside it is taken for the lane's",
+          hooks=lambda random, end_ns: Hooks(lane=_decoy(random))),
+    Fault(name="perception-crossing", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
+          text="a line across the road is taken for the lane's",
+          hooks=lambda random, end_ns: Hooks(lane=_crossing(random))),
+    Fault(name="perception-wrong-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.02, 0.2),
+          text="a line beside or across the road is taken for the lane's, for 0.02 to 0.2 s",
+          hooks=lambda random, end_ns: Hooks(lane=random.choice((_decoy, _crossing))(random))),
+    Fault(name="perception-lost", kind=Kind.OFF, must=Must.STOP, duration_s=(0.4, 5.0), text="no lane for 0.4 to 5 s",
+          hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
+    Fault(name="perception-lost-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.25),
+          text="no lane for 0.1 to 0.25 s", hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
+    Fault(name="perception-coasts", kind=Kind.WRONG, must=Must.NOTHING, duration_s=HELD_S,
+          text="no line is seen, but the pipeline predicts the lane",
+          hooks=lambda random, end_ns: Hooks(lane=hooks.coasting)),
 )  # fmt: skip
 
 
@@ -234,101 +172,64 @@ def _extreme_twice(random: Random) -> PulseHook:
 
 
 LOOP = (
-    Fault(
-        name="loop-overrun", kind=Kind.SLOW, must=Must.NOTHING, duration_s=SHORT_S,
-        text="every frame takes 20 to 35 ms of work",
-        hooks=lambda random, end_ns: Hooks(
-            stall=Stall(at=At.PIPELINE, seconds=random.uniform(0.020, 0.035), again=True)
-        ),
-    ),
-    Fault(
-        name="loop-stall", kind=Kind.SLOW, must=Must.STOP, recovery_s=1.0,
-        text="the loop stands still for 0.1 to 0.4 s, in the pipeline or after the command",
-        hooks=lambda random, end_ns: _stalled(random, random.uniform(0.1, 0.4)),
-    ),
-    Fault(
-        name="loop-collector", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
-        text="a garbage collection of 10 to 40 ms after a command",
-        hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.AFTER, seconds=random.uniform(0.010, 0.040))),
-    ),
-    Fault(
-        name="loop-stop-request", kind=Kind.OFF, must=Must.STOP, ends=False, event="end",
-        text="SIGINT, SIGTERM or SIGHUP: neutral, disarmed, and the run has ended",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.STOP_REQUEST),)),
-    ),
+    Fault(name="loop-overrun", kind=Kind.SLOW, must=Must.NOTHING, duration_s=SHORT_S,
+          text="every frame takes 20 to 35 ms of work",
+          hooks=lambda random, end_ns: Hooks(
+              stall=Stall(at=At.PIPELINE, seconds=random.uniform(0.020, 0.035), again=True))),
+    Fault(name="loop-stall", kind=Kind.SLOW, must=Must.STOP, recovery_s=1.0,
+          text="the loop stands still for 0.1 to 0.4 s, in the pipeline or after the command",
+          hooks=lambda random, end_ns: _stalled(random, random.uniform(0.1, 0.4))),
+    Fault(name="loop-collector", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
+          text="a garbage collection of 10 to 40 ms after a command",
+          hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.AFTER, seconds=random.uniform(0.010, 0.040)))),
+    Fault(name="loop-stop-request", kind=Kind.OFF, must=Must.STOP, ends=False, event="end",
+          text="SIGINT, SIGTERM or SIGHUP: neutral, disarmed, and the run has ended",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.STOP_REQUEST),))),
 )  # fmt: skip
 
 BOARD = (
-    Fault(
-        name="board-brown-out", kind=Kind.OFF, must=Must.STOP, recovery_s=BOOT_S,
-        text="the board's supply dips: it restarts",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.BROWN_OUT),)),
-    ),
-    Fault(
-        name="board-hang", kind=Kind.STUCK, must=Must.STOP, recovery_s=BOOT_S,
-        text="the board's program hangs until its watchdog restarts it",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.HANG),)),
-    ),
-    Fault(
-        name="board-restart", kind=Kind.INTERMITTENT, must=Must.STOP, recovery_s=BOOT_S,
-        text="the board is reset while the car drives",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.RESTART),)),
-    ),
-    Fault(
-        name="command-impossible", kind=Kind.GARBAGE, must=Must.STOP, duration_s=(0.2, 0.6), recovery_s=0.3,
-        host_notices=False,
-        text="commands with impossible pulses",
-        hooks=lambda random, end_ns: Hooks(pulses=_impossible(random)),
-    ),
-    Fault(
-        name="command-extreme", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.1, 0.1),
-        text="two commands far beyond the car's limits: the board limits them",
-        hooks=lambda random, end_ns: Hooks(pulses=_extreme_twice(random)),
-    ),
-    Fault(
-        name="servo-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=(3.0, 3.0), within_s=0.45, ends=False,
-        timed_from_motion=True,
-        text="the servo does not move: a stop within 0.45 s of the car not turning as it is steered",
-        hooks=lambda random, end_ns: Hooks(servo_stuck=True),
-    ),
-    Fault(
-        name="battery-low", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(1.5, 1.5), event="vehicle-fault",
-        text="the battery is nearly empty: a person is warned",
-        hooks=lambda random, end_ns: Hooks(sensors=hooks.battery(random.uniform(5.0, 6.3))),
-    ),
-    Fault(
-        name="sonar-dropouts", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=SHORT_S,
-        text="ultrasonic readings without an echo",
-        hooks=lambda random, end_ns: Hooks(sensors=hooks.dropouts(random, random.uniform(0.1, 0.9))),
-    ),
-    Fault(
-        name="sonar-spikes", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=SHORT_S,
-        text="an ultrasonic reading of 2 to 30 cm, every third at most",
-        hooks=lambda random, end_ns: Hooks(sensors=hooks.spikes(random, random.randint(3, 10))),
-    ),
-    Fault(
-        name="sonar-stuck", kind=Kind.STUCK, must=Must.HOLD, duration_s=SHORT_S,
-        text="an ultrasonic echo of 2 to 30 cm that stays",
-        hooks=lambda random, end_ns: Hooks(sensors=hooks.stuck_echo(random.uniform(0.02, 0.3))),
-    ),
+    Fault(name="board-brown-out", kind=Kind.OFF, must=Must.STOP, recovery_s=BOOT_S,
+          text="the board's supply dips: it restarts",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.BROWN_OUT),))),
+    Fault(name="board-hang", kind=Kind.STUCK, must=Must.STOP, recovery_s=BOOT_S,
+          text="the board's program hangs until its watchdog restarts it",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.HANG),))),
+    Fault(name="board-restart", kind=Kind.INTERMITTENT, must=Must.STOP, recovery_s=BOOT_S,
+          text="the board is reset while the car drives",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.RESTART),))),
+    Fault(name="command-impossible", kind=Kind.GARBAGE, must=Must.STOP, duration_s=(0.2, 0.6), recovery_s=0.3,
+          host_notices=False, text="commands with impossible pulses",
+          hooks=lambda random, end_ns: Hooks(pulses=_impossible(random))),
+    Fault(name="command-extreme", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.1, 0.1),
+          text="two commands far beyond the car's limits: the board limits them",
+          hooks=lambda random, end_ns: Hooks(pulses=_extreme_twice(random))),
+    Fault(name="servo-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=(3.0, 3.0), within_s=0.45, ends=False,
+          timed_from_motion=True,
+          text="the servo does not move: a stop within 0.45 s of the car not turning as it is steered",
+          hooks=lambda random, end_ns: Hooks(servo_stuck=True)),
+    Fault(name="battery-low", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(1.5, 1.5), event="vehicle-fault",
+          text="the battery is nearly empty: a person is warned",
+          hooks=lambda random, end_ns: Hooks(sensors=hooks.battery(random.uniform(5.0, 6.3)))),
+    Fault(name="sonar-dropouts", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=SHORT_S,
+          text="ultrasonic readings without an echo",
+          hooks=lambda random, end_ns: Hooks(sensors=hooks.dropouts(random, random.uniform(0.1, 0.9)))),
+    Fault(name="sonar-spikes", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=SHORT_S,
+          text="an ultrasonic reading of 2 to 30 cm, every third at most",
+          hooks=lambda random, end_ns: Hooks(sensors=hooks.spikes(random, random.randint(3, 10)))),
+    Fault(name="sonar-stuck", kind=Kind.STUCK, must=Must.HOLD, duration_s=SHORT_S,
+          text="an ultrasonic echo of 2 to 30 cm that stays",
+          hooks=lambda random, end_ns: Hooks(sensors=hooks.stuck_echo(random.uniform(0.02, 0.3)))),
 )  # fmt: skip
 
 RECORDING = (
-    Fault(
-        name="disk-full", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
-        text="no space is left for the recording: its thread gets the error, or the loop does",
-        hooks=lambda random, end_ns: Hooks(disk=random.choice((Disk.FULL, Disk.RAISES))),
-    ),
-    Fault(
-        name="disk-slow", kind=Kind.SLOW, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
-        text="the disk writes nothing before the run is over",
-        hooks=lambda random, end_ns: Hooks(disk=Disk.SLOW),
-    ),
-    Fault(
-        name="clock-set-back", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
-        text="the wall clock is set back by an hour: only the monotonic one counts",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.WALL_CLOCK_BACK),)),
-    ),
+    Fault(name="disk-full", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
+          text="no space is left for the recording: its thread gets the error, or the loop does",
+          hooks=lambda random, end_ns: Hooks(disk=random.choice((Disk.FULL, Disk.RAISES)))),
+    Fault(name="disk-slow", kind=Kind.SLOW, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
+          text="the disk writes nothing before the run is over", hooks=lambda random, end_ns: Hooks(disk=Disk.SLOW)),
+    Fault(name="clock-set-back", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 0.3), same_pulses=True,
+          text="the wall clock is set back by an hour: only the monotonic one counts",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.WALL_CLOCK_BACK),))),
 )  # fmt: skip
 
 
@@ -351,106 +252,56 @@ def _falling_behind(random: Random, end_ns: int) -> Hooks:
 
 
 SERIAL = (
-    Fault(
-        name="serial-unplugged", kind=Kind.OFF, must=Must.STOP, ends=False, event="link-lost",
-        text="the cable is unplugged",
-        hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.UNPLUG),)),
-    ),
-    Fault(
-        name="serial-replugged", kind=Kind.INTERMITTENT, must=Must.STOP, duration_s=(0.5, 0.5), recovery_s=REOPENED_S,
-        event="link-lost",
-        text="the cable is unplugged and plugged in again",
-        hooks=_replugged,
-    ),
-    Fault(
-        name="serial-other-firmware", kind=Kind.WRONG, must=Must.STOP, ends=False, event="link-lost",
-        text="the board that is plugged in again has another message table",
-        hooks=_other_firmware,
-    ),
-    Fault(
-        name="serial-deaf", kind=Kind.OFF, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
-        host_notices=False,
-        text="nothing arrives at the board",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.silent),
-    ),
-    Fault(
-        name="serial-mute", kind=Kind.OFF, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
-        text="nothing comes from the board",
-        hooks=lambda random, end_ns: Hooks(from_board=hooks.silent),
-    ),
-    Fault(
-        name="serial-backlog", kind=Kind.STUCK, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
-        host_notices=False,
-        text="nothing is read at one end; later all that has waited arrives at once",
-        hooks=lambda random, end_ns: _either_way(random, hooks.held_back(end_ns)),
-    ),
-    Fault(
-        name="serial-noise", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=(0.3, 1.0),
-        text="up to 60 random bytes ahead of each frame to the board",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.noise_before(random, 60)),
-    ),
-    Fault(
-        name="serial-random", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
-        host_notices=False,
-        text="nothing but random bytes",
-        hooks=lambda random, end_ns: _either_way(random, hooks.random_bytes(random)),
-    ),
-    Fault(
-        name="serial-cut", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
-        host_notices=False,
-        text="every frame to the board is cut",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.cut(random)),
-    ),
-    Fault(
-        name="serial-doubled", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 1.0),
-        text="every frame to the board comes twice",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.doubled),
-    ),
-    Fault(
-        name="serial-swapped", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 1.0),
-        text="frames to the board come in another order",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.Swapped()),
-    ),
-    Fault(
-        name="serial-delayed", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.3, 0.6), recovery_s=1.2,
-        host_notices=False,
-        text="everything comes 0.12 to 0.5 s later, one way",
-        hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(0.12e9, 0.5e9)))),
-    ),
-    Fault(
-        name="serial-falls-behind", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.5, 0.5), within_s=0.35,
-        host_notices=False, recovery_s=1.3,
-        text="frames to the board come later and later, by 1 to 2 s a second: a stop within 0.35 s",
-        hooks=_falling_behind,
-    ),
-    Fault(
-        name="serial-late", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=(0.3, 1.0),
-        text="everything comes 20 to 50 ms later, one way",
-        hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(20e6, 50e6)))),
-    ),
-    Fault(
-        name="serial-crc", kind=Kind.GARBAGE, must=Must.STOP, duration_s=(0.1, 0.1), recovery_s=HEARD_S,
-        host_notices=False,
-        text="wrong bits in every frame to the board for 100 ms",
-        hooks=lambda random, end_ns: Hooks(to_board=hooks.corrupt(random)),
-    ),
-    Fault(
-        name="serial-byte", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
-        text="one wrong byte, or one frame cut",
-        hooks=lambda random, end_ns: _either_way(
-            random, random.choice((hooks.one_byte(random), hooks.once(hooks.cut(random))))
-        ),
-    ),
+    Fault(name="serial-unplugged", kind=Kind.OFF, must=Must.STOP, ends=False, event="link-lost",
+          text="the cable is unplugged", hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.UNPLUG),))),
+    Fault(name="serial-replugged", kind=Kind.INTERMITTENT, must=Must.STOP, duration_s=(0.5, 0.5), recovery_s=REOPENED_S,
+          event="link-lost", text="the cable is unplugged and plugged in again", hooks=_replugged),
+    Fault(name="serial-other-firmware", kind=Kind.WRONG, must=Must.STOP, ends=False, event="link-lost",
+          text="the board that is plugged in again has another message table", hooks=_other_firmware),
+    Fault(name="serial-deaf", kind=Kind.OFF, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          host_notices=False, text="nothing arrives at the board",
+          hooks=lambda random, end_ns: Hooks(to_board=hooks.silent)),
+    Fault(name="serial-mute", kind=Kind.OFF, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          text="nothing comes from the board", hooks=lambda random, end_ns: Hooks(from_board=hooks.silent)),
+    Fault(name="serial-backlog", kind=Kind.STUCK, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          host_notices=False, text="nothing is read at one end; later all that has waited arrives at once",
+          hooks=lambda random, end_ns: _either_way(random, hooks.held_back(end_ns))),
+    Fault(name="serial-noise", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=(0.3, 1.0),
+          text="up to 60 random bytes ahead of each frame to the board",
+          hooks=lambda random, end_ns: Hooks(to_board=hooks.noise_before(random, 60))),
+    Fault(name="serial-random", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          host_notices=False, text="nothing but random bytes",
+          hooks=lambda random, end_ns: _either_way(random, hooks.random_bytes(random))),
+    Fault(name="serial-cut", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          host_notices=False, text="every frame to the board is cut",
+          hooks=lambda random, end_ns: Hooks(to_board=hooks.cut(random))),
+    Fault(name="serial-doubled", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 1.0),
+          text="every frame to the board comes twice", hooks=lambda random, end_ns: Hooks(to_board=hooks.doubled)),
+    Fault(name="serial-swapped", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.3, 1.0),
+          text="frames to the board come in another order",
+          hooks=lambda random, end_ns: Hooks(to_board=hooks.swapped())),
+    Fault(name="serial-delayed", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.3, 0.6), recovery_s=1.2,
+          host_notices=False, text="everything comes 0.12 to 0.5 s later, one way",
+          hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(0.12e9, 0.5e9))))),
+    Fault(name="serial-falls-behind", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.5, 0.5), within_s=0.35,
+          recovery_s=1.3, host_notices=False,
+          text="frames to the board come later and later, by 1 to 2 s a second: a stop within 0.35 s",
+          hooks=_falling_behind),
+    Fault(name="serial-late", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=(0.3, 1.0),
+          text="everything comes 20 to 50 ms later, one way",
+          hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(20e6, 50e6))))),
+    Fault(name="serial-crc", kind=Kind.GARBAGE, must=Must.STOP, duration_s=(0.1, 0.1), recovery_s=HEARD_S,
+          host_notices=False, text="wrong bits in every frame to the board for 100 ms",
+          hooks=lambda random, end_ns: Hooks(to_board=hooks.corrupt(random))),
+    Fault(name="serial-byte", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
+          text="one wrong byte, or one frame cut",
+          hooks=lambda random, end_ns: _either_way(
+              random, random.choice((hooks.one_byte(random), hooks.once(hooks.cut(random)))))),
 )  # fmt: skip
 
-NOMINAL = Fault(
-    name="nominal",
-    kind=Kind.NONE,
-    must=Must.NOTHING,
-    duration_s=(60.0, 60.0),
-    text="nothing goes wrong for a minute (only when asked for)",
-    hooks=lambda random, end_ns: Hooks(),
-)
+NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0),
+                text="nothing goes wrong for a minute (only when asked for)",
+                hooks=lambda random, end_ns: Hooks())  # fmt: skip
 FAULTS = (*CAMERA, *PERCEPTION, *LOOP, *SERIAL, *BOARD, *RECORDING)
 
 

@@ -8,9 +8,8 @@ import os
 import tempfile
 import threading
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
 
 from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
 from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
@@ -20,6 +19,9 @@ from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneEstimate, Motion, StereoFrame
+from firmware_link.emulator.board import Peripherals
+
+Step = Callable[[Frame, Motion], LaneEstimate]
 
 
 class Staller:
@@ -79,14 +81,6 @@ class FaultySource:
         self._source.close()
 
 
-class TruePipeline(Protocol):
-    """A pipeline that reads the truth."""
-
-    def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        """The lane."""
-        ...
-
-
 class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
@@ -96,9 +90,7 @@ class FaultyPipeline:
 
     name = "faulty"
 
-    def __init__(
-        self, truth: TruePipeline, seen: Pipeline | None, hook: LaneHook | None, plan: Plan, staller: Staller
-    ) -> None:
+    def __init__(self, truth: Step, seen: Pipeline | None, hook: LaneHook | None, plan: Plan, staller: Staller) -> None:
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller
 
@@ -112,26 +104,14 @@ class FaultyPipeline:
 
     def _estimate(self, frame: Frame, motion: Motion) -> LaneEstimate:
         if self._seen is None or frame.t_ns < RENDERED_NS:
-            return self._truth.step(frame, motion)
+            return self._truth(frame, motion)
         seen = self._seen.step(frame, motion)
-        return seen if frame.t_ns >= PIPELINE_NS else self._truth.step(frame, motion)
+        return seen if frame.t_ns >= PIPELINE_NS else self._truth(frame, motion)
 
     def reset(self) -> None:
         """As the pipeline's."""
         if self._seen is not None:
             self._seen.reset()
-
-
-class Peripherals(Protocol):
-    """What is connected to a board's pins."""
-
-    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """The pulses [us] at the pins from `t_ns` on."""
-        ...
-
-    def read_sensors(self, t_ns: int) -> BoardSensors:
-        """The sensors' readings at `t_ns`."""
-        ...
 
 
 class FaultyPeripherals:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
+import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from random import Random
 from typing import Any, TypeVar
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from automodel.bench.faults.fault import CameraHook, LaneHook, SensorHook, WireHook
 from automodel.curves import Curve, TabulatedCurve, line
-from automodel.signals import BoardSensors, Frame, LaneEstimate, LanePose, LaneStatus
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 
@@ -33,26 +34,14 @@ def at_once(spoil: Spoil) -> CameraHook:
 
 def for_first(count: int, spoil: Callable[[Value], Spoilt]) -> Callable[[Value], Spoilt | Value]:
     """Spoil the first `count` only."""
-    seen = 0
-
-    def hook(value: Value) -> Spoilt | Value:
-        nonlocal seen
-        seen += 1
-        return spoil(value) if seen <= count else value
-
-    return hook
+    seen = itertools.count()
+    return lambda value: spoil(value) if next(seen) < count else value
 
 
 def in_bursts(count: int, between: int, spoil: Spoil) -> Spoil:
     """Spoil `count` frames in a row, then leave `between`, and so on."""
-    seen = 0
-
-    def hook(frame: Frame) -> Frame | None:
-        nonlocal seen
-        seen += 1
-        return spoil(frame) if (seen - 1) % (count + between) < count else frame
-
-    return hook
+    seen = itertools.count()
+    return lambda frame: spoil(frame) if next(seen) % (count + between) < count else frame
 
 
 def drop(frame: Frame) -> None:
@@ -64,17 +53,16 @@ def gone(frame: Frame) -> Frame | None:
     raise SourceError("camera: gone; is it plugged in?")
 
 
-class Frozen:
+def frozen() -> Spoil:
     """The first image again and again, with new times."""
+    first: list[Image] = []
 
-    def __init__(self) -> None:
-        self._image: Image | None = None
+    def spoil(frame: Frame) -> Frame:
+        if not first:
+            first.append(frame.image)
+        return replace(frame, image=first[0])
 
-    def __call__(self, frame: Frame) -> Frame:
-        """The frame with the first one's image."""
-        if self._image is None:
-            self._image = frame.image
-        return Frame(t_ns=frame.t_ns, index=frame.index, image=self._image)
+    return spoil
 
 
 def blank(level: float, noise: float, random: Random) -> Spoil:
@@ -83,7 +71,7 @@ def blank(level: float, noise: float, random: Random) -> Spoil:
 
     def spoil(frame: Frame) -> Frame:
         noisy = level + noise * generator.standard_normal(frame.image.shape)
-        return _with(frame, np.clip(noisy, 0, 255).astype(np.uint8))
+        return replace(frame, image=np.clip(noisy, 0, 255).astype(np.uint8))
 
     return spoil
 
@@ -91,26 +79,22 @@ def blank(level: float, noise: float, random: Random) -> Spoil:
 def resized(random: Random) -> Spoil:
     """Part of the image's rows and columns, as if the camera was set to another size."""
     rows, columns = random.choice(((1, 2), (2, 1), (2, 2), (3, 3)))
-    return lambda frame: _with(frame, np.ascontiguousarray(frame.image[::rows, ::columns]))
+    return lambda frame: replace(frame, image=np.ascontiguousarray(frame.image[::rows, ::columns]))
 
 
 def of_another_type(frame: Frame) -> Frame:
     """Sixteen bits a pixel, which `Frame` refuses."""
-    return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image.astype(np.uint16))
+    return replace(frame, image=frame.image.astype(np.uint16))
 
 
 def shifted_in_time(by_ns: int) -> Spoil:
     """The same image with another time."""
-    return lambda frame: Frame(t_ns=frame.t_ns + by_ns, index=frame.index, image=frame.image)
+    return lambda frame: replace(frame, t_ns=frame.t_ns + by_ns)
 
 
 def late(draw_ns: Callable[[], int]) -> CameraHook:
     """Every frame has the right time, but is delivered so much later."""
     return lambda frame: (frame.t_ns + draw_ns(), frame)
-
-
-def _with(frame: Frame, image: Image) -> Frame:
-    return Frame(t_ns=frame.t_ns, index=frame.index, image=image)
 
 
 def raising(estimate: LaneEstimate) -> LaneEstimate:
@@ -125,7 +109,7 @@ def lost(estimate: LaneEstimate) -> LaneEstimate:
 
 def coasting(estimate: LaneEstimate) -> LaneEstimate:
     """No line seen; the lane is predicted by the car's motion."""
-    return dataclasses.replace(estimate, status=LaneStatus.COASTING) if estimate.valid else estimate
+    return replace(estimate, status=LaneStatus.COASTING) if estimate.valid else estimate
 
 
 def with_pose(**changes: Any) -> LaneHook:
@@ -134,14 +118,14 @@ def with_pose(**changes: Any) -> LaneHook:
     def hook(estimate: LaneEstimate) -> LaneEstimate:
         if estimate.pose is None:
             return estimate
-        return dataclasses.replace(estimate, pose=dataclasses.replace(estimate.pose, **changes))
+        return replace(estimate, pose=replace(estimate.pose, **changes))
 
     return hook
 
 
 def without_pose(estimate: LaneEstimate) -> LaneEstimate:
     """A valid estimate without a pose."""
-    return dataclasses.replace(estimate, pose=None)
+    return replace(estimate, pose=None)
 
 
 def decoy(lateral_m: float) -> LaneHook:
@@ -151,8 +135,8 @@ def decoy(lateral_m: float) -> LaneHook:
         pose, centerline = estimate.pose, estimate.centerline
         if pose is None or centerline is None:
             return estimate
-        wrong = dataclasses.replace(pose, offset_m=pose.offset_m - lateral_m)
-        return dataclasses.replace(estimate, pose=wrong, centerline=_shifted(centerline, lateral_m))
+        wrong = replace(pose, offset_m=pose.offset_m - lateral_m)
+        return replace(estimate, pose=wrong, centerline=_shifted(centerline, lateral_m))
 
     return hook
 
@@ -163,14 +147,8 @@ def crossing(turn_rad: float) -> LaneHook:
     def hook(estimate: LaneEstimate) -> LaneEstimate:
         if estimate.pose is None:
             return estimate
-        pose = LanePose(
-            offset_m=estimate.pose.offset_m,
-            heading_rad=-turn_rad,
-            width_m=estimate.pose.width_m,
-            curvature_per_m=0.0,
-            covariance=estimate.pose.covariance,
-        )
-        return dataclasses.replace(estimate, pose=pose, centerline=line(0.0, 0.0, turn_rad, 1.4))
+        pose = replace(estimate.pose, heading_rad=-turn_rad, curvature_per_m=0.0)
+        return replace(estimate, pose=pose, centerline=line(0.0, 0.0, turn_rad, 1.4))
 
     return hook
 
@@ -182,7 +160,7 @@ def _shifted(curve: Curve, lateral_m: float) -> TabulatedCurve:
 
 def battery(voltage_v: float) -> SensorHook:
     """A battery of this voltage."""
-    return lambda sensors: dataclasses.replace(sensors, battery_v=voltage_v)
+    return lambda sensors: replace(sensors, battery_v=voltage_v)
 
 
 def dropouts(random: Random, share: float) -> SensorHook:
@@ -190,28 +168,26 @@ def dropouts(random: Random, share: float) -> SensorHook:
 
     def hook(sensors: BoardSensors) -> BoardSensors:
         left, centre, right = (None if random.random() < share else range_m for range_m in sensors.ranges_m)
-        return dataclasses.replace(sensors, ranges_m=(left, centre, right))
+        return replace(sensors, ranges_m=(left, centre, right))
 
     return hook
 
 
 def spikes(random: Random, every: int) -> SensorHook:
     """A false short echo, once in `every` readings."""
-    seen = random.randrange(every)
+    seen = itertools.count(1 + random.randrange(every))
 
     def hook(sensors: BoardSensors) -> BoardSensors:
-        nonlocal seen
-        seen += 1
-        if seen % every:
+        if next(seen) % every:
             return sensors
-        return dataclasses.replace(sensors, ranges_m=(0.1, random.uniform(0.02, 0.3), 0.1))
+        return replace(sensors, ranges_m=(0.1, random.uniform(0.02, 0.3), 0.1))
 
     return hook
 
 
 def stuck_echo(range_m: float) -> SensorHook:
     """All three sensors read the same, whatever is ahead."""
-    return lambda sensors: dataclasses.replace(sensors, ranges_m=(range_m, range_m, range_m))
+    return lambda sensors: replace(sensors, ranges_m=(range_m, range_m, range_m))
 
 
 def silent(data: bytes, t_ns: int) -> Arrivals:
@@ -254,19 +230,17 @@ def doubled(data: bytes, t_ns: int) -> Arrivals:
     return ((t_ns, data + data),)
 
 
-class Swapped:
+def swapped() -> WireHook:
     """Every other lot of bytes arrives after the one that was sent after it."""
+    held: list[bytes] = []
 
-    def __init__(self) -> None:
-        self._held: bytes | None = None
-
-    def __call__(self, data: bytes, t_ns: int) -> Arrivals:
-        """Nothing, or this lot and the one held before it."""
-        held, self._held = self._held, None
-        if held is not None:
-            return ((t_ns, data + held),)
-        self._held = data
+    def hook(data: bytes, t_ns: int) -> Arrivals:
+        if held:
+            return ((t_ns, data + held.pop()),)
+        held.append(data)
         return ()
+
+    return hook
 
 
 def corrupt(random: Random) -> WireHook:
@@ -283,16 +257,8 @@ def corrupt(random: Random) -> WireHook:
 
 def once(spoil: WireHook) -> WireHook:
     """Spoil the first lot of bytes only."""
-    done = False
-
-    def hook(data: bytes, t_ns: int) -> Arrivals:
-        nonlocal done
-        if done or not data:
-            return ((t_ns, data),)
-        done = True
-        return tuple(spoil(data, t_ns))
-
-    return hook
+    seen = itertools.count()
+    return lambda data, t_ns: spoil(data, t_ns) if data and next(seen) == 0 else ((t_ns, data),)
 
 
 def one_byte(random: Random) -> WireHook:

@@ -132,7 +132,7 @@ class FaultRig:
         for after_s, moment in hooks.moments:
             self._line.at(plan.start_ns + round(after_s * 1e9), functools.partial(self._happen, moment))
         estimator = None if by_truth else make_pipeline(pipeline, car)
-        self._pipeline = FaultyPipeline(self._truth, estimator, hooks.lane, plan, self._staller)
+        self._pipeline = FaultyPipeline(self._truth.step, estimator, hooks.lane, plan, self._staller)
         lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
         self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
 

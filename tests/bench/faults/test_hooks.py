@@ -14,7 +14,7 @@ from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import BoardSensors, Frame, LaneStatus, Motion
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sources.errors import SourceError
 from tests.support.runner_fakes import MS, estimate
 
@@ -85,7 +85,7 @@ def test_bursts_and_first_frames() -> None:
 
 
 def test_a_frozen_camera_goes_on_in_time() -> None:
-    came = delivered(hooks.at_once(hooks.Frozen()))
+    came = delivered(hooks.at_once(hooks.frozen()))
     assert [frame.t_ns // MS for _, frame in came] == NORMAL
     frozen = {int(frame.image[0, 0]) for t_ms, frame in came if 2000 <= t_ms < 2200}
     assert frozen == {101}
@@ -142,12 +142,11 @@ def test_a_stall_takes_its_time_once_or_again() -> None:
 
 
 def test_estimates_are_spoilt_while_the_fault_lasts() -> None:
-    class Truth:
-        def step(self, frame: Frame, motion: Motion):
-            return estimate(frame.t_ns)
+    def truth(frame: Frame, motion: Motion) -> LaneEstimate:
+        return estimate(frame.t_ns)
 
     clock = VirtualClock(0)
-    pipeline = FaultyPipeline(Truth(), None, hooks.lost, PLAN, Staller(None, PLAN, clock))
+    pipeline = FaultyPipeline(truth, None, hooks.lost, PLAN, Staller(None, PLAN, clock))
     motion = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0)
     statuses = {}
     for t_ms in (1999, 2000, 2199, 2200):
@@ -189,7 +188,7 @@ def test_bytes_on_the_wire() -> None:
     ((_, short),) = hooks.cut(Random(1))(data, 5)
     assert data.startswith(short)
     assert 1 <= len(short) <= len(data) - 2
-    swapped = hooks.Swapped()
+    swapped = hooks.swapped()
     assert [list(swapped(piece, 5)) for piece in (b"a", b"b", b"c", b"d")] == [[], [(5, b"ba")], [], [(5, b"dc")]]
 
 
