@@ -46,10 +46,19 @@ def test_speed_has_its_keys(cli) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after_s", [0.4, 1.0, 2.5])
-def test_ctrl_c_ends_the_workers_too(after_s: float) -> None:
+@pytest.mark.parametrize(
+    ("after_s", "arguments"),
+    [
+        (0.4, "accuracy --seeds 20 --jobs 2"),
+        (1.0, "accuracy --seeds 20 --jobs 2"),
+        (2.5, "accuracy --seeds 20 --jobs 2"),
+        (4.0, "faults --pipeline truth --runs 100 --jobs 1"),  # a drive is under way, and has its own handlers
+        (4.0, "latency --frames 3000"),
+    ],
+)
+def test_ctrl_c_ends_the_bench_and_its_workers(after_s: float, arguments: str) -> None:
     child = subprocess.Popen(
-        [sys.executable, "-m", "automodel", "bench", "accuracy", "--seeds", "20", "--jobs", "2"],
+        [sys.executable, "-m", "automodel", "bench", *arguments.split()],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
