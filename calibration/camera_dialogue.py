@@ -142,7 +142,7 @@ def _show(
         judged = [dataclasses.asdict(check) for check in checks]
         show("calibrate camera", [{**results, **size, "pictures": views, "checks": judged}], as_json)
         return
-    show("calibrate camera", views, as_json)
+    show("calibrate camera", views, as_json, ("picture", "rms_px", "left_out_px", "note", "corners"))
     click.echo()
     show("calibrate camera", [results], as_json)
     click.echo(f"k1 k2 p1 p2 k3 = {' '.join(f'{k:g}' for k in lens.distortion)}\n")
