@@ -11,6 +11,7 @@ from automodel.signals import LaneStatus, MotionSource
 from automodel.sim.track_files import load_track
 from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled
 from tests.support.rendered_drives import CAR, camera, with_camera
+from tests.support.slow_lane import rest_slow
 
 BEND = line(1.8) + clothoid(0.0, 1.0, 0.4) + arc(1.0, 2.0)
 CAMERAS = {
@@ -25,7 +26,7 @@ CAMERAS = {
 }
 
 
-@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("name", rest_slow(CAMERAS, "high", "wide and distorted", "colour"))
 def test_other_cameras(name: str) -> None:
     found = errors(MaskedDrive(track=road(BEND), car=with_camera(CAMERAS[name])).run(0.6, 3.2), skip=10)
     assert found.available == 1.0
@@ -44,7 +45,7 @@ SCALES = {  # lane, marking, radius [m], speed [m/s]
 }
 
 
-@pytest.mark.parametrize("name", SCALES)
+@pytest.mark.parametrize("name", rest_slow(SCALES, "a road", "a chicane"))
 def test_full_scale(name: str) -> None:
     lane_m, marking_m, radius_m, speed_mps = SCALES[name]
     ahead = line(5.0 * lane_m) + arc(radius_m, 1.2) + arc(radius_m, -1.0)
@@ -61,7 +62,7 @@ def test_full_scale(name: str) -> None:
     assert np.abs(np.array(widths) / lane_m - 1.0).max() < 0.05
 
 
-@pytest.mark.parametrize("speed_factor", [0.9, 1.1])
+@pytest.mark.parametrize("speed_factor", rest_slow((0.9, 1.1), 1.1))
 @pytest.mark.parametrize("dashed", [False, True])
 def test_a_speed_that_is_wrong_by_ten_percent(speed_factor: float, dashed: bool) -> None:
     track = load_track("oval") if dashed else road(BEND)
@@ -72,7 +73,7 @@ def test_a_speed_that_is_wrong_by_ten_percent(speed_factor: float, dashed: bool)
     assert found.heading_mean_deg < 1.5
 
 
-@pytest.mark.parametrize("bias_radps", [0.05, -0.05])
+@pytest.mark.parametrize("bias_radps", rest_slow((0.05, -0.05), 0.05))
 def test_a_gyro_with_a_bias(bias_radps: float) -> None:
     found = errors(MaskedDrive(track=road(BEND), yaw_bias_radps=bias_radps).run(0.8, 4.2), skip=10)
     assert found.available == 1.0
@@ -80,7 +81,7 @@ def test_a_gyro_with_a_bias(bias_radps: float) -> None:
     assert found.heading_mean_deg < 1.5
 
 
-@pytest.mark.parametrize("rate_hz", [15.0, 60.0])
+@pytest.mark.parametrize("rate_hz", rest_slow((15.0, 60.0), 15.0))
 @pytest.mark.parametrize("name", ["straight", "bend", "oval"])
 def test_without_odometry(rate_hz: float, name: str) -> None:
     """Only what the image shows; the line is looked for where it was in the frame before."""
@@ -95,7 +96,9 @@ def test_without_odometry(rate_hz: float, name: str) -> None:
     assert found.offset_max_m < 0.12
 
 
-@pytest.mark.parametrize(("rate_hz", "speed_mps"), [(100.0, 3.0), (10.0, 1.0), (30.0, 0.4)])
+@pytest.mark.parametrize(
+    ("rate_hz", "speed_mps"), [(100.0, 3.0), (10.0, 1.0), pytest.param(30.0, 0.4, marks=pytest.mark.slow)]
+)
 def test_other_rates_and_speeds(rate_hz: float, speed_mps: float) -> None:
     drive = MaskedDrive(track=road(BEND), rate_hz=rate_hz, speed_mps=speed_mps)
     seen = drive.run(0.8, 3.4)

@@ -14,6 +14,7 @@ from automodel.sim.track_files import load_track
 from automodel.types import Image
 from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, gap, line, road
 from tests.support.rendered_drives import CAR, Seen, camera, with_camera
+from tests.support.slow_lane import rest_slow
 
 WIDE = with_camera(camera(focal_px=240.0))  # sees the other line also in a bend
 STRAIGHT = line(14.0)
@@ -29,7 +30,7 @@ def meter(seen: list[Seen]) -> dict[str, float | None]:
     return metrics.row()
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", rest_slow(("left", "right"), "left"))
 @pytest.mark.parametrize(
     ("ahead", "car"), [(STRAIGHT, CAR), (BENT, WIDE), (TIGHT, WIDE)], ids=["straight", "2 m", "1 m"]
 )
@@ -84,7 +85,7 @@ BENDS = {
 
 
 @pytest.mark.parametrize("ahead", BENDS)
-@pytest.mark.parametrize("from_m", [1.9, 2.5, 3.5])
+@pytest.mark.parametrize("from_m", rest_slow((1.9, 2.5, 3.5), 2.5))
 def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
     """Before a bend, on its way in, and within it: at 1 m/s, a cloth over the camera."""
     drive = MaskedDrive(track=road(BENDS[ahead]))
@@ -100,7 +101,7 @@ def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
 
 
 @pytest.mark.parametrize("ahead", [name for name in BENDS if name != "tight left"])  # there it is lost
-@pytest.mark.parametrize("from_m", [2.8, 3.4])
+@pytest.mark.parametrize("from_m", rest_slow((2.8, 3.4), 3.4))
 def test_both_lines_gone_on_half_a_metre(ahead: str, from_m: float) -> None:
     """Half a second at 1 m/s over which nothing is painted."""
     drive = MaskedDrive(track=road(BENDS[ahead], gap(from_m, from_m + 0.5, "left", "right")))
@@ -116,7 +117,7 @@ CROSSINGS = {  # where on the contest's floor a lane passes them [m]
 
 
 @pytest.mark.parametrize("direction", CROSSINGS)
-@pytest.mark.parametrize("which", [0, 1, 2])
+@pytest.mark.parametrize("which", rest_slow((0, 1, 2), 0))
 def test_over_the_intersections_of_the_contest_floor(direction: str, which: int) -> None:
     """Two of them are passed one after the other; the lines stop, and zebra bars lie in the lane."""
     begin_m, end_m = CROSSINGS[direction][which]

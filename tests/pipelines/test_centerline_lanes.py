@@ -11,6 +11,7 @@ from automodel.signals import LaneStatus
 from automodel.sim.track_files import load_track
 from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled, swing
 from tests.support.rendered_drives import CAR, Seen, camera, with_camera
+from tests.support.slow_lane import rest_slow
 
 STRAIGHT = line(14.0)
 WIDE = with_camera(camera(focal_px=240.0))  # sees both lines also in a bend
@@ -46,7 +47,7 @@ def test_lines_and_centerline_lie_where_they_are() -> None:
 
 
 @pytest.mark.parametrize("radius_m", [0.8, -0.8, -1.2])  # in lanes of 0.4 m
-@pytest.mark.parametrize("gently", [True, False])
+@pytest.mark.parametrize("gently", rest_slow((True, False), False))
 def test_bends_down_to_a_radius_of_two_lanes(radius_m: float, gently: bool) -> None:
     curvature, radius, side = 1.0 / radius_m, abs(radius_m), math.copysign(1.0, radius_m)
     pieces = (clothoid(0.0, curvature, 0.5), arc(radius, 2.0 * side), clothoid(curvature, 0.0, 0.5))
@@ -65,7 +66,7 @@ def test_bends_down_to_a_radius_of_two_lanes(radius_m: float, gently: bool) -> N
 
 
 @pytest.mark.parametrize("name", ["oval", "chicane"])
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
+@pytest.mark.parametrize("direction", rest_slow(("forward", "reverse"), "forward"))
 def test_shipped_tracks(name: str, direction: str) -> None:
     """Bends of radius 1 m and more, dashed lines; the chicane down to 0.6 m."""
     drive = MaskedDrive(track=load_track(name), direction=direction, speed_mps=1.2)
@@ -126,7 +127,7 @@ NARROWING = {"wider": (0.4, 0.52, 1.2), "narrower": (0.4, 0.28, 1.2), "funnel": 
 
 
 @pytest.mark.parametrize("change", NARROWING)
-@pytest.mark.parametrize("bend", [False, True])
+@pytest.mark.parametrize("bend", rest_slow((False, True), True))
 def test_lanes_whose_lines_are_not_parallel(change: str, bend: bool) -> None:
     """The width changes by 30 % over two or three lane widths of way."""
     before, after, over_m = NARROWING[change]

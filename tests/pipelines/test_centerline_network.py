@@ -23,6 +23,7 @@ from automodel.sim.track_files import load_track
 from tests.support import onnx_files as files
 from tests.support.masked_drives import arc, errors, gap, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, check_sound
+from tests.support.slow_lane import rest_slow
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 PICTURES = {
@@ -203,7 +204,7 @@ def test_straight_and_bend(either: Centerline) -> None:
     check(RenderedDrive(track=track, pipeline=either, rate_hz=20.0).run(0.8, 3.4), skip=8)
 
 
-@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("seed", rest_slow((1, 4), 4))
 def test_part_of_a_lap_in_competition_light(either: Centerline, seed: int) -> None:
     """A straight of the contest's floor, a corner, and the next straight."""
     look = Appearance.random(seed, "competition")

@@ -19,6 +19,7 @@ from automodel.sim.track import Track
 from automodel.sim.track_files import load_track, parse_track
 from tests.support.masked_drives import arc, gap, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.slow_lane import rest_slow
 
 HIGHWAY_CAR = replace(
     with_camera(camera(focal_px=500.0, x_m=1.5, z_m=1.2, pitch_rad=0.12)),
@@ -95,7 +96,7 @@ def sound(seen: list[Seen]) -> list[Seen]:
     return seen
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0 / 1.3, 0.85, 1.0, 1.15, 1.3, 1.0 / 0.7])
+@pytest.mark.parametrize("factor", rest_slow((0.7, 1.0 / 1.3, 0.85, 1.0, 1.15, 1.3, 1.0 / 0.7), 0.7, 1.0, 1.0 / 0.7))
 def test_a_scale_lane_that_is_wider_or_narrower_than_configured(factor: float) -> None:
     drive = RenderedDrive(track=road(line(9.0)), pipeline=Contour(expecting(CAR, factor)))
     seen = sound(drive.run(0.3, 3.0))
@@ -109,7 +110,7 @@ def test_a_scale_lane_that_is_wider_or_narrower_than_configured(factor: float) -
 
 
 @pytest.mark.parametrize("radius_lanes", [1.4, 50.0])
-@pytest.mark.parametrize("factor", [0.7, 1.0 / 1.3, 1.3, 1.0 / 0.7])
+@pytest.mark.parametrize("factor", rest_slow((0.7, 1.0 / 1.3, 1.3, 1.0 / 0.7), 0.7, 1.0 / 0.7))
 def test_a_highway_lane_that_is_wider_or_narrower_than_configured(factor: float, radius_lanes: float) -> None:
     car = expecting(HIGHWAY_CAR, factor, radius_lanes=radius_lanes)
     drive = RenderedDrive(track=HIGHWAY, car=car, pipeline=Contour(car), speed_mps=25.0, swing=0.04)

@@ -12,6 +12,7 @@ from automodel.geometry import GroundCamera
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from tests.support.rendered_drives import CAR, check_sound
+from tests.support.slow_lane import rest_slow
 
 CAMERA = GroundCamera.from_config(CAR.camera)
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
@@ -65,7 +66,7 @@ def check_lane(estimate: LaneEstimate, offset_m: float) -> None:
     assert estimate.pose.heading_rad == pytest.approx(0.0, abs=math.radians(5.0))
 
 
-@pytest.mark.parametrize("offset_m", [-0.08, 0.0, 0.08])
+@pytest.mark.parametrize("offset_m", rest_slow((-0.08, 0.0, 0.08), 0.08))
 @pytest.mark.parametrize("aside_m", [0.05, 0.12, 0.2, 0.35])
 @pytest.mark.parametrize("z_m", [0.05, 0.1])
 def test_a_guard_rail_beside_the_lane_is_none_of_its_lines(offset_m: float, aside_m: float, z_m: float) -> None:
@@ -78,7 +79,7 @@ def test_a_guard_rail_beside_the_lane_is_none_of_its_lines(offset_m: float, asid
 
 
 @pytest.mark.parametrize("y_m", [0.15, 0.25, 0.35, 0.5])
-@pytest.mark.parametrize("z_m", [0.04, 0.08, 0.12])
+@pytest.mark.parametrize("z_m", rest_slow((0.04, 0.08, 0.12), 0.08))
 def test_a_guard_rail_and_one_line_are_no_pair(y_m: float, z_m: float) -> None:
     """The rail seems to run away from the road: the lane is found by its line alone."""
     for side in (1.0, -1.0):
@@ -91,7 +92,7 @@ def test_a_guard_rail_and_one_line_are_no_pair(y_m: float, z_m: float) -> None:
 
 
 @pytest.mark.parametrize("edge_m", [-0.3, -0.15, -0.05, 0.1, 0.2, 0.35])
-@pytest.mark.parametrize("lit", [50.0, 110.0])
+@pytest.mark.parametrize("lit", rest_slow((50.0, 110.0), 50.0))
 def test_the_edge_of_a_shadow_is_no_line(edge_m: float, lit: float) -> None:
     picture = floor(30.0)
     picture[edge_m < Y] += lit
@@ -102,7 +103,7 @@ def test_the_edge_of_a_shadow_is_no_line(edge_m: float, lit: float) -> None:
 
 
 @pytest.mark.parametrize("kerb_m", [0.27, 0.35, 0.5])
-@pytest.mark.parametrize("width_m", [0.08, 0.15, 0.4])
+@pytest.mark.parametrize("width_m", rest_slow((0.08, 0.15, 0.4), 0.15))
 def test_a_kerb_is_no_line(kerb_m: float, width_m: float) -> None:
     """A bright board along the road, broader than a marking; and beside a lane."""
     for side in (1.0, -1.0):
@@ -126,7 +127,7 @@ def test_joints_of_tiles_are_no_lane(tile_m: float, turned_rad: float) -> None:
     assert reported(picture).status is LaneStatus.LOST
 
 
-@pytest.mark.parametrize("fine_px", [0.7, 1.5, 3.0])
+@pytest.mark.parametrize("fine_px", rest_slow((0.7, 1.5, 3.0), 1.5))
 @pytest.mark.parametrize("contrast", [10.0, 25.0, 50.0])
 def test_rough_asphalt_is_no_lane(fine_px: float, contrast: float) -> None:
 

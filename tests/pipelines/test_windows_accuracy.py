@@ -14,6 +14,7 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track
 from automodel.sim.track_files import load_track, parse_track
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.slow_lane import rest_slow
 
 OVAL = load_track("oval")
 CAMERAS = {
@@ -80,7 +81,7 @@ def worst(seen: list[Seen]) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-@pytest.mark.parametrize("direction", ["forward", "reverse"])
+@pytest.mark.parametrize("direction", rest_slow(("forward", "reverse"), "forward"))
 def test_pose_on_the_straight_and_in_the_bend(name: str, direction: str) -> None:
     car = CAMERAS[name]
     drive = RenderedDrive(track=OVAL, car=car, direction=direction, rate_hz=15.0 if name == "1280x720" else 20.0)
