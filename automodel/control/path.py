@@ -8,10 +8,11 @@ from bisect import bisect_right
 import numpy as np
 
 from automodel.curves.base import Curve
+from automodel.curves.foot import Search, nearest_samples, newton_foot
 
 _SPACING_M = 0.05
 _SAMPLES = (8, 400)  # at least, at most
-_MIN_STRETCH = 0.2  # of 1 - kappa d: nearer to the centre of curvature the foot is not sought
+_SEARCH = Search(ahead_m=1e-9)
 
 
 class LanePath:
@@ -55,18 +56,12 @@ class LanePath:
 
     def foot(self, x_m: float, y_m: float) -> tuple[float, float]:
         """Arc length s of the perpendicular's foot, also beyond the ends, and distance d to the left of it [m]."""
-        nearest = int(np.argmin((self._points[:, 0] - x_m) ** 2 + (self._points[:, 1] - y_m) ** 2))
-        s, left = self._s[nearest], 0.0
-        for _ in range(12):
-            px, py = self.position(s)
-            theta = self.heading(s)
-            cos, sin = math.cos(theta), math.sin(theta)
-            ahead = (x_m - px) * cos + (y_m - py) * sin
-            left = (y_m - py) * cos - (x_m - px) * sin
-            if abs(ahead) < 1e-9:
-                break
-            s += ahead / max(1.0 - self._bends[self._find(s)[0]] * left, _MIN_STRETCH)
-        return s, left
+        nearest = int(nearest_samples(self._points, np.array([[x_m, y_m]]))[0])
+        return newton_foot(self._place, (x_m, y_m), self._s[nearest], _SEARCH)
+
+    def _place(self, s_m: float) -> tuple[float, float, float, float, float]:
+        theta = self.heading(s_m)
+        return *self.position(s_m), math.cos(theta), math.sin(theta), self._bends[self._find(s_m)[0]]
 
     def _find(self, s_m: float) -> tuple[int, int]:
         """The number of the stretch, and of the sample to reckon from."""

@@ -7,7 +7,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import ArrayLike
 
+from automodel.curves.foot import Search, nearest_samples, newton_foot
 from automodel.types import FloatArray
+
+_SEARCH = Search(ahead_m=1e-12, step_m=1e-12, least_stretch=1e-6, rounds=30)
 
 
 class Curve(ABC):
@@ -68,37 +71,15 @@ class Curve(ABC):
                         else (max(self.length_m - reach, 0.0), self.length_m)
                     )
         grid = np.linspace(low, high, max(int(np.ceil((high - low) / step)) + 1, 3))
-        points = self.position(grid)
-        nearest = int(np.argmin((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2))
-        s = self._foot(x, y, grid[max(nearest - 1, 0)], grid[min(nearest + 1, len(grid) - 1)], grid[nearest])
-        px, py = self.position(s)
-        theta = float(self.heading(s))
-        d = float(-(x - px) * np.sin(theta) + (y - py) * np.cos(theta))
-        return (s % self.length_m if self.closed else s), d
+        nearest = int(nearest_samples(self.position(grid), np.array([[x, y]]))[0])
+        bounds = grid[max(nearest - 1, 0)], grid[min(nearest + 1, len(grid) - 1)]
+        s, d = newton_foot(self._place, (x, y), grid[nearest], _SEARCH, bounds)
+        return float(s % self.length_m if self.closed else s), float(d)
 
-    def _foot(self, x: float, y: float, low: float, high: float, start: float) -> float:
-        """Root of f(s) = (p - c(s)) . t(s) in low .. high, where f falls through 0."""
-        s = start
-        for _ in range(30):
-            px, py = self.position(s)
-            theta = float(self.heading(s))
-            cos, sin = np.cos(theta), np.sin(theta)
-            ahead = (x - px) * cos + (y - py) * sin
-            if abs(ahead) < 1e-12:
-                break
-            if ahead > 0:
-                low = s
-            else:
-                high = s
-            left = -(x - px) * sin + (y - py) * cos
-            slope = 1.0 - float(self.curvature(s)) * left
-            new = s + ahead / slope if slope > 1e-6 else low - 1.0
-            if not low < new < high:
-                new = 0.5 * (low + high)
-            if abs(new - s) < 1e-12:
-                break
-            s = float(new)
-        return float(s)
+    def _place(self, s_m: float) -> tuple[float, float, float, float, float]:
+        x, y = self.position(s_m)
+        theta = float(self.heading(s_m))
+        return x, y, np.cos(theta), np.sin(theta), float(self.curvature(s_m))
 
     def _sample_step(self) -> float:
         """Spacing [m] of the samples in which the nearest foot is looked for."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from automodel.curves import Curve, OffsetCurve
+from automodel.curves.foot import newton_steps
 from automodel.sim.track_sections import LINES, BrokenLines, Marking, StopLine, TrackFile, ZebraPattern
 from automodel.types import FloatArray
 
@@ -85,12 +86,8 @@ def distance_beside(curve: Curve, points_m: ArrayLike, near_s_m: float) -> Float
     points = np.asarray(points_m, dtype=np.float64)
     s = np.full(len(points), near_s_m)
     for _ in range(6):  # Newton's method for all points at once: they lie within a road's width of the curve
-        theta, away = curve.heading(s), points - curve.position(s)
-        ahead = away[:, 0] * np.cos(theta) + away[:, 1] * np.sin(theta)
-        left = away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta)
-        s = s + ahead / np.maximum(1.0 - curve.curvature(s) * left, 0.2)
-    theta, away = curve.heading(s), points - curve.position(s)
-    return np.asarray(away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta))
+        s = s + newton_steps(points - curve.position(s), curve.heading(s), curve.curvature(s))[0]
+    return newton_steps(points - curve.position(s), curve.heading(s), curve.curvature(s))[1]
 
 
 def broken_spans(length_m: float, broken: BrokenLines) -> dict[str, list[Span]]:

@@ -9,6 +9,7 @@ from typing import TypeAlias
 import numpy as np
 
 from automodel.config import VehicleConfig
+from automodel.curves.foot import newton_step
 from automodel.geometry import SE2
 from automodel.sim.plant import CarState
 from automodel.sim.track import Lane
@@ -129,9 +130,7 @@ class TruthFollower:
         """The distance [m] from a sample to the foot of the perpendicular, and the signed distance [m] there."""
         theta, curvature = float(self._heading[index]), float(self._curvature[index])
         dx, dy = x - float(self._points[index, 0]), y - float(self._points[index, 1])
-        cos, sin = math.cos(theta), math.sin(theta)
-        along, left = dx * cos + dy * sin, dy * cos - dx * sin
-        ahead = along / max(1.0 - curvature * left, 1e-3)
+        ahead, along, left = newton_step(dx, dy, math.cos(theta), math.sin(theta), curvature, 1e-3)
         limit = self._step_m
         if not self.lane.centerline.closed and index in (0, self._size - 1):
             limit = 0.0

@@ -19,9 +19,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.curves.arcs import arc_from, foot_on_circle
+from automodel.curves.foot import foot_on_circle
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape, Parameter
 from automodel.estimation.clothoid.solvers import SOLVERS, gauss_newton, gradient_descent, posterior
+from automodel.geometry import SE2
+from automodel.geometry.se2 import wrap_angle
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -290,10 +292,11 @@ class ClothoidTracker:
     def difference(self, rough: ArcLane) -> tuple[float, float]:
         """How far a lane lies to the left of this one [m], and is turned to the left [rad], where it is sure."""
         shape, node, s = self.shape(), self._node(rough.sure_m), rough.sure_m
-        place, along = arc_from(rough.offset_m, rough.heading_rad, rough.curvature_per_m, s)
-        back = complex(shape.along[node]).conjugate()
-        away = (place + self.pair.reference_x_m - complex(shape.place[node])) * back
-        return away.imag, cmath.phase(along * back)
+        place = complex(shape.place[node])
+        here = SE2(place.real, place.imag, cmath.phase(shape.along[node]))
+        foot = SE2(self.pair.reference_x_m, 0.0, rough.heading_rad) @ SE2(0.0, -rough.offset_m)
+        off = here.inverse() @ foot @ SE2.arc(s, rough.curvature_per_m * s)
+        return off.y_m, wrap_angle(off.yaw_rad)
 
     def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
         """Carry the lane over to the body frame after a drive along an arc; `known` is False without odometry."""

@@ -11,13 +11,12 @@ Body frame: d is the car's offset (left positive) at the reference point, -theta
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.curves import TabulatedCurve
+from automodel.curves.foot import nearest_samples, newton_steps
 from automodel.geometry import SE2
 from automodel.types import Bools, FloatArray
 
@@ -119,7 +118,7 @@ class LaneShape:
 
     def nearest_s(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) of the grid point next to each of `points_m` (n, 2)."""
-        return self.s_m[_nearest(self.points_m, points_m)]
+        return self.s_m[nearest_samples(self.points_m, points_m)]
 
 
 class LaneFit:
@@ -173,8 +172,10 @@ class LaneFit:
 
         The origin slides along s, the body frame turns.
         """
-        reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))
-        s, d = _foot(shape, reference)
+        reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))[None]
+        at = nearest_samples(shape.points_m, reference)
+        ahead, left = newton_steps(reference - shape.points_m[at], shape.theta_rad[at], shape.kappa_per_m[at])
+        s, d = float((shape.s_m[at] + ahead)[0]), float((left - 0.5 * shape.kappa_per_m[at] * ahead**2)[0])
         kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-1])
         heading = float(np.interp(s, self.grid_m, shape.theta_rad)) + after_from_before.yaw_rad
         return np.concatenate(([d, heading], kappa, parameters[-1:]))
@@ -226,16 +227,13 @@ class LaneFit:
         """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""
         points, theta, jacobian = self._curve(parameters, want_jacobian=True)
         q = samples.points_m
-        nearest = _nearest(points, q)
-        cos, sin = np.cos(theta[nearest]), np.sin(theta[nearest])
-        ex, ey = q[:, 0] - points[nearest, 0], q[:, 1] - points[nearest, 1]
-        ahead, left = ex * cos + ey * sin, ey * cos - ex * sin
-        kappa = self._hats[nearest] @ parameters[2:-1]
-        ahead = ahead / np.maximum(1.0 - kappa * left, 0.2)
+        nearest = nearest_samples(points, q)
+        theta, kappa = theta[nearest], self._hats[nearest] @ parameters[2:-1]
+        ahead, left = newton_steps(q - points[nearest], theta, kappa)
         residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * 0.5 * parameters[-1]
         rows = jacobian[nearest]  # (n, 2, m - 1): d position / d (d, theta0, kappa)
         out = np.empty((len(q), self.size))
-        np.einsum("nk,nkm->nm", np.column_stack((sin, -cos)), rows, out=out[:, :-1])
+        np.einsum("nk,nkm->nm", np.column_stack((np.sin(theta), -np.cos(theta))), rows, out=out[:, :-1])
         out[:, 1] -= ahead
         out[:, 2:-1] -= ahead[:, None] * self._turn[nearest]
         out[:, -1] = -0.5 * samples.side
@@ -283,22 +281,6 @@ class LaneFit:
         information = np.zeros((count + 3, count + 3))
         information[2:-1, 2:-1] = difference.T @ difference
         return information
-
-
-def _foot(shape: LaneShape, q: FloatArray) -> tuple[float, float]:
-    """Arc length and distance to the left of q (2,), on the osculating circle of the nearest grid point."""
-    i = int(_nearest(shape.points_m, q[None])[0])
-    cos, sin = math.cos(shape.theta_rad[i]), math.sin(shape.theta_rad[i])
-    ex, ey = q - shape.points_m[i]
-    left = ey * cos - ex * sin
-    kappa = float(shape.kappa_per_m[i])
-    ahead = (ex * cos + ey * sin) / max(1.0 - kappa * left, 0.2)
-    return float(shape.s_m[i] + ahead), float(left - 0.5 * kappa * ahead**2)
-
-
-def _nearest(points: FloatArray, q: FloatArray) -> NDArray[np.intp]:
-    """Index (n,) of the point next to each q (n, 2)."""
-    return np.argmin((q[:, 0, None] - points[:, 0]) ** 2 + (q[:, 1, None] - points[:, 1]) ** 2, axis=1)
 
 
 def _hats(nodes: FloatArray, s: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.curves import Curve, DeferredCurve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
+from automodel.curves.foot import Search, nearest_samples, newton_foot
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -122,7 +123,7 @@ class HeadingPolynomial:
     def point_at(self, s_m: float) -> tuple[float, float]:
         """Position (x, y) [m] at one s."""
         theta = self.heading_at(0.0)
-        dx, dy = self._way(0.0, s_m)
+        dx, dy = self._chord(0.0, s_m)
         x, y = self.reference_m
         return x - self.lateral_m * math.sin(theta) + dx, y + self.lateral_m * math.cos(theta) + dy
 
@@ -134,23 +135,18 @@ class HeadingPolynomial:
         """
         if near_s_m is None:
             s_grid = np.linspace(min(self.s_min_m, 0.0), max(self.s_max_m, 0.0), 33)
-            away = self.points(s_grid) - point_m
-            near_s_m = float(s_grid[np.einsum("ij,ij->i", away, away).argmin()])
-        s = near_s_m
-        x, y = self.point_at(s)
-        reach, kappa = 0.5 * self.scale_m, self.curvature_at(s)
-        for _ in range(_ROUNDS):
-            theta = self.heading_at(s)
-            cos, sin = math.cos(theta), math.sin(theta)
-            ahead = (point_m[0] - x) * cos + (point_m[1] - y) * sin
-            left = (point_m[1] - y) * cos - (point_m[0] - x) * sin
-            step = min(max(ahead / max(1.0 - kappa * left, 0.2), -reach), reach)
-            if abs(step) < _TOLERANCE * self.scale_m:
-                break
-            dx, dy = self._way(s, s + step)
-            s, x, y = s + step, x + dx, y + dy
-            kappa = self.curvature_at(s)
-        return Foot(s_m=s, theta_rad=theta, lateral_m=-left)
+            near_s_m = float(s_grid[nearest_samples(self.points(s_grid), np.array([point_m]))[0]])
+        at, (x, y) = near_s_m, self.point_at(near_s_m)
+
+        def place(s: float) -> tuple[float, float, float, float, float]:
+            nonlocal at, x, y
+            dx, dy = self._chord(at, s)
+            at, x, y, theta = s, x + dx, y + dy, self.heading_at(s)
+            return x, y, math.cos(theta), math.sin(theta), self.curvature_at(s)
+
+        search = Search(step_m=_TOLERANCE * self.scale_m, reach_m=0.5 * self.scale_m)
+        s, left = newton_foot(place, point_m, near_s_m, search)
+        return Foot(s_m=s, theta_rad=self.heading_at(s), lateral_m=-left)
 
     def crossing(self, direction_rad: float) -> tuple[float, float]:
         """Where the line meets the perpendicular, through the reference point, to a direction.
@@ -166,7 +162,7 @@ class HeadingPolynomial:
             step = min(max(step, -self.scale_m), self.scale_m)
             if abs(step) < _TOLERANCE * self.scale_m:
                 break
-            dx, dy = self._way(s, s + step)
+            dx, dy = self._chord(s, s + step)
             s, x, y = s + step, x + dx, y + dy
         return s, (y - self.reference_m[1]) * cos - (x - self.reference_m[0]) * sin
 
@@ -249,11 +245,11 @@ class HeadingPolynomial:
             kappa = self.coefficients_rad[1] / self.scale_m
         return min(max(kappa, -self.max_curvature_per_m), self.max_curvature_per_m)
 
-    def _way(self, start: float, end: float) -> tuple[float, float]:
+    def _chord(self, start: float, end: float) -> tuple[float, float]:
         """The chord from one s to another, eq. (19), by Gauss-Legendre in panels; at the joints the curvature jumps."""
         for joint in (self.s_min_m, self.s_max_m, self.s_max_m + self.arc_ahead_m):
             if start < joint < end or end < joint < start:
-                (x0, y0), (x1, y1) = self._way(start, joint), self._way(joint, end)
+                (x0, y0), (x1, y1) = self._chord(start, joint), self._chord(joint, end)
                 return x0 + x1, y0 + y1
         x = y = 0.0
         panels = math.ceil(abs(end - start) / (_PANEL_SCALES * self.scale_m))

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from automodel.curves.foot import LEAST_STRETCH, foot_on_circle, nearest_samples
 from automodel.estimation.theta.heading_polynomial import ORDER, HeadingPolynomial, shift_matrix
 from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
@@ -49,12 +50,11 @@ def project_foot(
 
     A line that begins ahead of the foot is joined to it along the known line, or else along its own arc.
     """
-    away = reference_m - sampled.points_m
-    i = int(np.einsum("ij,ij->i", away, away).argmin())
+    i = int(nearest_samples(sampled.points_m, np.array([reference_m]))[0])
     last = len(sampled.s_m) - 1
     s, theta = float(sampled.s_m[i]), float(sampled.theta_rad[i])
     cos, sin = math.cos(theta), math.sin(theta)
-    x, y = away[i].tolist()
+    x, y = (reference_m - sampled.points_m[i]).tolist()
     ahead, left = x * cos + y * sin, y * cos - x * sin
     beside = not ((i == 0 and ahead < 0.0) or (i == last and ahead > 0.0))
     if not beside and known is not None:
@@ -64,11 +64,8 @@ def project_foot(
     reach = 1 if beside else NEAR_SAMPLES
     low, high = max(i - reach, 0), min(i + reach, last)
     kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
-    u, v = max(1.0 - kappa * left, 0.2), kappa * ahead
-    angle = math.atan2(v, u)
-    step = angle / kappa if abs(angle) > 1e-6 else ahead / u
-    lateral = -(2.0 * left - kappa * (ahead * ahead + left * left)) / (1.0 + math.hypot(u, v))
-    return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=lateral, nearest=i, beside=beside)
+    step, left = foot_on_circle(ahead, left, kappa, LEAST_STRETCH)
+    return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=-left, nearest=i, beside=beside)
 
 
 BEARING_RAD = 0.02  # how far off the direction between the foot and a sample may be at least

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from automodel.curves.foot import nearest_samples
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
@@ -140,8 +141,6 @@ class TrackedLine:
             return points_m[:, 0]
         s = np.linspace(min(line.s_min_m, self._behind_m), line.s_max_m + self.unit, 48)
         grid, theta = line.points(s), line.heading(s)
-        dx = points_m[:, 0, None] - grid[:, 0]
-        dy = points_m[:, 1, None] - grid[:, 1]
-        near = np.argmin(dx * dx + dy * dy, axis=1)
-        rows = np.arange(len(points_m))
-        return np.asarray(s[near] + dx[rows, near] * np.cos(theta[near]) + dy[rows, near] * np.sin(theta[near]))
+        near = nearest_samples(grid, points_m)
+        away = points_m - grid[near]
+        return np.asarray(s[near] + away[:, 0] * np.cos(theta[near]) + away[:, 1] * np.sin(theta[near]))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-from automodel.curves.arcs import foot_on_circle
+from automodel.curves.foot import foot_on_circle
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from automodel.curves.arcs import arc_from
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
 from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTracker, TrackerConfig
+from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
@@ -311,16 +311,15 @@ def test_no_curvature_passes_that_of_the_tightest_bend() -> None:
 def test_a_lane_apart_is_measured_where_it_is_sure() -> None:
     made = tracker(lane=(0.03, -0.1, 0.6))
 
+    s = float(NODES[6])
+
     def rough(offset: float, heading: float) -> ArcLane:
-        return ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=NODES[6])
+        return ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=s)
 
     assert made.difference(rough(0.03, -0.1)) == pytest.approx((0.0, 0.0), abs=2e-3)
-    left, turned = made.difference(
-        rough(-0.02, -0.1)
-    )  # the car is further right of that lane: the lane is further left
-    place, along = arc_from(0.03, -0.1, 0.6, float(NODES[6]))
-    other = arc_from(-0.02, -0.1, 0.6, float(NODES[6]))[0]
-    assert left == pytest.approx(((other - place) * along.conjugate()).imag, abs=2e-3)
+    left, turned = made.difference(rough(-0.02, -0.1))  # the car is further right of that lane: it lies further left
+    here, there = (SE2(0.0, 0.0, -0.1) @ SE2(0.0, -offset) @ SE2.arc(s, 0.6 * s) for offset in (0.03, -0.02))
+    assert left == pytest.approx((here.inverse() @ there).y_m, abs=2e-3)
     assert left > 0.04
     assert turned == pytest.approx(0.0, abs=2e-3)
     assert made.difference(rough(0.03, -0.05))[1] == pytest.approx(0.05, abs=2e-3)
