@@ -1,34 +1,33 @@
-"""Whether what a car is told of its own motion agrees with what the camera sees.
+"""Whether the reported motion of the car agrees with what the camera sees.
 
-An odometer that stands still or counts backwards carries the lane to where it is not, and what lies below the car
-never changes. Lines that lie far from where the motion puts them, frame after frame, tell that it is wrong.
+An odometer that stands still or counts backwards moves the predicted lane away from the real one, while what lies
+below the car never changes. Lines that are found far from their predicted places in many frames reveal it.
 """
 
 from __future__ import annotations
 
+from statistics import median
+
 import numpy as np
 
-from automodel.compiled import compiled
 from automodel.types import Floats, Ints
 
 
 class OdometryMonitor:
-    """Trust in the motion that is told; `sigma_m` (n,): how well the place of each node is measured [m]."""
+    """Rejects the odometry while lines contradict it; `sigma_m` (n,): standard deviation of each node's place [m]."""
 
-    MIN_NODES = 3  # nodes that tell something
-    SHARE, MOST = 0.3, 6.0  # of a frame in the mean, and what it counts at most [sigmas]
-    REJECTED = 2.5  # the mean from which on motion is not trusted
-    RETRY_NS, RETRY_SHARE = (
-        5_000_000_000,
-        0.5,
-    )  # after which it gets another chance, and the share of `REJECTED` it begins with
+    MIN_NODES = 3  # found in a frame, so that it counts
+    SHARE, MOST = 0.3, 6.0  # of a frame in the running mean; the most [sigmas] that it counts
+    REJECTED = 2.5  # [sigmas] running mean from which on the odometry is rejected
+    RETRY_NS = 5_000_000_000  # after this time the odometry is used again,
+    RETRY_SHARE = 0.5  # with the running mean at this share of `REJECTED`
 
     def __init__(self, sigma_m: Floats) -> None:
         self._sigma = sigma_m
         self.reset()
 
     def reset(self) -> None:
-        """Trust."""
+        """Forget every residual; the odometry is trusted."""
         self._mean = 0.0
         self._rejected_ns: int | None = None
 
@@ -39,29 +38,16 @@ class OdometryMonitor:
         return self._rejected_ns is None
 
     def rejects(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
-        """Whether trust breaks with this frame, whose lane the motion predicted.
+        """Whether the odometry is rejected with this frame, whose lane it predicted.
 
-        `nodes` (k,) were looked for, and found `residual` (k or more,) [m] beside their place where `found` is above 0.
+        `nodes` (k,) were searched for. `residual` (k or more,) [m] is their distance from the predicted place where
+        `found` is above 0. The frame counts with the median of their residuals in sigmas.
         """
-        usual, count = _usual(self._sigma, nodes, residual, found)
-        if count >= self.MIN_NODES:
-            self._mean += self.SHARE * (min(usual, self.MOST) - self._mean)
+        k = len(nodes)
+        sigmas = np.abs(residual[:k] / self._sigma[nodes])[found[:k] > 0.0].tolist()
+        if len(sigmas) >= self.MIN_NODES:
+            self._mean += self.SHARE * (min(median(sigmas), self.MOST) - self._mean)
         if self._mean < self.REJECTED:
             return False
         self._rejected_ns = t_ns
         return True
-
-
-@compiled
-def _usual(sigma: Floats, nodes: Ints, residual: Floats, found: Floats) -> tuple[float, int]:
-    """The median [sigmas] of the residuals of the nodes that were found, and how many they are."""
-    sizes, count = np.empty(len(nodes)), 0
-    for i in range(len(nodes)):
-        if found[i] > 0.0:
-            size, at = abs(residual[i] / sigma[nodes[i]]), count
-            while at > 0 and sizes[at - 1] > size:
-                sizes[at] = sizes[at - 1]
-                at -= 1
-            sizes[at] = size
-            count += 1
-    return (0.5 * (sizes[count // 2] + sizes[(count - 1) // 2]) if count else 0.0), count

@@ -100,7 +100,7 @@ class Contour:
         self._odometry = OdometryMonitor(sigma)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
-            TrackerConfig(lane_width_m=unit, law=options.update, radius_lanes=options.radius_lanes),
+            TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
             np.concatenate((sigma, np.full(len(nodes), self.TURN_SIGMA_RAD))),
         )
 

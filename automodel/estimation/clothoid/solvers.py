@@ -1,7 +1,9 @@
-"""Two ways to the least of 1/2 x^T P^-1 x + 1/2 x^T A x - x^T b, the prior and the weighted squared distances.
+"""The correction of a clothoid pair: robust least squares by Gauss-Newton or by gradient descent, compiled.
 
-Gauss-Newton solves for it in one step. Plain gradient descent is the thesis's choice (Smith, section 1.3): many cheap
-steps. Both give x (m,), its covariance (A + P^-1)^-1 (m, m), and the number of iterations.
+Both solvers minimise 1/2 x^T P^-1 x + 1/2 x^T A x - b^T x over the change x (m,) of the parameters. P (m, m) is the
+covariance of the prediction; A (m, m) and b (m,), `information` and `pull`, are those of the weighted measurements.
+Gauss-Newton solves this in one step. Plain gradient descent in many cheap steps is the thesis's choice (Smith,
+section 1.3). Both return x, its covariance (A + P^-1)^-1 (m, m), and the number of iterations.
 """
 
 from __future__ import annotations
@@ -9,17 +11,19 @@ from __future__ import annotations
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.types import Floats
+from automodel.estimation.clothoid.clothoid_pair import Parameter
+from automodel.types import Bools, Floats, Ints
 
 MOST_STEPS = 1000
-CONVERGED = 1e-5  # of a prior's sigma: steps below that are the end
+CONVERGED = 1e-5  # [sigmas of the prediction] gradient descent ends when no parameter moves further in a step
+OFFSET, HEADING, CURVATURE = int(Parameter.OFFSET), int(Parameter.HEADING), int(Parameter.CURVATURE)
 
 
 @compiled
 def solve(matrix: Floats, right: Floats) -> Floats:
-    """X (m, k) of `matrix` (m, m) X = `right` (m, k), by elimination with row pivots; both are overwritten.
+    """X (m, k) of `matrix` (m, m) X = `right` (m, k), by Gaussian elimination with row pivots; overwrites both.
 
-    A library's solver would take longer to be called than this takes for matrices of this size.
+    For matrices of this size the call of a library's solver would take longer than the elimination.
     """
     m, k = right.shape
     for c in range(m):
@@ -47,7 +51,7 @@ def solve(matrix: Floats, right: Floats) -> Floats:
 
 @compiled
 def posterior(information: Floats, covariance: Floats) -> Floats:
-    """(A + P^-1)^-1 = (1 + P A)^-1 P, where 1 + P A has no eigenvalue below 1."""
+    """Covariance (A + P^-1)^-1 = (1 + P A)^-1 P; 1 + P A has no eigenvalue below 1, so P may be singular."""
     m = len(covariance)
     matrix = np.empty_like(covariance)
     for i in range(m):
@@ -64,7 +68,7 @@ def posterior(information: Floats, covariance: Floats) -> Floats:
 
 @compiled
 def gauss_newton(information: Floats, pull: Floats, covariance: Floats) -> tuple[Floats, Floats, int]:
-    """The least itself."""
+    """The minimum, in one step."""
     after = posterior(information, covariance)
     return _times(after, pull), after, 1
 
@@ -73,7 +77,7 @@ def gauss_newton(information: Floats, pull: Floats, covariance: Floats) -> tuple
 def gradient_descent(
     information: Floats, pull: Floats, covariance: Floats, most_steps: int = MOST_STEPS
 ) -> tuple[Floats, Floats, int]:
-    """Steps down the gradient, each parameter in units of its prior's sigma, until a step is small."""
+    """Steps down the gradient, each parameter in units of its predicted sigma, until a step is small."""
     m = len(pull)
     sigma, slope, at = np.empty_like(pull), np.empty_like(pull), np.zeros_like(pull)
     prior, hessian = np.empty_like(covariance), np.zeros_like(covariance)
@@ -85,7 +89,7 @@ def gradient_descent(
         for j in range(m):
             prior[i, j] = covariance[i, j] / (sigma[i] * sigma[j])
     hessian = solve(prior, hessian)
-    largest = 0.0  # no eigenvalue is larger (Gershgorin)
+    largest = 0.0  # bound of the eigenvalues (Gershgorin), so that a step of 1 / largest never diverges
     for i in range(m):
         row = 0.0
         for j in range(m):
@@ -112,6 +116,111 @@ def _times(matrix: Floats, values: Floats) -> Floats:
         for j in range(len(values)):
             product[i] += matrix[i, j] * values[j]
     return product
+
+
+@compiled
+def correct(
+    descend: bool,
+    before: Floats,
+    covariance: Floats,
+    prior: Floats,
+    prior_covariance: Floats,
+    jacobian: Floats,
+    noise: Floats,
+    nodes: Ints,
+    residual: Floats,
+    found: Floats,
+    scales: tuple[float, float, float, float],
+) -> tuple[Floats, Floats, int, Bools, int, float]:
+    """Correct the parameters by measurements that were taken from the estimate `before`, with robust weights.
+
+    `prior` and its covariance are the prediction, `covariance` is that of `before`; `jacobian`, `noise` (2, 3 n),
+    `nodes` (k,), `residual` (2 k,) and `found` (2 k,) are as in `ClothoidTracker.update`. The weights are renewed once
+    where a residual that remains is not small. Returns the parameters, their covariance, the iterations, which nodes
+    (k,) support the lane, how many were found without supporting it, and how far the lane moved [m].
+    """
+    gate, agreed, bend, lever_m = scales
+    k = len(nodes)
+    rows, aim, ratio2, precision, limit = _linearise(
+        before, covariance, prior, jacobian, noise, nodes, residual, found, gate
+    )
+    iterations, worst = 0, 0.0
+    for _ in range(2):
+        information, pull, weight = _weigh(rows, aim, ratio2, precision)
+        if descend:
+            change, after, count = gradient_descent(information, pull, prior_covariance)
+        else:
+            change, after, count = gauss_newton(information, pull, prior_covariance)
+        iterations += count
+        for i in range(2 * k):
+            left = aim[i]
+            for a in range(len(change)):
+                left -= rows[i, a] * change[a]
+            ratio2[i] = (left / limit[i]) ** 2
+            worst = max(worst, ratio2[i] * found[i])
+        if worst <= agreed * agreed:
+            break
+    parameters = np.empty_like(prior)
+    for a in range(len(prior)):
+        parameters[a] = prior[a] + change[a]
+        if a >= CURVATURE:
+            parameters[a] = min(max(parameters[a], -bend), bend)
+    carrying, missed = np.empty(k, np.bool_), 0
+    for i in range(k):
+        carrying[i] = weight[i] > 0.1 * precision[i]
+        missed += int(found[i] > 0.0) - int(carrying[i])
+    moved_m = abs(parameters[OFFSET] - before[OFFSET]) + abs(parameters[HEADING] - before[HEADING]) * lever_m
+    return parameters, after, iterations, carrying, missed, float(moved_m)
+
+
+@compiled
+def _linearise(
+    before: Floats,
+    covariance: Floats,
+    prior: Floats,
+    jacobian: Floats,
+    noise: Floats,
+    nodes: Ints,
+    residual: Floats,
+    found: Floats,
+    gate: float,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """The measurements (2 k,) relative to the prediction `prior`, linearised at `before`.
+
+    Returns the Jacobian (2 k, m), the residuals (2 k,), the squares of their ratio to the gate, which counts sigmas of
+    the estimate and of the measurement together, the precisions, and the limits of what may remain of the residuals.
+    """
+    n, size, k = len(jacobian) // 3, len(before), len(nodes)
+    rows, aim = np.empty((2 * k, size), before.dtype), np.empty(2 * k, before.dtype)
+    ratio2, precision = np.empty(2 * k, before.dtype), np.empty(2 * k, before.dtype)
+    limit = np.empty(2 * k, before.dtype)
+    for i in range(2 * k):
+        row = nodes[i] if i < k else 2 * n + nodes[i - k] % n
+        measured, spread2 = residual[i], noise[0, row]
+        for a in range(size):
+            rows[i, a] = jacobian[row, a]
+            measured += jacobian[row, a] * (before[a] - prior[a])
+            for b in range(size):
+                spread2 += jacobian[row, a] * covariance[a, b] * jacobian[row, b]
+        aim[i], ratio2[i] = measured, residual[i] * residual[i] / (spread2 * gate * gate)
+        precision[i], limit[i] = found[i] / noise[0, row], noise[1, row]
+    return rows, aim, ratio2, precision, limit
+
+
+@compiled
+def _weigh(rows: Floats, aim: Floats, ratio2: Floats, precision: Floats) -> tuple[Floats, Floats, Floats]:
+    """Information (m, m), pull (m,) and weights (2 k,) by Tukey's biweight, which is 0 from a ratio of 1 on."""
+    size = rows.shape[1]
+    information, pull, weight = np.zeros((size, size), aim.dtype), np.zeros(size, aim.dtype), np.empty_like(aim)
+    for i in range(len(aim)):
+        share = max(1.0 - ratio2[i], 0.0)
+        weight[i] = share * share * precision[i]
+        for a in range(size):
+            weighted = weight[i] * rows[i, a]
+            pull[a] += weighted * aim[i]
+            for b in range(size):
+                information[a, b] += weighted * rows[i, b]
+    return information, pull, weight
 
 
 SOLVERS = {"gauss_newton": gauss_newton, "gradient_descent": gradient_descent}

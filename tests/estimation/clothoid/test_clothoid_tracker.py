@@ -22,10 +22,10 @@ EVERY = np.arange(2 * COUNT)
 
 
 def tracker(
-    law: str = "gauss_newton", lane: tuple[float, float, float] = (0.03, -0.1, 0.6), noise: float = 1.0
+    solver: str = "gauss_newton", lane: tuple[float, float, float] = (0.03, -0.1, 0.6), noise: float = 1.0
 ) -> ClothoidTracker:
     """One that follows a lane of offset, heading and constant curvature, whose parameters are not correlated."""
-    config = TrackerConfig(lane_width_m=WIDTH, law=law)
+    config = TrackerConfig(lane_width_m=WIDTH, solver=solver)
     made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
     offset, heading, curvature = lane
     rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, sure_m=0.6)
@@ -179,9 +179,9 @@ def test_without_odometry_the_lane_in_sight_stays_and_all_is_less_sure() -> None
     assert (made.covariance.diagonal()[[OFFSET, HEADING]] > sure[[OFFSET, HEADING]]).all()
 
 
-@pytest.mark.parametrize("law", ["gauss_newton", "gradient_descent"])
-def test_perfect_sightings_lead_to_the_lane(law: str) -> None:
-    made = tracker(law)
+@pytest.mark.parametrize("solver", ["gauss_newton", "gradient_descent"])
+def test_perfect_sightings_lead_to_the_lane(solver: str) -> None:
+    made = tracker(solver)
     truth = made.known().copy()
     truth[:FIRST] += 0.008, -0.012, 0.004
     truth[FIRST:] += np.linspace(0.0, 0.15, made.pair.stations)
@@ -193,10 +193,10 @@ def test_perfect_sightings_lead_to_the_lane(law: str) -> None:
     assert made.width_m == pytest.approx(truth[LANE], abs=0.001)
 
 
-def test_both_laws_come_to_the_same_lane() -> None:
+def test_both_solvers_come_to_the_same_lane() -> None:
     ends = []
-    for law in ("gauss_newton", "gradient_descent"):
-        made = tracker(law, noise=5.0)
+    for solver in ("gauss_newton", "gradient_descent"):
+        made = tracker(solver, noise=5.0)
         truth = made.known().copy()
         truth[:LANE] += 0.008, -0.012
         see(made, truth)

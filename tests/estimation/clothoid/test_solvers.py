@@ -1,4 +1,4 @@
-"""Both update laws against the minimum of the cost that they share, found without them."""
+"""Both solvers against the minimum of the cost that they share, found without them."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ def least(information: FloatArray, pull: FloatArray, covariance: FloatArray) -> 
     return np.asarray(np.linalg.lstsq(stacked, wanted, rcond=None)[0])
 
 
-@pytest.mark.parametrize("law", sorted(SOLVERS))
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
 @pytest.mark.parametrize("seed", range(4))
-def test_each_law_reaches_the_least_cost(law: str, seed: int) -> None:
+def test_each_solver_reaches_the_least_cost(solver: str, seed: int) -> None:
     information, pull, covariance = problem(seed)
-    found, after, count = SOLVERS[law](information, pull, covariance)
+    found, after, count = SOLVERS[solver](information, pull, covariance)
     assert found / SCALES == pytest.approx(least(information, pull, covariance) / SCALES, abs=2e-3)
     assert after == pytest.approx(posterior(information, covariance))
     assert count >= 1
@@ -82,10 +82,10 @@ def test_what_is_known_for_sure_is_not_moved() -> None:
     assert np.abs(found[[0, 1, 3]]).min() > 0.0
 
 
-@pytest.mark.parametrize("law", sorted(SOLVERS))
-def test_nothing_measured_leaves_the_prior(law: str) -> None:
+@pytest.mark.parametrize("solver", sorted(SOLVERS))
+def test_nothing_measured_leaves_the_prior(solver: str) -> None:
     covariance = problem(3)[2]
-    found, after, _ = SOLVERS[law](np.zeros((4, 4)), np.zeros(4), covariance)
+    found, after, _ = SOLVERS[solver](np.zeros((4, 4)), np.zeros(4), covariance)
     assert not found.any()
     assert after == pytest.approx(covariance)
 
