@@ -1,1 +1,1 @@
-"""Filters and estimators, without images."""
+"""From line points to the lane: the model and the filter of each paper, and the car's own motion."""

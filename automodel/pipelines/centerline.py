@@ -279,7 +279,7 @@ class Centerline:
             status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left) + int(right)],
             left=self._line(lane.left, lines.left, left, lane, +0.5),
             right=self._line(lane.right, lines.right, right, lane, -0.5),
-            centerline=centerline.deferred(-lane.REACH_LANES * self._unit, self._ahead_m),
+            centerline=centerline.curve(-lane.REACH_LANES * self._unit, self._ahead_m),
             pose=LanePose(
                 offset_m=pose.offset_m,
                 heading_rad=pose.heading_rad,
@@ -293,9 +293,9 @@ class Centerline:
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:
         """A line's own curve, or the lane's edge where there is none."""
         if tracked.line is not None:
-            curve = tracked.line.deferred(0.0, self._ahead_m)
+            curve = tracked.line.curve(0.0, self._ahead_m)
         else:
-            curve = lane.centerline.beside(side * lane.pose.width_m, 0.0, self._ahead_m)
+            curve = lane.centerline.curve(0.0, self._ahead_m, side * lane.pose.width_m)
         return LaneLine(curve=curve, points_m=line.points_m if seen else NO_POINTS, seen=seen)
 
     def _plausible(self, lane: TrackedLane) -> bool:

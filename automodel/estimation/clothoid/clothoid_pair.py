@@ -1,15 +1,16 @@
-"""Both lines of a lane as a pair of clothoids with one shape: where they run, and how that depends on the parameters.
+"""Both lines of a lane as a pair of clothoids of one shape: their places, and the Jacobian for the parameters.
 
-After Smith, "Efficient Lateral Lane Position Sensing using Active Contour Modeling", eq. (2.1)-(2.7): a heading
-theta(s) along N nodes, positions by the trapezoidal rule, one shape for both lines. Two things differ. The lines lie at
-half the lane's width beside the centerline *along its normal*: shifted sideways, as in the thesis, two curves come
-closer where the road turns away. And the curvature is linear between stations that lie fixed on the road, a chain of
-clothoids: one clothoid cannot follow a straight road into an arc, and the pose at the car pays for it; with
-stations further apart than the nodes reach it is the thesis's model.
+After Smith (active contour thesis), eq. (2.1)-(2.7): a heading theta(s) at N nodes, positions by the trapezoidal rule,
+one shape for both lines. Two things differ. The lines lie half a lane width beside the centerline *along its normal*:
+shifted along y, as in the thesis, the two curves approach each other where the road turns. And the curvature is
+piecewise linear between stations that are fixed to the road, a chain of clothoids: a single clothoid cannot follow a
+straight road into an arc, at the cost of the pose. With stations farther apart than the nodes reach this is the
+thesis's model.
 
-Parameters, body frame: (d, theta, w, kappa_0 .. kappa_m-1). d: the reference point's distance to the left of the
-centerline; theta: the centerline's direction at its foot, where s = 0; w: the lane's width; kappa_j: curvature at the
-stations s = j h - phase. So c(0) = p_ref - d n(theta), c' = (cos, sin)(theta + int_0^s kappa).
+Parameters, body frame: (d, theta, w, kappa_0 .. kappa_m-1). d: distance of the reference point to the left of the
+centerline [m]; theta: heading of the centerline at the foot of the reference point, s = 0 [rad]; w: lane width [m];
+kappa_j: curvature at the station s = j h - phase [1/m]. So c(0) = p_ref - d n(theta), c' = (cos, sin)(theta +
+int_0^s kappa).
 """
 
 from __future__ import annotations
@@ -24,25 +25,25 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.types import Complexes, FloatArray, Floats
 
-_LEAST_STRETCH = 0.05  # of an arc length beside the centerline: nearer to the centre of curvature no curve is drawn
+_LEAST_STRETCH = 0.05  # least 1 - kappa d of a curve beside the centerline: it is 0 at the centre of curvature
 
 
 class Parameter(IntEnum):
-    """Where a parameter stands."""
+    """Indices of the parameters."""
 
     OFFSET = 0  # [m]
     HEADING = 1  # [rad]
     WIDTH = 2  # [m]
-    CURVATURE = 3  # [1/m], this one and all that follow
+    CURVATURE = 3  # [1/m], the first of m
 
 
 @dataclass(slots=True, eq=False)
 class PairShape:
-    """The centerline at the measured nodes (n,), body frame, and what the parameters (3 + m,) do there.
+    """The centerline at the measured nodes (n,) in the body frame, and its Jacobian for the parameters (3 + m,).
 
-    `place` (n,) is x + i y [m], `along` (n,) the unit tangent, also as complex numbers. `jacobian` (3 n, 3 + m):
-    movement to the left [m] of the left line's nodes, of the right line's, and change of the nodes' heading [rad], per
-    unit of each parameter; the next `shape` overwrites it.
+    `place` (n,) is x + i y [m], `along` (n,) the unit tangent, as complex numbers. `jacobian` (3 n, 3 + m): movement to
+    the left of the left line's nodes [m], of the right line's nodes [m], and turn of the nodes' heading [rad], per unit
+    of each parameter. The next call of `shape` overwrites it.
     """
 
     place: Complexes
@@ -51,29 +52,28 @@ class PairShape:
 
 
 class ClothoidPair:
-    """A fixed set of nodes and stations; `shape` lays the pair through them.
+    """A fixed set of nodes and stations; `shape` evaluates the pair there.
 
-    `nodes_m` (n,) rising arc lengths that are measured, ahead of the reference point; `spacing_m` is h. Between the
-    reference point and the first of them nodes are added, for the integration alone.
+    `nodes_m` (n,): rising arc lengths ahead of the reference point at which the lines are measured; `spacing_m` is h.
+    Between the reference point and the first node more points are added for the integration. Raises ValueError for
+    nodes that do not rise from above 0 and for a spacing that is not positive.
     """
 
-    PHASES = (
-        16  # for which the stations' parts are tabulated; in between they are interpolated, to (h / 16)^2 / 8 kappa / h
-    )
+    PHASES = 16  # tabulated phases per spacing; linear interpolation between them errs by (h / 16)^2 / 8 kappa / h
 
     def __init__(
         self, nodes_m: Floats, spacing_m: float, reference_x_m: float, dtype: type[np.floating[Any]] = np.float64
     ) -> None:
         nodes = np.asarray(nodes_m, dtype=np.float64)
         if nodes.ndim != 1 or len(nodes) < 2 or not (np.diff(nodes, prepend=0.0) > 0).all() or not spacing_m > 0:
-            raise ValueError(f"nodes_m: rising numbers above 0 and a positive spacing are wanted, not {nodes_m}")
+            raise ValueError(f"nodes_m: expected rising numbers above 0 and a positive spacing, got {nodes_m}")
         self.nodes_m: Floats = nodes.astype(dtype)
         self.spacing_m, self.reference_x_m, self.dtype = spacing_m, reference_x_m, dtype
         self.count = len(nodes)
-        self.stations = int(np.ceil(nodes[-1] / spacing_m)) + 2  # the last one ahead of the last node at any phase
+        self.stations = int(np.ceil(nodes[-1] / spacing_m)) + 2  # the last one lies beyond the last node at any phase
         self._first = max(int(np.ceil(nodes[0] / (0.5 * spacing_m))), 1)
         s = np.concatenate((np.linspace(0.0, nodes[0], self._first, endpoint=False), nodes))
-        self._none: Complexes = np.empty(0, np.result_type(dtype, np.complex64))  # tells the type of what is laid
+        self._none: Complexes = np.empty(0, np.result_type(dtype, np.complex64))  # gives the compiled function the type
         self._steps: Floats = np.diff(s).astype(dtype)
         self._parts, self._slopes = self._tables(s)
         n, size = self.count, Parameter.CURVATURE + self.stations
@@ -82,17 +82,17 @@ class ClothoidPair:
         self._jacobian[2 * n :, Parameter.HEADING] = 1.0
 
     def shape(self, parameters: Floats, phase_m: float) -> PairShape:
-        """The pair that `parameters` (3 + m,) mean while the reference point is `phase_m` past station 0."""
+        """The pair of `parameters` (3 + m,) while the reference point is `phase_m` past station 0."""
         at = phase_m / self.spacing_m * self.PHASES
         tables = self._parts, self._slopes, self._steps
         place, along = _lay(parameters, at, *tables, self._first, self.reference_x_m, self._jacobian, self._none)
         return PairShape(place=place, along=along, jacobian=self._jacobian)
 
     def _tables(self, s: FloatArray) -> tuple[Floats, Floats]:
-        """For phases (q,), at nodes (k,): turns per unit of heading and of each curvature (q, k, 1 + m); their slopes.
+        """Turn per unit of heading and of each curvature (q, k, 1 + m) for phases (q,) at points (k,); its differences.
 
-        The hat function of station j is max(1 - |t|, 0) with t = (s + phase) / h - j; its integral is h (t - t |t| / 2)
-        for t in -1 .. 1, but for a constant.
+        The hat function of station j is max(1 - |t|, 0) with t = (s + phase) / h - j; up to a constant its integral is
+        h (t - t |t| / 2) for t in -1 .. 1.
         """
         phases = np.arange(self.PHASES + 1) / self.PHASES
         t = s[:, None] / self.spacing_m + phases[:, None, None] - np.arange(self.stations)
@@ -103,12 +103,11 @@ class ClothoidPair:
         return parts, np.diff(parts, axis=0)
 
     def table(
-        self, parameters: Floats, phase_m: float, aside_m: float = 0.0, behind_m: float = 0.0
+        self, parameters: Floats, phase_m: float, lateral_m: float = 0.0, behind_m: float = 0.0
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The curve `aside_m` left of the centerline, from `behind_m` before the reference point to the last node.
+        """The curve `lateral_m` left of the centerline, from `behind_m` before the reference point to the last node.
 
-        Arc lengths from 0 (k,), points (k, 2) [m], headings [rad] and curvatures [1/m] (k,), as `TabulatedCurve` has
-        them.
+        Arc lengths from 0 (k,), points (k, 2) [m], headings [rad] and curvatures [1/m] (k,), for `TabulatedCurve`.
         """
         x = np.asarray(parameters, dtype=np.float64)
         stations = np.arange(self.stations) * self.spacing_m - phase_m
@@ -132,12 +131,12 @@ class ClothoidPair:
         foot = np.array((self.reference_x_m, 0.0)) - x[Parameter.OFFSET] * normal[before]
         points += foot - points[before]
         kappa0 = np.interp(s, stations, x[Parameter.CURVATURE :])
-        if aside_m == 0.0:
+        if lateral_m == 0.0:
             return s - s[0], points, theta0, kappa0
-        stretch = np.maximum(1.0 - aside_m * kappa, _LEAST_STRETCH)
+        stretch = np.maximum(1.0 - lateral_m * kappa, _LEAST_STRETCH)
         lengths = (stretch * weights).sum(axis=1)
         s = np.concatenate(([0.0], np.cumsum(lengths)))
-        return s, points + aside_m * normal, theta0, kappa0 / np.maximum(1.0 - aside_m * kappa0, _LEAST_STRETCH)
+        return s, points + lateral_m * normal, theta0, kappa0 / np.maximum(1.0 - lateral_m * kappa0, _LEAST_STRETCH)
 
 
 @compiled
@@ -152,17 +151,17 @@ def _lay(
     jacobian: Floats,
     none: Complexes,
 ) -> tuple[Complexes, Complexes]:
-    """`place` and `along` (n,), as `PairShape` has them and of the type of `none`; `jacobian` is filled in.
+    """`place` and `along` (n,) of `PairShape`, of the type of `none`; fills `jacobian`.
 
-    By eq. (2.4)-(2.6): headings at the integration's points (k,), of which the last n are measured, and trapezoids
-    `steps` (k - 1,) apart. `at` is the place in the tables of the turns (k, 1 + m) and of their slopes.
+    Eq. (2.4)-(2.6): headings at the points of integration (k,), of which the last n are the nodes, and the trapezoidal
+    rule over `steps` (k - 1,) [m]. `at` is the phase as a place in the tables.
     """
     q = min(int(at), len(slopes) - 1)
     share = at - q
     points, size, n = parts.shape[1], parts.shape[2], len(jacobian) // 3
     place, along = np.empty(n, none.dtype), np.empty(n, none.dtype)
     turns, turns_before = np.empty(size, x.dtype), np.zeros(size, x.dtype)
-    moments = np.zeros((size, 2), x.dtype)  # of the unit tangent times each parameter's turn
+    moments = np.zeros((size, 2), x.dtype)  # integrals of the tangent times each parameter's turn
     cos = sin = cos_before = sin_before = start_cos = start_sin = 0.0
     for i in range(points):
         angle = 0.0
@@ -185,7 +184,7 @@ def _lay(
             continue
         place[node] = complex(reference_x_m + moments[0, 0] + x[0] * start_sin, moments[0, 1] - x[0] * start_cos)
         along[node] = complex(cos, sin)
-        for row in (node, node + n):  # the left line moves as the right one does, but for the width
+        for row in (node, node + n):  # both lines move alike, except with the width
             jacobian[row, 0] = -(cos * start_cos + sin * start_sin)
             jacobian[row, 1] = cos * moments[0, 0] + sin * moments[0, 1] + x[0] * (cos * start_sin - sin * start_cos)
             for j in range(1, size):

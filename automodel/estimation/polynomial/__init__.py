@@ -1,1 +1,1 @@
-"""The lane as a fit of both lines (the windows pipeline)."""
+"""The lane fitted to the points of both lines (the windows pipeline)."""

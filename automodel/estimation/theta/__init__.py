@@ -1,1 +1,1 @@
-"""Lines and the centerline as heading over arc length, theta(s) (Cudrano et al. 2020)."""
+"""Lines and centerline as heading over arc length, theta(s) (Cudrano et al. 2020)."""

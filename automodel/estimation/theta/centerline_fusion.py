@@ -1,14 +1,14 @@
-"""The centerline between two lines: their directions collapsed onto it, and one cubic through them.
+"""The centerline between two lines: their samples mapped onto it, and one cubic theta(s) fitted to them.
 
 Cudrano et al. 2020, section V. Lines and centerline share the centre of curvature at each place, so a point keeps its
-direction and only its arc length changes. With d the line's signed distance from the centerline (left positive) and
-kappa the centerline's curvature, ds_line = r ds_centre, r = 1 - kappa d. The paper's eq. (17) multiplies by r where it
-has to divide. And as kappa ds_centre = d theta,
+direction when it is mapped, and only its arc length changes. With d the line's signed distance from the centerline
+(left positive) and kappa the centerline's curvature, ds_line = r ds_centre with r = 1 - kappa d; the paper's eq. (17)
+multiplies by r where it has to divide. As kappa ds_centre = d theta,
 
     ds_centre = ds_line / (1 - kappa d) = ds_line + d dtheta
 
-which is summed up at once, holds for parallel lines of any shape, and asks for no centre of curvature, neither the
-last frame's, eq. (15), nor one at infinity.
+which has a closed integral, holds for parallel lines of any shape, and needs no centre of curvature: neither that of
+the last frame, eq. (15), nor one at infinity.
 """
 
 from __future__ import annotations
@@ -22,23 +22,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
-from automodel.estimation.theta.pose_filter import LinePoint
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
-from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 SAMPLES = 24  # of each line
-REACH_LANES = (1.5, 8.0)  # behind and ahead of the car: where the centerline is wanted
-MEMORY = 0.25  # of the lines' memory: what comes from them has been smoothed over time already
+REACH_LANES = (1.5, 8.0)  # behind and ahead of the car: the range of the samples
+MEMORY = 0.25  # share of the lines' memory: their samples are smoothed over time already
 _GRID = np.linspace(0.0, 1.0, SAMPLES)
 _NOTHING = np.empty(0)
 
 
 def to_centerline(s_line_m: ArrayLike, theta_rad: ArrayLike, theta_foot_rad: float, distance_m: float) -> FloatArray:
-    """Arc length (n,) on the centerline of points (n,) on a line, both counted from the same perpendicular.
+    """Arc length (n,) on the centerline of points at arc lengths (n,) on a line, both from the same perpendicular.
 
-    `theta_rad` (n,) are the directions there, which stay as they are, `theta_foot_rad` that at s = 0; `distance_m` is
-    the line's from the centerline, left positive.
+    `theta_rad` (n,) are the directions at the points and `theta_foot_rad` that at s = 0; `distance_m` is the line's
+    distance from the centerline, left positive.
     """
     turn = np.asarray(theta_rad, dtype=np.float64) - theta_foot_rad
     return np.asarray(np.asarray(s_line_m, dtype=np.float64) + distance_m * turn)
@@ -47,11 +45,11 @@ def to_centerline(s_line_m: ArrayLike, theta_rad: ArrayLike, theta_foot_rad: flo
 class _Side(NamedTuple):
     rls: ThetaRls
     line: HeadingPolynomial
-    lateral: float  # [lane widths] of the line from the centerline
+    lateral: float  # [lane widths] distance of the line from the centerline
 
 
 class CenterlineFusion:
-    """The lane's middle over time: `rls.line` is its curve, None until a line was seen.
+    """The centerline over time: `rls.line` is its curve, None until a line was seen.
 
     `config` is that of the lines; the centerline's memory is a quarter of theirs.
     """
@@ -60,56 +58,38 @@ class CenterlineFusion:
         memory_lanes, memory_s = MEMORY * config.memory_lanes, MEMORY * config.memory_s
         self.rls = ThetaRls(replace(config, memory_lanes=memory_lanes, memory_s=memory_s))
 
-    def forget(self) -> None:
-        """Drop the centerline."""
-        self.rls.forget()
-
-    def predict(self, after_from_before: SE2, distance_m: float, dt_s: float) -> None:
-        """Carry the centerline over to the body frame after a motion."""
-        self.rls.predict(after_from_before, distance_m, dt_s)
-
     def update(self, left: ThetaRls | None, right: ThetaRls | None, width_m: float, width_variance_m2: float) -> None:
-        """Take in this frame's lines, either of which may be missing, and the lane's width as it is known.
+        """Update by this frame's lines, either of which may be missing, and the estimate of the lane's width.
 
-        With both, the centerline bisects what lies between them; a line that is known badly counts little, and the
-        width then steps in. Without any, nothing changes.
+        The centerline bisects the lines; the width stands in, by its weight, for a line that is missing or uncertain.
+        Without any line nothing changes.
         """
         pairs = ((left, 0.5), (right, -0.5))
         sides = [_Side(rls, rls.line, lateral) for rls, lateral in pairs if rls is not None and rls.line is not None]
         if not sides:
             return
-        s, theta, weight = _collapsed(sides, _breadth(sides, width_m, width_variance_m2))
+        s, theta, weight = _mapped(sides, _width(sides, width_m, width_variance_m2))
         if not len(s):
             return
-        lateral, variance = _middle(sides, width_m, width_variance_m2)
+        lateral, variance = _distance(sides, width_m, width_variance_m2)
         if self.rls.line is None:
             self.rls.start(s, theta, weight, lateral, variance)
         else:
             self.rls.update(s, theta, weight, lateral, variance)
 
-    def line_point(self, rls: ThetaRls | None) -> LinePoint | None:
-        """Where a line meets the perpendicular to the centerline through the reference point: P_L or P_R."""
-        centre = self.rls.line
-        if rls is None or rls.line is None or centre is None:
-            return None
-        theta = centre.heading_at(0.0)
-        _, distance = rls.line.crossing(theta)
-        heading_variance = self.rls.heading_variance_here()
-        return LinePoint.beside(centre.reference_m, theta, distance, rls.lateral_variance_m2, heading_variance)
 
-
-def _breadth(sides: list[_Side], width_m: float, width_variance_m2: float) -> float:
-    """The lane's width [m] at the car, as the lines have it where both are there and known well."""
+def _width(sides: list[_Side], width_m: float, width_variance_m2: float) -> float:
+    """The lane's width [m] at the car: the estimate and the lines' distance, weighted by their variances."""
     if len(sides) < 2:
         return width_m
     left, right = sides
-    doubt = left.rls.lateral_variance_m2 + right.rls.lateral_variance_m2
+    variance = left.rls.lateral_variance_m2 + right.rls.lateral_variance_m2
     measured = min(max(left.line.lateral_m - right.line.lateral_m, 0.3 * width_m), 3.0 * width_m)
-    return (measured * width_variance_m2 + width_m * doubt) / max(width_variance_m2 + doubt, 1e-12)
+    return (measured * width_variance_m2 + width_m * variance) / max(width_variance_m2 + variance, 1e-12)
 
 
-def _collapsed(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Arc lengths on the centerline, directions and weights (n,) of samples of the lines."""
+def _mapped(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Samples of the lines mapped onto the centerline: arc lengths, directions and weights (n,)."""
     directions = [side.line.heading_at(0.0) for side in sides]
     shares = [1.0 / (side.rls.heading_variance_here() + side.rls.config.model_rad**2) for side in sides]
     direction = sum(map(operator.mul, directions, shares)) / sum(shares)
@@ -122,22 +102,22 @@ def _collapsed(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArr
         s = low + (high - low) * _GRID
         theta, weight = rls.samples(s)
         on_centre = to_centerline(s, theta, own, d)
-        # eq. (16): the feet of lines that are not parallel do not lie on one perpendicular
+        # eq. (16): the feet on lines that are not parallel do not lie on one perpendicular
         on_centre += line.lateral_m * math.sin(direction - own) * (1.0 + line.curvature_at(0.0) * d)
         parts.append((on_centre, theta, weight))
     if len(parts) < 2:
         return parts[0] if parts else (_NOTHING, _NOTHING, _NOTHING)
-    # a longer line has its samples farther apart: both shall count equally wherever both are
+    # a longer line has its samples farther apart: weigh both lines equally where both are
     spans = [max(float(on_centre[-1] - on_centre[0]), 0.0) for on_centre, _, _ in parts]
     longest = max(*spans, 1e-9)
     s, theta, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
     return s, theta, weight * np.repeat([span / longest for span in spans], SAMPLES)
 
 
-def _middle(sides: list[_Side], width_m: float, width_variance_m2: float) -> tuple[float, float]:
-    """The centerline's distance from the reference point, and its variance: least squares over the lines and the width.
+def _distance(sides: list[_Side], width_m: float, width_variance_m2: float) -> tuple[float, float]:
+    """The centerline's distance from the reference point [m] and its variance: least squares over lines and width.
 
-    With both lines known well their bisector, whatever the width; with one, that line and half the width.
+    With two certain lines this is their bisector, whatever the width; with one, that line and half the width.
     """
     if len(sides) < 2:
         (rls, line, lateral), *_ = sides
@@ -148,5 +128,5 @@ def _middle(sides: list[_Side], width_m: float, width_variance_m2: float) -> tup
     v_left, v_right = left.rls.lateral_variance_m2, right.rls.lateral_variance_m2
     share_left, share_right = v_right + 0.5 * width_variance_m2, v_left + 0.5 * width_variance_m2
     total = max(v_left + v_right + width_variance_m2, 1e-12)
-    middle = (share_left * from_left + share_right * from_right) / total
-    return middle, (v_left * v_right + 0.25 * (v_left + v_right) * width_variance_m2) / total
+    distance = (share_left * from_left + share_right * from_right) / total
+    return distance, (v_left * v_right + 0.25 * (v_left + v_right) * width_variance_m2) / total

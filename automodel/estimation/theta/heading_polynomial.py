@@ -1,9 +1,9 @@
-"""One line as a cubic theta(s) placed beside the car: positions, feet, and the change of origin.
+"""A line as a cubic theta(s) beside the car: positions, feet of perpendiculars, and the change of origin.
 
 Cudrano et al. 2020, eq. (3), (18)-(21). The origin s = 0 is the foot of the perpendicular from the car's reference
-point, so that the line's place is one number, its distance to the left: the line passes through
-q + lateral n(theta(0)). theta is the cubic where it was fitted (`s_min_m` .. `s_max_m`) and an arc beyond, because a
-cubic runs away where no point holds it.
+point, so that one number gives the line's place, its distance to the left: the line passes through
+q + lateral n(theta(0)). theta is the cubic within the fitted range (`s_min_m` .. `s_max_m`) and an arc beyond it,
+because a cubic runs away where no points hold it.
 """
 
 from __future__ import annotations
@@ -11,30 +11,29 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.curves import Curve, DeferredCurve, JoinedCurve, TabulatedCurve, ThetaCurve, arc
+from automodel.curves import DeferredCurve
 from automodel.curves.foot import Search, nearest_samples, newton_foot
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 ORDER = 4  # coefficients of the cubic
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
-_PLACES, _SHARES = 0.5 + 0.5 * _NODES, 0.5 * _WEIGHTS  # of Gauss-Legendre quadrature on 0 .. 1
+_PLACES, _SHARES = 0.5 + 0.5 * _NODES, 0.5 * _WEIGHTS  # Gauss-Legendre quadrature on 0 .. 1
 _PANEL = tuple(zip(_PLACES.tolist(), _SHARES.tolist(), strict=True))
-_PANEL_SCALES = 0.2  # length of a panel: a fraction of a radian of turn, good to a nanometre in a metre
-_END_SCALES = 0.25  # the arc beyond an end goes on with the mean curvature of so much of the line
-_ROUNDS, _TOLERANCE = 12, 1e-8  # of Newton's method; relative to the scale
+_PANEL_SCALES = 0.2  # [scales] length of a quadrature panel; good to a nanometre per metre
+_END_SCALES = 0.25  # [scales] the arc beyond an end has the mean curvature of this length before it
+_ROUNDS, _TOLERANCE = 12, 1e-8  # of Newton's method: iterations, least step [scales]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Foot:
-    """A point's foot on a line: arc length s [m], the line's direction there [rad], the line's distance [m].
+    """A point's foot on a line: arc length [m], the line's direction there [rad], the line's distance [m].
 
-    The distance is positive where the *line* lies to the left of the point, as seen along the line (Theta and Delta of
+    The distance is positive where the *line* lies to the left of the point, seen along the line (Theta and Delta of
     Cudrano et al. 2020, eq. (20), (21)).
     """
 
@@ -47,9 +46,9 @@ class Foot:
 class HeadingPolynomial:
     """theta(s) = sum_k w_k (s / scale)^k, lowest power first, in the body frame.
 
-    `lateral_m`: distance of the line to the left of the reference point `reference_m` (x, y), along its normal at
-    s = 0. `max_curvature_per_m` bounds the arcs beyond the ends; the far one is no longer than `arc_ahead_m`, then the
-    line goes straight on, as roads do over a crossing.
+    `lateral_m`: distance of the line to the left of the reference point `reference_m` (x, y), along the normal at
+    s = 0. `max_curvature_per_m` bounds the arcs beyond the ends. The far arc is at most `arc_ahead_m` long; beyond it
+    the line is straight, as roads are across a crossing.
     """
 
     coefficients_rad: tuple[float, float, float, float]
@@ -106,10 +105,10 @@ class HeadingPolynomial:
         return (w1 + u * (2.0 * w2 + u * (3.0 * w3))) / self.scale_m
 
     def points(self, s_m: FloatArray) -> FloatArray:
-        """Positions (n, 2) [m] at s (n,), n >= 1: eq. (19), by quadrature from one s to the next.
+        """Positions (n, 2) [m] at s (n,), n >= 1: eq. (19), by quadrature between consecutive s.
 
-        Good to a micrometre for steps over which the line turns by less than half a radian, to some
-        hundredths of a millimetre where they pass an end of the fitted range.
+        Good to a micrometre where the line turns by less than half a radian per step, to some hundredths of a
+        millimetre where a step passes an end of the fitted range.
         """
         s = np.asarray(s_m, dtype=np.float64)
         step = s[1:] - s[:-1]
@@ -128,10 +127,9 @@ class HeadingPolynomial:
         return x - self.lateral_m * math.sin(theta) + dx, y + self.lateral_m * math.cos(theta) + dy
 
     def foot(self, point_m: tuple[float, float], near_s_m: float | None = None) -> Foot:
-        """Foot of the perpendicular from a point, eq. (18): Newton on s, started at `near_s_m`.
+        """Foot of the perpendicular from a point, eq. (18), searched from `near_s_m` or from the nearest sample.
 
-        Without it the nearest point of the fitted range starts the search. A point beyond the centre of the line's
-        curvature has no nearest foot on it; the result is finite all the same.
+        The result is finite also for a point beyond the centre of curvature, which has no foot.
         """
         if near_s_m is None:
             s_grid = np.linspace(min(self.s_min_m, 0.0), max(self.s_max_m, 0.0), 33)
@@ -149,9 +147,9 @@ class HeadingPolynomial:
         return Foot(s_m=s, theta_rad=self.heading_at(s), lateral_m=-left)
 
     def crossing(self, direction_rad: float) -> tuple[float, float]:
-        """Where the line meets the perpendicular, through the reference point, to a direction.
+        """Intersection of the line with the perpendicular to a direction through the reference point.
 
-        Gives s [m] and the distance [m] from the reference point, left of the direction positive.
+        Returns s [m] and the distance [m] from the reference point, positive to the left of the direction.
         """
         cos, sin = math.cos(direction_rad), math.sin(direction_rad)
         s = 0.0
@@ -167,7 +165,7 @@ class HeadingPolynomial:
         return s, (y - self.reference_m[1]) * cos - (x - self.reference_m[0]) * sin
 
     def moved(self, after_from_before: SE2) -> tuple[HeadingPolynomial, float]:
-        """The same line in the body frame after a motion, and how far [m] the origin went along it.
+        """The line in the body frame after a motion, and the distance [m] by which the origin moved along it.
 
         With the origin advanced by ds and the body turned by dpsi, theta'(s) = theta(s + ds) - dpsi.
         """
@@ -189,49 +187,28 @@ class HeadingPolynomial:
         return line, foot.s_m
 
     def ending(self, last_m: float, arc_ahead_m: float) -> HeadingPolynomial:
-        """The same line, where `arc_ahead_m` is finite an arc from `last_m` on and straight beyond that."""
+        """The same line with another length of the far arc; where that is finite the arc starts at `last_m`."""
         last = self.s_max_m if math.isinf(arc_ahead_m) else max(min(last_m, self.s_max_m), self.s_min_m)
         return replace(self, s_max_m=last, arc_ahead_m=arc_ahead_m)
 
-    def curve(self, s_from_m: float, s_to_m: float) -> Curve:
-        """The line from one s to another as an exact curve: the cubic, and an arc where it goes beyond the ends."""
-        if not s_to_m > s_from_m:
-            raise ValueError(f"s_to_m: {s_to_m} where more than s_from_m = {s_from_m} is wanted")
-        ends = (self.s_min_m, self.s_max_m, self.s_max_m + self.arc_ahead_m)
-        bounds = [s_from_m, *(s for s in ends if s_from_m < s < s_to_m), s_to_m]
-        pieces = [self._piece(low, high) for low, high in pairwise(bounds) if high > low]
-        return pieces[0] if len(pieces) == 1 else JoinedCurve(pieces)
+    def curve(self, s_from_m: float, s_to_m: float, lateral_m: float = 0.0, count: int = 33) -> DeferredCurve:
+        """The line between two arc lengths, or the curve `lateral_m` to its left between the same perpendiculars.
 
-    def table(self, s_from_m: float, s_to_m: float, count: int = 33) -> TabulatedCurve:
-        """The line from one s to another as samples: good to a fifth of a millimetre, and made faster than `curve`."""
-        return TabulatedCurve(*self._samples(s_from_m, s_to_m, count))
-
-    def deferred(self, s_from_m: float, s_to_m: float, count: int = 33) -> DeferredCurve:
-        """The same as `table`, computed when it is first used."""
-        return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count))
-
-    def beside(self, aside_m: float, s_from_m: float, s_to_m: float, count: int = 33) -> DeferredCurve:
-        """The curve `aside_m` to the left, from the perpendicular at one s to that at another."""
-        return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count, aside_m))
+        It is computed at its first use, from `count` samples: good to a fifth of a millimetre.
+        """
+        return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count, lateral_m))
 
     def _samples(
-        self, s_from_m: float, s_to_m: float, count: int, aside_m: float = 0.0
+        self, s_from_m: float, s_to_m: float, count: int, lateral_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         s = np.linspace(s_from_m, s_to_m, count)
         points, theta, kappa = self.points(s), self.heading(s), self.curvature(s)
-        if aside_m == 0.0:
+        if lateral_m == 0.0:
             return s - s_from_m, points, theta, kappa
-        points += aside_m * np.column_stack((-np.sin(theta), np.cos(theta)))
-        stretch = np.maximum(1.0 - kappa * aside_m, 0.05)
+        points += lateral_m * np.column_stack((-np.sin(theta), np.cos(theta)))
+        stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
         steps = 0.5 * (stretch[1:] + stretch[:-1]) * (s[1:] - s[:-1])
         return np.concatenate(([0.0], np.cumsum(steps))), points, theta, kappa / stretch
-
-    def _piece(self, low: float, high: float) -> Curve:
-        x, y = self.point_at(low)
-        if high <= self.s_min_m or low >= self.s_max_m:
-            return arc(x, y, self.heading_at(low), self.curvature_at(0.5 * (low + high)), high - low)
-        w = shift_matrix(low / self.scale_m) @ self.coefficients_rad
-        return ThetaCurve(x, y, w / self.scale_m ** np.arange(ORDER), high - low)
 
     def _cubic(self, s: float) -> float:
         u = s / self.scale_m
@@ -246,7 +223,7 @@ class HeadingPolynomial:
         return min(max(kappa, -self.max_curvature_per_m), self.max_curvature_per_m)
 
     def _chord(self, start: float, end: float) -> tuple[float, float]:
-        """The chord from one s to another, eq. (19), by Gauss-Legendre in panels; at the joints the curvature jumps."""
+        """The chord between two s, eq. (19), by quadrature in panels that end where the curvature jumps."""
         for joint in (self.s_min_m, self.s_max_m, self.s_max_m + self.arc_ahead_m):
             if start < joint < end or end < joint < start:
                 (x0, y0), (x1, y1) = self._chord(start, joint), self._chord(joint, end)
@@ -264,7 +241,7 @@ class HeadingPolynomial:
 
 
 def shift_matrix(shift: float) -> FloatArray:
-    """The map (4, 4) from a cubic's coefficients, lowest power first, to those of the same cubic at u + shift."""
+    """The map (4, 4) from the coefficients of a cubic p(u), lowest power first, to those of p(u + shift)."""
     d, d2 = shift, shift * shift
     return np.array(
         (

@@ -3,11 +3,11 @@
 Cudrano et al. 2020, section IV: the points of a line are "temporarily fit to a cubic spline model to filter out the
 small noise", the spline is sampled, and eq. (1) gives arc length s and direction theta of each sample.
 
-The spline is c(t) = sum_j c_j B_j(t) on equal knots, t the chord length, and minimises
-sum_i |c(t_i) - p_i|^2 / sigma_i^2 + sum_k |c'''_k|^2 / q^2, c'''_k the third derivative in interval k. As a prior that
-is: the curvature changes by about q [1/m^2]. Quadratics, so nearly arcs, cost nothing: the ends of a bend
-are not pulled straight. One small system is solved for x and y together, and its inverse tells how well the samples
-are known.
+The spline is c(t) = sum_j c_j B_j(t) on equidistant knots, t the chord length. It minimises
+sum_i |c(t_i) - p_i|^2 / sigma_i^2 + sum_k |c'''_k|^2 / q^2, with c'''_k the third derivative in interval k. As a
+prior that is a random walk of the curvature with steps of about q [1/m^2]. Quadratics, which are nearly arcs, cost
+nothing, so the ends of a bend are not straightened. One small linear system gives x and y; its inverse gives the
+covariance of the samples.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from automodel.types import FloatArray
 
 MIN_POINTS = 4
 MAX_INTERVALS, MAX_PER_INTERVAL = 16, 32
-FAR_M = 1e4  # no point of a line lies so far from the car
-WIDE = 3  # points on either side that tell a step's direction
-FOLD_RAD = 0.9  # a line that turns so much from one sample to the next has turned back
-OUTLIER_SIGMAS = 4.0  # beyond this residual a point counts less, as its inverse fourth power
-ROUNDS = 4  # of fitting, while there are outliers
+FAR_M = 1e4  # coordinates and sigmas beyond are not used
+WIDE = 3  # points on either side that give the direction of a step
+FOLD_RAD = 0.9  # turn between two samples from which on a line has turned back
+OUTLIER_SIGMAS = 4.0  # a point beyond this residual weighs less, by the inverse fourth power of the residual
+ROUNDS = 4  # most iterations of reweighting
 
-# B-spline pieces on 0 .. 1 (rows: powers 0 .. 3 of the place in the interval; columns: the four splines alive there)
+# Cubic B-splines on an interval: rows are powers 0 .. 3 of the place 0 .. 1 in it, columns the four splines there
 _PIECES = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
 
 
@@ -37,8 +37,8 @@ class SampledLine:
     """Samples of one line, in order; n >= 2, all finite.
 
     `s_m` (n,) arc length from the first sample, rising; `theta_rad` (n,) direction, continuous; `points_m` (n, 2);
-    `theta_sigma_rad` (n,) and `lateral_sigma_m` (n,) their standard deviations. Neighbouring samples share their
-    errors: together they count as `independence` times their number.
+    `theta_sigma_rad` (n,) and `lateral_sigma_m` (n,) their standard deviations. The errors of neighbouring samples are
+    correlated: n samples weigh as `independence` times n.
     """
 
     s_m: FloatArray
@@ -59,10 +59,9 @@ def smooth(
 ) -> SampledLine | None:
     """The line through points (n, 2) [m] of standard deviations (n,) [m], sampled every `step_m` or a little less.
 
-    `knot_m` is the spacing of the spline's knots, `curvature_rate_per_m2` how fast the curvature may change. There are
-    16 knots and 512 samples at most: on a long line they lie farther apart. Points that are not finite are left out,
-    outliers count little, and a line that turns back ends there. None where no line is left: fewer than four distinct
-    points, or no length.
+    `knot_m` is the spacing of the spline's knots, `curvature_rate_per_m2` is q. There are at most 16 knots and 512
+    samples: on a long line they lie farther apart. Points that are not finite are ignored, outliers weigh little, and a
+    line that turns back ends there. None with fewer than four distinct points, or without length.
     """
     points, sigma = _usable(points_m, sigma_m)
     if len(points) < MIN_POINTS:
@@ -99,10 +98,10 @@ def _usable(points_m: FloatArray, sigma_m: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _chord_lengths(points: FloatArray, knot_m: float) -> FloatArray:
-    """Way (n,) along the line to each point.
+    """Chord length (n,) along the line to each point [m].
 
-    Where points are dense a step counts along the direction of its wider neighbourhood, half a knot to either side at
-    most: noise across the line does not make the line longer, and a step back is none.
+    Where points are dense a step counts along the direction of its neighbourhood, at most half a knot to either side,
+    so that noise across the line does not lengthen it; a step backwards counts 0.
     """
     steps = points[1:] - points[:-1]
     count = len(steps)
@@ -135,11 +134,11 @@ def _sampled(
     end = int(folds.argmax()) + 1 if folds.any() else len(points)
     steps = points[1:end] - points[: end - 1]
     turn = turn[: end - 1]
-    way = np.hypot(steps[:, 0], steps[:, 1]) * (1.0 + turn * turn / 24.0)  # an arc is longer than its chord
-    if end < MIN_POINTS or not (way > 0.0).all():
+    length = np.hypot(steps[:, 0], steps[:, 1]) * (1.0 + turn * turn / 24.0)  # an arc is longer than its chord
+    if end < MIN_POINTS or not (length > 0.0).all():
         return None
     s, theta = np.zeros(end), np.empty(end)
-    np.cumsum(way, out=s[1:])
+    np.cumsum(length, out=s[1:])
     theta[0] = np.arctan2(rate[0, 1], rate[0, 0])
     theta[1:] = theta[0] + np.cumsum(turn)
     covariance = np.linalg.solve(normal, np.eye(len(control)))
@@ -174,7 +173,7 @@ def _basis(u: FloatArray, intervals: int) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def _sample_basis(intervals: int, per_interval: int) -> FloatArray:
-    """Values, and below them slopes by interval, (2 n, intervals + 3) of the splines at equal steps from end to end."""
+    """Values and, below them, slopes per interval (2 n, intervals + 3) of the splines at equidistant places."""
     u = np.linspace(0.0, intervals, intervals * per_interval + 1)
     slopes = np.zeros((len(u), intervals + 3))
     which = np.minimum(u.astype(np.intp), intervals - 1)

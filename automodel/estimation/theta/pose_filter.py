@@ -1,21 +1,17 @@
-"""The car's pose in the lane by an extended Kalman filter, on filterpy's (Cudrano et al. 2020, eq. (22)-(25)).
+"""The car's pose in the lane by an extended Kalman filter (Cudrano et al. 2020, eq. (22)-(25), on filterpy's).
 
-Beyond the paper: the car's motion as control input, a gate for each measurement, one line alone, and the centerline's
-direction as a measurement of its own. State, motion and measurement are those of `pose_model`.
+State (theta, rho, w): the centerline's direction seen from the car [rad], the car's offset in half lane widths (left
+positive), the lane's width [m]. Measured are the points P_L, P_R in which the lane's lines meet the perpendicular to
+the centerline through the reference point.
 
-The model behind the lane-pose filter: how the pose changes with the car's motion, and what is measured of it.
-
-Cudrano et al. 2020, eq. (22)-(25). State (theta, rho, w): the centerline's direction seen from the car [rad], the car's
-offset in half lane widths (left positive), the lane's width [m]. Measured are the points P_L, P_R in which the lane's
-lines meet the perpendicular to the centerline through the reference point.
-
-The paper's state is a random walk, which lags in every turn. Here the car's motion is the control: relative to the foot
-of the perpendicular the reference point goes from (0, d) to (X, Y), and on a centerline of curvature kappa
+The paper's state is a random walk, which lags in every turn. Here the car's motion is the control input: relative to
+the foot of the perpendicular the reference point moves from (0, d) to (X, Y), and on a centerline of curvature kappa
 
     d'     = (2 Y - kappa (X^2 + Y^2)) / (1 + h),   h = |(kappa X, 1 - kappa Y)|
     theta' = theta + atan2(kappa X, 1 - kappa Y) - dpsi
 
-which is exact on arcs and has no exception for the straight.
+which is exact on arcs and needs no special case for the straight. Also beyond the paper: a gate for each measurement,
+updates with one line, and the centerline's direction as a measurement of its own.
 """
 
 from __future__ import annotations
@@ -29,15 +25,18 @@ from typing import Any
 
 import numpy as np
 
+from automodel.curves.foot import foot_on_circle
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
 from automodel.types import FloatArray
 
-_LEAST_RADIUS = 0.05  # of the centerline's: nearer to its centre of curvature the Jacobian is cut off
+_LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
+_DIRECTION = slice(4, 5)
+_LEAST_STRETCH = 0.05  # least h in the Jacobian: it is 0 at the centre of curvature
 
 
 class State(IntEnum):
-    """Places in the state's vector."""
+    """Indices of the state vector."""
 
     THETA = 0  # [rad]
     RHO = 1  # [half lane widths]
@@ -68,43 +67,38 @@ def predicted_state(
 ) -> tuple[FloatArray, FloatArray]:
     """State (3,) after a motion, and its Jacobian (3, 3).
 
-    `shift_m` is the reference point's way in the body frame before the motion, `turn_rad` the body's turn.
+    `shift_m`: displacement of the reference point in the body frame before the motion, `turn_rad`: the body's turn.
     """
     theta, rho, width = (float(value) for value in state)
     cos, sin, kappa = math.cos(theta), math.sin(theta), kappa_per_m
-    along, aside = shift_m[0] * cos + shift_m[1] * sin, shift_m[1] * cos - shift_m[0] * sin
-    y = 0.5 * rho * width + aside
+    along, left = shift_m[0] * cos + shift_m[1] * sin, shift_m[1] * cos - shift_m[0] * sin
+    y = 0.5 * rho * width + left
     u, v = 1.0 - kappa * y, kappa * along
-    h = max(math.hypot(u, v), _LEAST_RADIUS)
-    offset = (2.0 * y - kappa * (along * along + y * y)) / (1.0 + h)
-    turned = math.atan2(v, u)
-    offset_along, offset_aside = -v / h, u / h
-    turned_along, turned_aside = kappa * u / (h * h), kappa * v / (h * h)
+    h = max(math.hypot(u, v), _LEAST_STRETCH)
+    foot, offset = foot_on_circle(along, y, kappa)
+    offset_along, offset_left = -v / h, u / h
+    turn_along, turn_left = kappa * u / (h * h), kappa * v / (h * h)
     jacobian = np.array(
         (
-            (1.0 + turned_along * aside - turned_aside * along, 0.5 * width * turned_aside, 0.5 * rho * turned_aside),
+            (1.0 + turn_along * left - turn_left * along, 0.5 * width * turn_left, 0.5 * rho * turn_left),
             (
-                2.0 / width * (offset_along * aside - offset_aside * along),
-                offset_aside,
-                rho / width * offset_aside - 2.0 * offset / width**2,
+                2.0 / width * (offset_along * left - offset_left * along),
+                offset_left,
+                rho / width * offset_left - 2.0 * offset / width**2,
             ),
             (0.0, 0.0, 1.0),
         )
     )
-    return np.array((wrap_angle(theta + turned - turn_rad), 2.0 * offset / width, width)), jacobian
-
-
-_LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
-_DIRECTION = slice(4, 5)
+    return np.array((wrap_angle(theta + kappa * foot - turn_rad), 2.0 * offset / width, width)), jacobian
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFilterConfig:
-    """Noise of the lane's pose; offsets and widths in lane widths, growing with the way in lane widths and the time.
+    """Noise of the lane's pose, by distance and by time; offsets and widths in lane widths.
 
-    Each pair is the standard deviation gained over one lane width of way, and in one second; `lost` that of heading
-    [rad] and offset in one second while the car's motion is not known. `gate`: the share of good measurements that
-    pass. A line refused `patience` times in a row is right and the filter wrong: it opens up.
+    Each pair holds the standard deviations gained over one lane width of distance and over one second; `lost` holds
+    those of heading [rad] and offset over one second of unknown motion. `gate`: share of good measurements that pass.
+    After `patience` rejections of a line in a row the filter is taken to be wrong and its covariance is opened.
     """
 
     lane_width_m: float
@@ -115,8 +109,8 @@ class PoseFilterConfig:
     lost: tuple[float, float] = (1.0, 0.5)
     gate: float = 0.999
     patience: int = 15
-    least_width: float = 0.4  # of the lane width; the estimate stays between
-    most_width: float = 2.5
+    least_width: float = 0.4  # share of the lane width that bounds the estimate from below, and
+    most_width: float = 2.5  # from above
 
     def __post_init__(self) -> None:
         if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
@@ -138,9 +132,9 @@ class LinePoint:
         distance_variance_m2: float,
         theta_variance_rad2: float,
     ) -> LinePoint:
-        """The point at a distance to the left of the reference point, square to a direction theta.
+        """The point at a distance to the left of the reference point, perpendicular to a direction theta.
 
-        Across the line it is as good as the distance, along it as the direction.
+        Its variance across the line is that of the distance, along the line that due to the direction.
         """
         cos, sin = math.cos(theta_rad), math.sin(theta_rad)
         across, along = distance_variance_m2, distance_m * distance_m * theta_variance_rad2
@@ -156,9 +150,9 @@ class LinePoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseUpdate:
-    """Which measurements passed their gates, and the normalised innovation squared of those, of `dimensions` numbers.
+    """Which measurements passed their gates, and their normalised innovation squared.
 
-    A consistent filter's `nis` is chi-square distributed with so many degrees of freedom.
+    In a consistent filter `nis` is chi-square distributed with `dimensions` degrees of freedom.
     """
 
     left: bool
@@ -169,18 +163,18 @@ class PoseUpdate:
 
 
 class LanePoseFilter:
-    """Heading, offset and width over time; stands on the lane's middle until `begin`.
+    """Heading, offset and width over time; on the centerline until `begin`.
 
-    `rejected` counts measurements that failed their gate since `begin`.
+    `rejected` counts the measurements that failed their gate since `begin`.
     """
 
-    _CURVATURE_LIMIT = 0.9  # of 1 / half width: a centerline turns no tighter about the car
-    _FLOOR = 1e-3  # [lane widths] no point is known better
-    _UNSURE = 0.05  # [lane widths] a width of more sigma is hardly known
-    _OPENED = (0.25, 0.2, 0.15)  # heading [rad], offset and width [lane widths] of a filter that knows little
+    _CURVATURE_LIMIT = 0.9  # share of 1 / half width that bounds the curvature
+    _FLOOR = 1e-3  # [lane widths] least standard deviation of a point
+    _UNSURE = 0.05  # [lane widths] a width with a larger standard deviation counts as unknown
+    _OPENED = (0.25, 0.2, 0.15)  # heading [rad], offset and width [lane widths]: sigmas of an opened filter
 
     def __init__(self, config: PoseFilterConfig) -> None:
-        from filterpy.kalman import ExtendedKalmanFilter  # draws in scipy: most of a second that other commands save
+        from filterpy.kalman import ExtendedKalmanFilter  # imports scipy, which takes most of a second
 
         self.config = config
         self._pair_gate = -2.0 * math.log1p(-config.gate)  # chi-square with two degrees of freedom
@@ -203,17 +197,12 @@ class LanePoseFilter:
         self._ekf.x = np.array((-heading_rad, 2.0 * offset_m / width, width))
         self._ekf.P = self._spread(sigma)
         self.rejected = 0
-        self._refused = [0, 0, 0]  # times in a row: left, right, direction
+        self._rejections = [0, 0, 0]  # times in a row: left, right, direction
 
     @property
     def state(self) -> FloatArray:
         """(theta, rho, w) in the paper's signs."""
         return np.array(self._ekf.x)
-
-    @property
-    def state_covariance(self) -> FloatArray:
-        """Covariance (3, 3) of the state."""
-        return np.array(self._ekf.P)
 
     @property
     def offset_m(self) -> float:
@@ -238,9 +227,9 @@ class LanePoseFilter:
         return np.asarray(to_pose @ self._ekf.P @ to_pose.T)
 
     def predict(self, after_from_before: SE2, curvature_per_m: float, dt_s: float, motion_known: bool = True) -> None:
-        """Carry the pose over a motion of the body in `dt_s`, on a centerline of that curvature.
+        """Predict the pose after a motion of the body in `dt_s`, on a centerline of that curvature.
 
-        Where the motion is not known it counts as none, and the pose may have gone anywhere.
+        An unknown motion counts as none, with a large process noise.
         """
         config, width = self.config, self.width_m
         before = after_from_before.inverse() if motion_known else SE2()
@@ -252,15 +241,15 @@ class LanePoseFilter:
         limit = self._CURVATURE_LIMIT / (0.5 * width)
         kappa = min(max(curvature_per_m, -limit), limit)
         self._next, self._ekf.F = predicted_state(self._ekf.x, shift, before.yaw_rad, kappa)
-        way, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
-        heading, offset, breadth = (
-            way * along * along + time * still * still
-            for along, still in (config.heading_rad, config.offset_lanes, config.width_lanes)
+        distance, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
+        heading, offset, width_noise = (
+            distance * driven * driven + time * still * still
+            for driven, still in (config.heading_rad, config.offset_lanes, config.width_lanes)
         )
         if not motion_known:
             heading, offset = (q + time * lost * lost for q, lost in zip((heading, offset), config.lost, strict=True))
         self._ekf.Q = np.diag(
-            (heading, offset * (2.0 * config.lane_width_m / width) ** 2, breadth * config.lane_width_m**2)
+            (heading, offset * (2.0 * config.lane_width_m / width) ** 2, width_noise * config.lane_width_m**2)
         )
         self._ekf.predict()
         self._ekf.P = 0.5 * (self._ekf.P + self._ekf.P.T)
@@ -268,16 +257,15 @@ class LanePoseFilter:
     def update(
         self, left: LinePoint | None, right: LinePoint | None, theta: tuple[float, float] | None = None
     ) -> PoseUpdate:
-        """Take in what was measured of this frame's lines; what is None, not finite or past its gate is left out.
+        """Update by this frame's measurements; one that is None, not finite or outside its gate is ignored.
 
-        `theta`: the centerline's direction [rad], eq. (20), and its variance, as a measurement of its own beside the
-        paper's four: for lines that are seen in a single point each, or only one line. With one line alone a width
-        that is known stays as it is, and what is not known of it goes into the offset's variance; one that is hardly
-        known may still learn from the two lines seen one after the other.
+        `theta`: the centerline's direction [rad], eq. (20), and its variance [rad^2], a measurement beyond the paper's
+        four for one line, or two lines seen in one point each. With one line a known width stays as it is and its
+        variance enters the offset's; an unknown width may learn from the two lines seen one after the other.
         """
-        if max(self._refused) >= self.config.patience:
+        if max(self._rejections) >= self.config.patience:
             self._ekf.P = self._ekf.P + self._spread(self._OPENED)
-            self._refused = [0, 0, 0]
+            self._rejections = [0, 0, 0]
         h, jacobian = predicted_measurement(self._ekf.x, self.config.reference_x_m)
         measured = [
             (which, rows, point.point_m - h[rows], point.covariance_m2 + self._floor)
@@ -302,7 +290,7 @@ class LanePoseFilter:
         return PoseUpdate(left=0 in used, right=1 in used, heading=2 in used, nis=nis, dimensions=sum(map(len, noises)))
 
     def _passes(self, which: int, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray) -> bool:
-        """Whether a measurement is finite, of a possible covariance, and within its gate."""
+        """Whether a measurement is finite, has a positive definite covariance, and lies within its gate."""
         spread = (jacobian @ self._ekf.P @ jacobian.T + noise).tolist()
         if len(innovation) == 1:
             ((determinant,),), limit = spread, self._single_gate
@@ -315,13 +303,13 @@ class LanePoseFilter:
             possible = noise[0, 0] > 0.0 and noise[0, 0] * noise[1, 1] > noise[0, 1] * noise[1, 0]
         good = bool(possible) and math.isfinite(determinant) and 0.0 <= inside <= limit * determinant
         self.rejected += not good
-        self._refused[which] = 0 if good else self._refused[which] + 1
+        self._rejections[which] = 0 if good else self._rejections[which] + 1
         return good
 
     def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray, free: bool) -> float:
-        """The filter's update, the width's too where it is `free`; gives the normalised innovation squared."""
+        """The filter's update, of the width too where it is `free`; returns the normalised innovation squared."""
         ekf = self._ekf
-        if free:  # the innovation itself is handed over, since directions wrap
+        if free:  # filterpy gets the innovation itself, because directions wrap
             ekf.update(innovation, lambda _: jacobian, lambda _: 0.0, R=noise)
             nis = float(innovation @ ekf.SI @ innovation)
         else:
@@ -352,9 +340,9 @@ class LanePoseFilter:
 def _gain_at_given_width(covariance: FloatArray, jacobian: FloatArray, noise: FloatArray) -> FloatArray:
     """Kalman gain (3, m) of heading and offset as if the width were known; the width's row is zero.
 
-    One line cannot tell a wider lane from a car farther from it: the width is kept, and the offset takes all of the
-    difference. In Joseph's form the covariance then says how far both are wrong together (Schmidt's consider filter
-    would leave part of the difference to the width that it does not correct).
+    One line cannot distinguish a wider lane from a car farther away: the width is kept, and the offset takes the whole
+    innovation. In Joseph's form the covariance then holds their common error. (Schmidt's consider filter would leave
+    part of the innovation to the width, which it does not correct.)
     """
     pose, width = slice(0, State.WIDTH), State.WIDTH
     mixed = covariance[pose, width]

@@ -1,16 +1,14 @@
-"""Recursive least squares with forgetting on theta(s), and the line's distance beside it.
+"""Recursive least squares with forgetting on theta(s), and a Kalman filter on the line's distance.
 
 Cudrano et al. 2020, eq. (3)-(13). The paper's recursion over the points of a frame, with the forgetting factor mu at
 the first of them, is one step in information form (L is the inverse of the paper's R):
 
     L <- mu L + Phi^T W Phi,   b <- mu b + Phi^T W theta,   w <- L^-1 b
 
-What the paper leaves open: the origin s = 0 is the foot of the perpendicular from the car's reference point and moves
-with it, which is a linear map on w and the congruent one on L; the line's distance from the reference point is
-filtered beside its shape; a weak prior draws curvature and its rates to zero where few points are seen. The prior is
-added to L and b when w is solved for, and not kept in them: all points together outweigh it, not each frame's.
-
-Where one frame's samples of a line lie beside the car.
+Beyond the paper: the origin s = 0 is the foot of the perpendicular from the car's reference point and moves with the
+car, which is a linear map on w and the congruent one on L. The line's distance from the reference point is filtered
+separately. A weak prior draws the curvature and its rates to zero where few points are seen; it is added to L and b
+when w is solved for and not kept in them, so that it stays weak against all points together.
 """
 
 from __future__ import annotations
@@ -27,60 +25,20 @@ from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
-NEAR_SAMPLES = 16  # of a line that does not reach the car: those next to it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FootProjection:
-    """Where samples lie: arc lengths (n,) from the reference point's foot, and the line's distance there [m].
-
-    `nearest` is the sample next to the foot; `beside` tells whether the samples reach the foot.
-    """
-
-    s_m: FloatArray
-    lateral_m: float
-    nearest: int
-    beside: bool
-
-
-def project_foot(
-    sampled: SampledLine, reference_m: tuple[float, float], known: HeadingPolynomial | None
-) -> FootProjection:
-    """Place samples beside the reference point.
-
-    A line that begins ahead of the foot is joined to it along the known line, or else along its own arc.
-    """
-    i = int(nearest_samples(sampled.points_m, np.array([reference_m]))[0])
-    last = len(sampled.s_m) - 1
-    s, theta = float(sampled.s_m[i]), float(sampled.theta_rad[i])
-    cos, sin = math.cos(theta), math.sin(theta)
-    x, y = (reference_m - sampled.points_m[i]).tolist()
-    ahead, left = x * cos + y * sin, y * cos - x * sin
-    beside = not ((i == 0 and ahead < 0.0) or (i == last and ahead > 0.0))
-    if not beside and known is not None:
-        start = sampled.points_m[i].tolist()
-        foot = known.foot((start[0], start[1]), near_s_m=-ahead)
-        return FootProjection(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
-    reach = 1 if beside else NEAR_SAMPLES
-    low, high = max(i - reach, 0), min(i + reach, last)
-    kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
-    step, left = foot_on_circle(ahead, left, kappa, LEAST_STRETCH)
-    return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=-left, nearest=i, beside=beside)
-
-
-BEARING_RAD = 0.02  # how far off the direction between the foot and a sample may be at least
-BEND = 0.25  # [lane widths] how far a line strays in a lane width beyond its last point
+NEAR_SAMPLES = 16  # those nearest to the car, of a line that does not reach it
+BEARING_RAD = 0.02  # least standard deviation of the direction from the foot to a sample
+BEND = 0.25  # [lane widths] standard deviation of a line's place a lane width beyond its last point
+FORGOTTEN = 1e-4  # a line whose information has decayed to this share starts again
 _IDENTITY: FloatArray = np.eye(ORDER)
-FORGOTTEN = 1e-4  # a line that has kept so little of its weight begins anew
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThetaRlsConfig:
-    """Scales of the filter; lengths in lane widths, so that one set holds from scale car to highway.
+    """Scales of the filter; lengths in lane widths, so that one set serves scale cars and highways.
 
-    A point's weight falls by e in `memory_lanes` of way or `memory_s` of time. `prior_rad`: expected size of the second
-    to fourth coefficient at `scale_lanes`; infinite switches the prior off. A cubic is no road: at s its error
-    counts as `model_rad` (1 + (s / `sight_lanes`)^2). Residuals beyond `huber_rad` count linearly, None: all squared.
+    The weight of a point falls by e within a distance of `memory_lanes` or a time of `memory_s`. `prior_rad`: standard
+    deviations of the second to fourth coefficient at `scale_lanes`; infinity switches the prior off. The cubic's own
+    error at s is `model_rad` (1 + (s / `sight_lanes`)^2).
     """
 
     lane_width_m: float
@@ -91,27 +49,24 @@ class ThetaRlsConfig:
     prior_rad: tuple[float, float, float] = (2.5, 1.5, 1.0)
     model_rad: float = 0.02
     sight_lanes: float = 1.0
-    huber_rad: float | None = None
-    lateral_walk_lanes: float = 0.02  # what the line's distance changes in a lane width of way
-    lateral_still_lanes: float = 0.02  # and in a second
-    tightest_lanes: float = 1.2  # radius of the tightest bend that is believed beyond the points
+    lateral_walk_lanes: float = 0.02  # random walk of the line's distance over a lane width of distance
+    lateral_still_lanes: float = 0.02  # and over a second
+    tightest_lanes: float = 1.2  # radius of the tightest arc beyond the points
 
     def __post_init__(self) -> None:
         lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes, self.tightest_lanes)
         if not all(value > 0.0 for value in (*lengths, self.memory_s, self.model_rad, *self.prior_rad)):
             raise ValueError("ThetaRlsConfig: lane width, scales, memories and priors must be positive")
-        if self.huber_rad is not None and not self.huber_rad > 0.0:
-            raise ValueError(f"huber_rad: {self.huber_rad} where a positive number or None is wanted")
 
 
 class ThetaRls:
-    """One line over time. `line` is None until `begin` or `take`; every number it gives is finite.
+    """One line over time. `line` is None until `start` or `take`; all values are finite.
 
     `information` (4, 4) [1/rad^2] is L, of the coefficients of (s / scale)^k, lowest power first;
     `lateral_variance_m2` is that of `line.lateral_m`.
     """
 
-    _DAMPING = 1e-10  # [1/rad^2] keeps the system regular without points; draws to the present coefficients
+    _DAMPING = 1e-10  # [1/rad^2] keeps the system regular without points; holds the coefficients where they are
 
     def __init__(self, config: ThetaRlsConfig) -> None:
         self.config = config
@@ -127,15 +82,15 @@ class ThetaRls:
         self.line: HeadingPolynomial | None = None
         self.lateral_variance_m2 = math.inf
         self._learn(np.zeros((ORDER, ORDER)), np.zeros(ORDER))
-        self._kept = 1.0  # of the weight that the support's range had at the last update
+        self._kept = 1.0  # share of the weight of the last update's points that is left
 
     def start(
         self, s_m: FloatArray, theta_rad: FloatArray, weight: FloatArray, lateral_m: float, lateral_variance_m2: float
     ) -> None:
-        """Start from one frame's points (n,) and the line's distance, as in `update`; what was known is forgotten.
+        """Start again from one frame's points (n,) and the line's distance, as in `update`.
 
-        Without a point, or with one that is not finite, there is no line afterwards. The distance is taken to be known
-        to a lane width.
+        Without points, or with one that is not finite, there is no line afterwards. The variance of the distance is
+        bounded by a squared lane width.
         """
         self.forget()
         if not len(s_m) or not (_finite(s_m, theta_rad, weight) and math.isfinite(lateral_m)):
@@ -146,9 +101,9 @@ class ThetaRls:
         self.update(s_m, theta_rad, weight)
 
     def predict(self, after_from_before: SE2, distance_m: float, dt_s: float) -> None:
-        """Carry the line over to the body frame after a motion of `distance_m` in `dt_s`, and forget a little.
+        """Move the line into the body frame after a motion of `distance_m` in `dt_s`, and forget accordingly.
 
-        A motion that is not finite counts as none.
+        A motion that is not finite is ignored.
         """
         motion = (after_from_before.x_m, after_from_before.y_m, after_from_before.yaw_rad, distance_m, dt_s)
         if self.line is None or not all(map(math.isfinite, motion)):
@@ -174,9 +129,9 @@ class ThetaRls:
         lateral_m: float | None = None,
         lateral_variance_m2: float = 0.0,
     ) -> None:
-        """Take in points (n,) of weights [1/rad^2], and the line's distance where it was measured.
+        """Add points (n,) of weights [1/rad^2], and the line's distance [m] where it was measured.
 
-        Does nothing without a line to update, or where a number is not finite; theta may be off by whole turns.
+        Values that are not finite are ignored; theta may differ by whole turns. Nothing happens without a line.
         """
         if self.line is None:
             return
@@ -187,12 +142,9 @@ class ThetaRls:
             theta = theta_rad + (off - math.remainder(off, math.tau))
             before = np.array(self.line.coefficients_rad)
             w, *learnt = self._solve(before, phi, theta, weight)
-            if self.config.huber_rad is not None:
-                excess = np.abs(theta - phi @ w) / self.config.huber_rad
-                w, *learnt = self._solve(before, phi, theta, weight / np.maximum(excess, 1.0))
             self._learn(*learnt)
             low, high = float(s_m.min()), float(s_m.max())
-            # the cubic holds where points are, and where points were as long as these count
+            # the cubic is valid where points are, and where points were as long as these have weight
             low = min(low, low + self._kept * (self.line.s_min_m - low))
             high = max(high, high + self._kept * (self.line.s_max_m - high))
             self._kept = 1.0
@@ -201,9 +153,9 @@ class ThetaRls:
             self._place(lateral_m, lateral_variance_m2)
 
     def take(self, sampled: SampledLine) -> None:
-        """One frame's line: its directions into the shape, then its points near the car into the distance.
+        """Add one frame's line: its directions update the shape, its points near the car the distance.
 
-        Begins with it where there is no line yet, or where what was known is as good as forgotten.
+        Starts with it where there is no line yet, or where what was known is as good as forgotten.
         """
         if self._kept < FORGOTTEN:
             self.forget()
@@ -221,19 +173,14 @@ class ThetaRls:
         else:
             self._place(*self._lateral(self.line, sampled, place.s_m))
 
-    def heading_variance(self, s_m: FloatArray) -> FloatArray:
-        """Variance (n,) [rad^2] of the direction at s (n,)."""
-        phi = design(s_m / self.scale_m)
-        return np.einsum("ij,ij->i", phi @ self._covariance(), phi)
-
     def heading_variance_here(self) -> float:
         """Variance [rad^2] of the direction at the foot, s = 0."""
         return float(self._covariance()[0, 0])
 
     def samples(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Direction [rad] and weight [1/rad^2] (n,) at s (n,) where the cubic was fitted.
+        """Direction [rad] and weight [1/rad^2] (n,) at s (n,), for a fit to all of them.
 
-        The weights are for a fit to all of them: they share four unknowns, so together they count as four.
+        The directions depend on four unknowns, so together they weigh as four. Raises ValueError without a line.
         """
         if self.line is None:
             raise ValueError("samples: there is no line; call start first")
@@ -253,7 +200,7 @@ class ThetaRls:
     def _solve(
         self, w: FloatArray, phi: FloatArray, theta: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Coefficients, information and its vector L w with these points added."""
+        """Coefficients, information and its vector b with these points added."""
         weighted = (phi * weight[:, None]).T
         information, pull = self.information + weighted @ phi, self._pull + weighted @ theta
         step = np.linalg.solve(information + self._held, pull - (information + self._prior) @ w)
@@ -277,7 +224,7 @@ class ThetaRls:
         )
 
     def _place(self, lateral_m: float, variance_m2: float) -> None:
-        """One measurement of the distance, by the scalar Kalman filter."""
+        """Update the distance by one measurement: a scalar Kalman filter."""
         if self.line is None or not (math.isfinite(lateral_m) and 0.0 <= variance_m2 < math.inf):
             return
         line = self.line
@@ -287,9 +234,9 @@ class ThetaRls:
         self._shape(line.coefficients_rad, lateral, line.s_min_m, line.s_max_m)
 
     def _lateral(self, line: HeadingPolynomial, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
-        """The distance of a line that does not reach the foot, and its variance.
+        """Distance [m] and its variance [m^2] of a line that does not reach the foot.
 
-        It follows from the samples next to the foot through theta(s), the less surely the farther they are.
+        They follow through theta(s) from the samples nearest to the foot, with less weight the farther these are.
         """
         near = slice(0, NEAR_SAMPLES) if s[0] > 0.0 else slice(-NEAR_SAMPLES, None)
         places, theta = s[near], sampled.theta_rad[near]
@@ -303,6 +250,44 @@ class ThetaRls:
             return math.nan, math.inf
         step = float(weighted @ residual) / total
         return line.lateral_m + step, 1.0 / (total * max(sampled.independence, 1.0 / NEAR_SAMPLES))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FootProjection:
+    """Samples of a line beside the car: arc lengths (n,) from the foot of the reference point, the line's distance [m].
+
+    `nearest` is the index of the sample nearest to the foot; `beside` is whether the samples reach the foot.
+    """
+
+    s_m: FloatArray
+    lateral_m: float
+    nearest: int
+    beside: bool
+
+
+def project_foot(
+    sampled: SampledLine, reference_m: tuple[float, float], known: HeadingPolynomial | None
+) -> FootProjection:
+    """Project the reference point onto samples of a line.
+
+    Where they start beyond the foot, the known line bridges the gap, or else the arc of the nearest samples.
+    """
+    i = int(nearest_samples(sampled.points_m, np.array([reference_m]))[0])
+    last = len(sampled.s_m) - 1
+    s, theta = float(sampled.s_m[i]), float(sampled.theta_rad[i])
+    cos, sin = math.cos(theta), math.sin(theta)
+    x, y = (reference_m - sampled.points_m[i]).tolist()
+    ahead, left = x * cos + y * sin, y * cos - x * sin
+    beside = not ((i == 0 and ahead < 0.0) or (i == last and ahead > 0.0))
+    if not beside and known is not None:
+        start = sampled.points_m[i].tolist()
+        foot = known.foot((start[0], start[1]), near_s_m=-ahead)
+        return FootProjection(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
+    reach = 1 if beside else NEAR_SAMPLES
+    low, high = max(i - reach, 0), min(i + reach, last)
+    kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
+    step, left = foot_on_circle(ahead, left, kappa, LEAST_STRETCH)
+    return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=-left, nearest=i, beside=beside)
 
 
 def design(u: FloatArray) -> FloatArray:

@@ -11,25 +11,25 @@ from automodel.estimation.theta.centerline_fusion import CenterlineFusion
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
 from automodel.estimation.theta.theta_rls import ThetaRlsConfig
-from automodel.estimation.theta.tracked_line import UNKNOWN_SPEED_LANES, SeenLine, TrackedLine, carry
+from automodel.estimation.theta.tracked_line import UNKNOWN_SPEED_LANES, SeenLine, TrackedLine, move_line
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 
 class TrackedLane:
-    """One lane from frame to frame: `begin`, then `move` and `update` each frame.
+    """One lane from frame to frame: `start`, then `move` and `update` in each frame.
 
-    `centerline` is the centerline's curve and `pose` the filter of the car's pose in the lane, once `begin` was True.
-    `blind_m` is the way since a line was seen; `motion_known` tells of the last `move`.
+    `centerline` is its curve and `pose` the filter of the car's pose in it, once `start` has returned True.
+    `blind_m` is the distance driven since a line was seen; `motion_known` is that of the last `move`.
     """
 
-    KEPT_LANES = 1.0  # way without a sight of it after which a line is no longer kept on its own
-    OWN_LANES = 0.5  # and after which it is expected beside the centerline
-    FIRST_POINTS = 4  # of a line that was not there
-    NEW_LANES, NEW_POINTS = 2.0, 8  # and of one that begins so far from the car
-    GUESS_LANES = 0.3  # a line may go its own way so far beyond what is known of it
-    FAR_LANES, FAR_POINTS = 0.6, 3  # points beyond a gap so long must be so many
-    REACH_LANES = 1.6  # behind the reference point
+    KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
+    OWN_LANES = 0.5  # unseen distance after which it is predicted beside the centerline
+    FIRST_POINTS = 4  # that make a new line
+    NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
+    GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
+    FAR_LANES, FAR_POINTS = 0.6, 3  # gap beyond which points must be this many
+    REACH_LANES = 1.6  # of the centerline behind the reference point
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
         self.unit, self.reference_x_m = lane_width_m, reference_x_m
@@ -44,14 +44,14 @@ class TrackedLane:
 
     @property
     def centerline(self) -> HeadingPolynomial:
-        """The centerline in the body frame; raises ValueError before `begin`."""
+        """The centerline in the body frame; raises ValueError before `start`."""
         line = self._fusion.rls.line
         if line is None:
             raise ValueError("centerline: no lane; call start first")
         return line
 
     def start(self, left: SeenLine | None, right: SeenLine | None) -> bool:
-        """A lane from one frame's lines, of which one may be missing; False where they make none."""
+        """Start with one frame's lines, of which one may be missing; False if they make no lane."""
         for tracked, seen in ((self.left, left), (self.right, right)):
             if seen is not None and len(seen.points_m) >= self.FIRST_POINTS:
                 tracked.update(seen)
@@ -63,16 +63,16 @@ class TrackedLane:
         return True
 
     def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
-        """Carry everything over to the body frame after a motion."""
+        """Move everything into the body frame after a motion."""
         self.pose.predict(after_from_before, self.centerline.curvature_at(0.0), dt_s, known)
         self.left.move(after_from_before, distance_m, dt_s, known)
         self.right.move(after_from_before, distance_m, dt_s, known)
-        carry(self._fusion.rls, after_from_before, distance_m, dt_s, known)
+        move_line(self._fusion.rls, after_from_before, distance_m, dt_s, known)
         self.blind_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
         self.motion_known = known
 
     def update(self, left: SeenLine, right: SeenLine) -> tuple[bool, bool]:
-        """Take in a frame's lines; which of them were seen."""
+        """Update by a frame's lines; returns which of them were seen."""
         seen = self._take(self.left, left), self._take(self.right, right)
         if not any(seen):
             return seen
@@ -85,17 +85,17 @@ class TrackedLane:
         return seen
 
     def end(self) -> None:
-        """No line was seen where lines should be: the road is expected to go straight on."""
+        """Take the lines to have ended, because none was seen where they should be: the road goes straight on."""
         for tracked in (self.left, self.right):
             tracked.end(True)
         self._fusion.rls.line = replace(self.centerline, arc_ahead_m=TrackedLine.ARC_LANES * self.unit)
 
     def expected(self, side: float, ahead_m: float, alone: bool = True) -> tuple[FloatArray, FloatArray, float]:
-        """Where the line on `side` (+1 left, -1 right) is expected, up to arc length `ahead_m`.
+        """Predicted line on `side` (+1 left, -1 right) up to arc length `ahead_m`.
 
-        By its own model while it was seen lately and `alone` is asked for, else beside the centerline.
-
-        Points (n, 2) [m], headings (n,) [rad], and the arc length from the first of them up to which it is no guess.
+        It follows its own model while it was seen lately and `alone` is set, else it lies beside the centerline.
+        Returns points (n, 2) [m], headings (n,) [rad], and the arc length from the first point up to which they are
+        supported by measurements.
         """
         own = self._own(side) if alone else None
         model = own or self.centerline
@@ -103,13 +103,13 @@ class TrackedLane:
         s = np.linspace(first, ahead_m, 30)
         theta, points = model.heading(s), model.points(s)
         if own is None:
-            aside = 0.5 * side * self.pose.width_m
-            points[:, 0] -= aside * np.sin(theta)
-            points[:, 1] += aside * np.cos(theta)
+            lateral = 0.5 * side * self.pose.width_m
+            points[:, 0] -= lateral * np.sin(theta)
+            points[:, 1] += lateral * np.cos(theta)
         return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
 
     def on_its_own(self, side: float) -> bool:
-        """Whether the line on `side` is expected by its own model."""
+        """Whether the line on `side` is predicted by its own model."""
         return self._own(side) is not None
 
     def _own(self, side: float) -> HeadingPolynomial | None:
@@ -117,50 +117,49 @@ class TrackedLane:
         return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
-        seen = self._held(tracked, seen)
+        seen = self._before_gap(tracked, seen)
         enough = 1 if tracked.line is not None else self._first_points(seen)
         return len(seen.points_m) >= enough and tracked.update(seen)
 
     def _first_points(self, seen: SeenLine) -> int:
-        """How many points make a line that was not there: more where it has to be carried far back to the car."""
+        """How many points make a new line: more where it has to be extrapolated far back to the car."""
         if not len(seen.points_m):
             return self.FIRST_POINTS
         away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
         return self.FIRST_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
-    def _held(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
-        """The points up to a far gap beyond which there are too few to tell what they belong to."""
+    def _before_gap(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
+        """The points without those beyond a wide gap that are too few to be assigned to the line."""
         points = seen.points_m
         if tracked.line is None or not len(points):
             return seen
-        begin = math.hypot(*(points[0] - tracked.line.reference_m)) - max(tracked.line.s_max_m, 0.0)
-        gaps = np.concatenate(([begin], np.hypot(*(points[1:] - points[:-1]).T)))
+        start = math.hypot(*(points[0] - tracked.line.reference_m)) - max(tracked.line.s_max_m, 0.0)
+        gaps = np.concatenate(([start], np.hypot(*(points[1:] - points[:-1]).T)))
         far = np.flatnonzero(gaps > self.FAR_LANES * self.unit)
         if not len(far) or len(points) - far[-1] >= self.FAR_POINTS:
             return seen
         return SeenLine(points_m=points[: far[-1]], sigma_m=seen.sigma_m[: far[-1]], ended=seen.ended)
 
     def _correct(self, seen: tuple[bool, bool]) -> None:
-        """The pose from where the lines that were seen meet the perpendicular, eq. (22)-(25), and their direction."""
+        """Update the pose by the points in which the seen lines meet the perpendicular, eq. (22)-(25)."""
         lines = [tracked if there else None for tracked, there in zip((self.left, self.right), seen, strict=True)]
         there = [tracked for tracked in lines if tracked is not None and tracked.line is not None]
         arc = max((t.line.arc_ahead_m for t in there if t.line is not None), default=math.inf)
         last = max((t.line.s_max_m for t in there if t.line is not None), default=math.inf)
         self._fusion.rls.line = self.centerline.ending(last, arc)
         theta = self.centerline.heading_at(0.0)
-        doubt = min((tracked.heading_doubt_rad for tracked in there), default=0.0)
-        variance = self._fusion.rls.heading_variance_here() + doubt * doubt
+        hidden = min((tracked.heading_sigma_rad for tracked in there), default=0.0)
+        variance = self._fusion.rls.heading_variance_here() + hidden * hidden
         self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance))
 
     def _point(self, tracked: TrackedLine | None, theta_rad: float) -> LinePoint | None:
         if tracked is None or tracked.line is None:
             return None
         _, distance = tracked.line.crossing(theta_rad)
-        doubt = tracked.lateral_doubt_m, tracked.heading_doubt_rad
         return LinePoint.beside(
             tracked.line.reference_m,
             theta_rad,
             distance,
-            tracked.rls.lateral_variance_m2 + doubt[0] * doubt[0],
-            tracked.rls.heading_variance_here() + doubt[1] * doubt[1],
+            tracked.rls.lateral_variance_m2 + tracked.lateral_sigma_m**2,
+            tracked.rls.heading_variance_here() + tracked.heading_sigma_rad**2,
         )

@@ -1,4 +1,4 @@
-"""One line of the lane over time: points remembered in the moving body frame, a smoothing spline, theta(s) by RLS."""
+"""One line of the lane over time: remembered points, a smoothing spline, and theta(s) by recursive least squares."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
-FORGET_UNKNOWN = 8.0  # times as fast a line is forgotten while the motion is not known
-UNKNOWN_LANES = 0.5  # what its distance may change in a second then
-UNKNOWN_SPEED_LANES = 3.0  # a second; what counts as driven then
+# While the motion is unknown:
+FORGET_UNKNOWN = 8.0  # factor by which a line is forgotten faster
+UNKNOWN_LANES = 0.5  # [lane widths] standard deviation that the line's distance gains in a second
+UNKNOWN_SPEED_LANES = 3.0  # [lane widths/s] assumed speed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SeenLine:
     """One frame's points (n, 2) [m] of a line, near to far, and their standard deviations (n,) [m].
 
-    `ended`: the line was seen to end.
+    `ended`: the end of the line was seen.
     """
 
     points_m: FloatArray
@@ -31,31 +32,31 @@ class SeenLine:
     ended: bool = False
 
 
-def carry(rls: ThetaRls, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
-    """Carry a line over to the body frame after a motion; one that is not known may have taken it elsewhere."""
+def move_line(rls: ThetaRls, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
+    """Move a line into the body frame after a motion; an unknown motion adds to its uncertainty."""
     rls.predict(after_from_before, distance_m, dt_s if known else FORGET_UNKNOWN * dt_s)
     if not known:
         rls.lateral_variance_m2 += UNKNOWN_LANES**2 * rls.config.lane_width_m**2 * dt_s
 
 
 class TrackedLine:
-    """Cudrano et al. 2020, section IV: what follows the selection of a line's points.
+    """The estimate of one line from its selected points (Cudrano et al. 2020, section IV).
 
-    The points that come nearest to the car are kept and moved along by the odometry, so that the line is supported
-    where the car is, though the camera sees the ground only ahead of it, and are dropped some way behind it. `line` is
-    None until `update` has made one; `unseen_m` is the way since an update. `lateral_doubt_m`, `heading_doubt_rad`:
-    what an unseen bend may hide where no points lie beside the car.
+    The camera sees the ground only ahead of the car. So that points lie beside the car too, the nearest ones of each
+    frame are remembered, moved by the odometry, and dropped some distance behind the car. `line` is None until `update`
+    has made one; `unseen_m` is the distance driven since. `lateral_sigma_m`, `heading_sigma_rad`: uncertainty due to a
+    bend that cannot be seen where no points lie beside the car.
     """
 
-    KEEP_EVERY_LANES = 0.08  # way between two rounds of remembering
-    KEEP_POINTS = 4  # of a round: the nearest, which leave the picture next
-    BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # how far behind the reference point they are kept; the last few longer
-    LAST_POINTS = 12  # so many
-    ARC_LANES = 0.15  # a line that ended goes on so far as it went, and then straight
-    HIDDEN_BEND_LANES = 0.25  # curvature, in 1 / lane, that may go unseen where there are no points
-    DRIFT = 0.015  # growth of a remembered point's sigma with the way driven since
-    STEP_LANES, KNOT_LANES = 0.12, 0.6  # of the spline's samples and knots
-    BEND_LANES = 0.6  # change of curvature, in 1 / lane, over a lane width that is usual
+    KEEP_EVERY_LANES = 0.08  # distance between two rounds of remembering
+    KEEP_POINTS = 4  # per round: the nearest, which leave the image next
+    BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # where they are dropped behind the reference point, and the last few
+    LAST_POINTS = 12  # number of the last few
+    ARC_LANES = 0.15  # length of the arc beyond the end of a line; from there on it is straight
+    HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
+    DRIFT = 0.015  # growth of a remembered point's sigma per distance driven
+    STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples and knots
+    BEND_LANES = 0.6  # [1 / lane width] usual change of curvature over a lane width
 
     def __init__(self, config: ThetaRlsConfig) -> None:
         self.unit = config.lane_width_m
@@ -70,7 +71,7 @@ class TrackedLine:
         self._memory: FloatArray = np.empty((0, 3))  # x, y, sigma
         self._since_kept_m = np.inf
         self.unseen_m = 0.0
-        self.lateral_doubt_m = self.heading_doubt_rad = 0.0
+        self.lateral_sigma_m = self.heading_sigma_rad = 0.0
 
     @property
     def line(self) -> HeadingPolynomial | None:
@@ -78,8 +79,8 @@ class TrackedLine:
         return self.rls.line
 
     def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
-        """Carry line and points over to the body frame after a motion; unknown motion forgets the points."""
-        carry(self.rls, after_from_before, distance_m, dt_s, known)
+        """Move line and points into the body frame after a motion; an unknown motion drops the points."""
+        move_line(self.rls, after_from_before, distance_m, dt_s, known)
         self.unseen_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
         self._since_kept_m += abs(distance_m)
         if not known:
@@ -90,14 +91,14 @@ class TrackedLine:
             self._prune()
 
     def _prune(self) -> None:
-        """Drop what lies behind; over a gap in the line the last points before it hold on."""
+        """Drop the points behind the car; the last few stay longer, to bridge a gap in the line."""
         away = np.hypot(self._memory[:, 0] - self._reference_x_m, self._memory[:, 1])
         behind = self._memory[:, 0] < self._behind_m
         behind[-self.LAST_POINTS :] = False
         self._memory = self._memory[~behind & (away < self.FAR_BEHIND_LANES * self.unit)]
 
     def update(self, seen: SeenLine) -> bool:
-        """Take in a frame's points; False if they make no line."""
+        """Update by a frame's points; False if they make no line."""
         points_m, sigma_m = seen.points_m, seen.sigma_m
         points = np.concatenate((self._memory[:, :2], points_m))
         sigma = np.concatenate((self._memory[:, 2], sigma_m))
@@ -111,7 +112,7 @@ class TrackedLine:
             return False
         self.rls.take(sampled)
         self.end(seen.ended, float(s.max()))
-        self._doubt(s)
+        self._set_hidden_bend(s)
         self.unseen_m = 0.0
         if self._since_kept_m >= self.KEEP_EVERY_LANES * unit:
             kept = slice(0, self.KEEP_POINTS)
@@ -120,22 +121,22 @@ class TrackedLine:
         return True
 
     def end(self, ended: bool, last_m: float = math.inf) -> None:
-        """Say whether the line was seen to end, and the arc length up to which its points went."""
+        """Set whether the end of the line was seen, and the arc length of its last point."""
         if self.rls.line is None:
             return
         self.rls.line = self.rls.line.ending(last_m, self.ARC_LANES * self.unit if ended else math.inf)
 
-    def _doubt(self, s_m: FloatArray) -> None:
-        """What an unseen bend may hide between the points and the car."""
+    def _set_hidden_bend(self, s_m: FloatArray) -> None:
+        """Uncertainty by a bend between the car and the points next to it."""
         ahead, behind = s_m[s_m >= 0.0], -s_m[s_m < 0.0]
         b = float(ahead.min()) if len(ahead) else math.inf
         a = float(behind.min()) if len(behind) else math.inf
         near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
         kappa = self.HIDDEN_BEND_LANES / self.unit
-        self.lateral_doubt_m, self.heading_doubt_rad = 0.5 * kappa * near * far, kappa * near
+        self.lateral_sigma_m, self.heading_sigma_rad = 0.5 * kappa * near * far, kappa * near
 
     def _along(self, points_m: FloatArray) -> FloatArray:
-        """Arc length (n,) along the known line, near enough to put points in order."""
+        """Arc length (n,) along the known line, accurate enough to sort points."""
         line = self.line
         if line is None:
             return points_m[:, 0]

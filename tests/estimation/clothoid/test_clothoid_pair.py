@@ -144,7 +144,7 @@ def test_the_table_behind_the_car_is_the_arc_run_backwards() -> None:
 
 def test_a_line_beyond_the_centre_of_curvature_stays_finite_and_runs_on() -> None:
     tested = pair()
-    s, points, _, kappa = tested.table(parameters("arc", tested.stations), 0.0, aside_m=1.5)
+    s, points, _, kappa = tested.table(parameters("arc", tested.stations), 0.0, lateral_m=1.5)
     assert np.isfinite(points).all()
     assert np.isfinite(kappa).all()
     assert (np.diff(s) > 0.0).all()

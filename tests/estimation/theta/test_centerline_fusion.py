@@ -90,7 +90,7 @@ def test_the_centerline_lies_in_the_middle(name: str, offset_m: float, heading_d
     lines = (None if seen == "right" else left, None if seen == "left" else right)
     for _ in range(4):
         centre.update(*lines, UNIT, KNOWN)
-        centre.predict(SE2(), 0.0, 0.01)
+        centre.rls.predict(SE2(), 0.0, 0.01)
     line = centre.rls.line
     assert line is not None
     # eq. (20), (21): Theta is the centerline's direction seen from the car, Delta positive where it lies to the left
@@ -106,15 +106,11 @@ def test_nothing_to_see_changes_nothing() -> None:
     centre.update(None, None, UNIT, KNOWN)
     centre.update(ThetaRls(RLS), None, UNIT, KNOWN)
     assert centre.rls.line is None
-    assert centre.line_point(tracked(np.column_stack((np.linspace(0, 1, 20), np.zeros(20))))) is None
     left, right = both(LANES["left"], LANES["left"].car(3.0, 0.0, 0.0, REFERENCE_M), 3.0)
     centre.update(left, right, UNIT, KNOWN)
     before = centre.rls.line
     centre.update(None, None, UNIT, KNOWN)
     assert centre.rls.line is before
-    assert centre.line_point(None) is None
-    centre.forget()
-    assert centre.rls.line is None
 
 
 @pytest.mark.parametrize("skew_deg", [0.0, 4.0, 10.0])
@@ -131,7 +127,7 @@ def test_it_bisects_lines_that_are_not_parallel(skew_deg: float, aside_m: float)
     centre = CenterlineFusion(RLS)
     for _ in range(4):
         centre.update(lines[0], lines[1], UNIT, UNKNOWN)
-        centre.predict(SE2(), 0.0, 0.01)
+        centre.rls.predict(SE2(), 0.0, 0.01)
     line = centre.rls.line
     assert line is not None
     reference_y = aside_m + REFERENCE_M * math.sin(0.15)
@@ -204,26 +200,6 @@ def test_the_middles_variance_is_that_of_many_draws() -> None:
     assert variance < sigmas[0] ** 2 + 0.25 * sigmas[2] ** 2
 
 
-@pytest.mark.parametrize("name", LANES)
-def test_the_measured_points_lie_on_the_lines_and_the_perpendicular(name: str) -> None:
-    """P_L and P_R of the paper's figure 4."""
-    lane = LANES[name]
-    car = lane.car(3.0, 0.06, -0.2, REFERENCE_M)
-    left, right = both(lane, car, 3.0)
-    centre = CenterlineFusion(RLS)
-    for _ in range(4):
-        centre.update(left, right, UNIT, KNOWN)
-        centre.predict(SE2(), 0.0, 0.01)
-    for rls, side in ((left, 1), (right, -1)):
-        point = centre.line_point(rls)
-        assert point is not None
-        world = car.apply(point.point_m)
-        np.testing.assert_allclose(world, lane.beside(3.0, side * 0.2), atol=0.002)
-        assert np.linalg.eigvalsh(point.covariance_m2).min() > 0.0
-        across = np.array((-math.sin(0.2), math.cos(0.2)))
-        assert across @ point.covariance_m2 @ across == pytest.approx(rls.lateral_variance_m2, rel=0.05)
-
-
 def test_the_way_through_a_bend_with_one_line_gone() -> None:
     """Weaving from a straight into a bend and out of it; the right line is hidden for a third of the way."""
     lane = WorldLane(lambda s: 0.8 * np.clip(2.0 * (s - 2.0), 0, 1) - 1.4 * np.clip(2.0 * (s - 3.5), 0, 1), 10.0, UNIT)
@@ -236,7 +212,7 @@ def test_the_way_through_a_bend_with_one_line_gone() -> None:
         car = lane.car(s, offset, heading, REFERENCE_M)
         if before is not None:
             motion = car.inverse() @ before
-            for each in (*lines, centre):
+            for each in (*lines, centre.rls):
                 each.predict(motion, math.hypot(motion.x_m, motion.y_m), 0.033)
         before = car
         seen: list[ThetaRls | None] = []

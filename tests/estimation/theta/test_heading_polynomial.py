@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from automodel.curves import ThetaCurve
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial, shift_matrix
 from automodel.geometry import SE2
 
@@ -114,7 +115,8 @@ def test_feet_are_the_nearest_points(name: str) -> None:
 
 def test_feet_agree_with_the_curves() -> None:
     line = LINES["cubic"]
-    curve = line.curve(-0.5, 1.3)
+    w = shift_matrix(-0.5 / line.scale_m) @ line.coefficients_rad
+    curve = ThetaCurve(*line.point_at(-0.5), w / line.scale_m ** np.arange(4), 1.8)
     for point in ((0.2, 0.1), (0.9, 0.5), (0.5, -0.1)):
         s, d = curve.project(point)
         found = line.foot(point)
@@ -171,21 +173,16 @@ def test_the_shift_is_that_of_the_argument() -> None:
 
 @pytest.mark.parametrize("name", LINES)
 @pytest.mark.parametrize(("low", "high"), [(0.0, 1.0), (-0.8, 1.9), (-0.9, -0.6), (1.4, 1.9), (-0.2, 1.6)])
-def test_curves_and_tables_are_the_line(name: str, low: float, high: float) -> None:
+def test_curves_are_the_line(name: str, low: float, high: float) -> None:
     line = LINES[name]
-    s = np.linspace(low, high, 33)
-    curve, table = line.curve(low, high), line.table(low, high)
+    curve = line.curve(low, high)
     assert curve.length_m == pytest.approx(high - low)
-    np.testing.assert_allclose(curve.position(s - low), line.points(s), atol=3e-5)
-    np.testing.assert_allclose(curve.heading(s - low), line.heading(s), atol=1e-9)
-    fine = np.linspace(low, high, 200)
-    np.testing.assert_allclose(table.position(fine - low), line.points(fine), atol=2e-4)
-    assert table.length_m == pytest.approx(high - low)
-
-
-def test_an_empty_curve_is_refused() -> None:
-    with pytest.raises(ValueError, match="s_to_m"):
-        LINES["arc"].curve(0.5, 0.5)
+    s = np.linspace(low, high, 200)
+    np.testing.assert_allclose(curve.position(s - low), line.points(s), atol=2e-4)
+    beside = line.curve(low, high, lateral_m=0.1)
+    theta = line.heading_at(high)
+    end = line.points(s[-1:])[0] + 0.1 * np.array((-math.sin(theta), math.cos(theta)))
+    assert beside.position(beside.length_m) == pytest.approx(end, abs=1e-4)
 
 
 def test_no_bend_beyond_the_points_is_tighter_than_allowed() -> None:

@@ -24,7 +24,7 @@ def test_the_innovations_are_as_large_as_the_filter_says(lines: str, dimensions:
         tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
         start = (0.03, 0.05, 0.02)
         tracker.start(0.02, 0.1, UNIT, sigma=start)
-        truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
+        truth = rng.multivariate_normal(tracker.state, tracker._ekf.P)
         for _ in range(steps):
             motion, kappa = SE2.arc(0.04, rng.normal(0.0, 0.03)), 0.7
             tracker.predict(motion.inverse(), kappa, 0.03)
@@ -50,7 +50,7 @@ def test_the_errors_are_as_large_as_the_filter_says() -> None:
     for _ in range(150):
         tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
         tracker.start(0.0, 0.0, UNIT, sigma=(0.05, 0.05, 0.03))
-        truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
+        truth = rng.multivariate_normal(tracker.state, tracker._ekf.P)
         for step in range(12):
             tracker.predict(SE2.arc(0.04, 0.02).inverse(), 0.5, 0.03)
             shift = SE2.arc(0.04, 0.02).apply((REFERENCE_M, 0.0)) - np.array((REFERENCE_M, 0.0))
@@ -70,7 +70,7 @@ def test_the_gate_passes_the_share_that_it_is_set_to() -> None:
     passed, tries = {0: 0, 1: 0}, 3000
     for _ in range(tries):
         tracker.start(0.0, 0.0, UNIT, sigma=(0.02, 0.02, 0.01))
-        truth = rng.multivariate_normal(tracker.state, tracker.state_covariance)
+        truth = rng.multivariate_normal(tracker.state, tracker._ekf.P)
         done = tracker.update(point(truth, 1, rng), None, (truth[0] + rng.normal(0.0, 0.02), 0.02**2))
         passed[0] += done.left
         passed[1] += done.heading
@@ -84,7 +84,7 @@ def test_the_published_covariance_is_that_of_draws() -> None:
     tracker.start(0.08, -0.3, 0.42, sigma=(0.02, 0.02, 0.02))
     tracker.update(point(tracker.state, 1), None)
     tracker.predict(SE2.arc(0.3, 0.2).inverse(), 0.5, 0.1)  # so that offset and heading err together
-    drawn = rng.multivariate_normal(tracker.state, tracker.state_covariance, 40_000)
+    drawn = rng.multivariate_normal(tracker.state, tracker._ekf.P, 40_000)
     poses = np.column_stack((0.5 * drawn[:, 1] * drawn[:, 2], -drawn[:, 0], drawn[:, 2]))
     wanted = np.cov(poses.T)
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
@@ -103,8 +103,8 @@ def test_the_covariance_stays_positive() -> None:
         theta = (rng.normal(0.0, 2.0), 10.0 ** rng.uniform(-8, 0)) if rng.random() < 0.3 else None
         tracker.update(lines[0], lines[1], theta)
         covariance = tracker.covariance
-        np.testing.assert_array_equal(tracker.state_covariance, tracker.state_covariance.T)
-        assert np.linalg.eigvalsh(tracker.state_covariance).min() > 0.0
+        np.testing.assert_array_equal(tracker._ekf.P, tracker._ekf.P.T)
+        assert np.linalg.eigvalsh(tracker._ekf.P).min() > 0.0
         assert np.isfinite(covariance).all()
         assert np.isfinite(tracker.state).all()
         assert 0.4 * UNIT <= tracker.width_m <= 2.5 * UNIT

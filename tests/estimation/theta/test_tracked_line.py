@@ -174,7 +174,7 @@ def test_doubt_grows_with_the_way_from_the_points() -> None:
         assert tracked.update(SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004)))
         again = SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004))
         assert tracked.update(again)  # only now is there a line to measure the way along
-        doubts.append((tracked.lateral_doubt_m, tracked.heading_doubt_rad))
+        doubts.append((tracked.lateral_sigma_m, tracked.heading_sigma_rad))
     lateral, heading = np.array(doubts).T
     assert (np.diff(lateral) > 0.0).all()
     assert (np.diff(heading) > 0.0).all()
@@ -185,10 +185,10 @@ def test_doubt_grows_with_the_way_from_the_points() -> None:
 def test_there_is_little_doubt_where_points_lie_beside_the_car() -> None:
     way = Way(arc(0.5))
     way.drive(1)
-    first = way.tracked.lateral_doubt_m, way.tracked.heading_doubt_rad
+    first = way.tracked.lateral_sigma_m, way.tracked.heading_sigma_rad
     way.drive(45)
-    assert way.tracked.lateral_doubt_m < 0.05 * first[0]
-    assert way.tracked.heading_doubt_rad < 0.2 * first[1]
+    assert way.tracked.lateral_sigma_m < 0.05 * first[0]
+    assert way.tracked.heading_sigma_rad < 0.2 * first[1]
 
 
 def test_a_line_that_ended_goes_straight_on() -> None:
@@ -218,7 +218,7 @@ def test_forget_is_a_new_line() -> None:
     assert way.tracked.line is None
     assert len(remembered(way.tracked)) == 0
     assert way.tracked.unseen_m == 0.0
-    assert (way.tracked.lateral_doubt_m, way.tracked.heading_doubt_rad) == (0.0, 0.0)
+    assert (way.tracked.lateral_sigma_m, way.tracked.heading_sigma_rad) == (0.0, 0.0)
     fresh = TrackedLine(RLS)
     for tracked in (way.tracked, fresh):
         assert tracked.update(seen(way.lane, way.car, way.s_m))
