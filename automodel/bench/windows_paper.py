@@ -30,7 +30,6 @@ from automodel.config import CarConfig
 from automodel.console.messages import say
 from automodel.console.workers import Tick, spread
 from automodel.curves import GraphCurve
-from automodel.estimation.polynomial.regression import evaluate_polynomial
 from automodel.geometry import SE2, View
 from automodel.pipelines.windows import Windows
 from automodel.signals import Crossing, LaneEstimate, LaneLine
@@ -93,7 +92,7 @@ def residuals_px(line: LaneLine, m_per_px: float) -> FloatArray | None:
     if not isinstance(line.curve, GraphCurve) or len(line.points_m) <= len(line.curve.coefficients):
         return None
     x, y = line.points_m.T
-    return (y - evaluate_polynomial(line.curve.coefficients, x)) / m_per_px
+    return (y - np.polynomial.polynomial.polyval(x, line.curve.coefficients)) / m_per_px
 
 
 @dataclass(slots=True, kw_only=True)

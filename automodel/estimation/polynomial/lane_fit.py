@@ -1,10 +1,10 @@
 """One lane fitted to the points of both its lines: a centerline of piecewise linear curvature, and a width.
 
-The centerline is c(s) with c(0) = p_ref - d n(theta0), c' = (cos theta, sin theta),
-theta(s) = theta0 + int_0^s kappa, kappa piecewise linear between nodes (a chain of clothoids). A point q of the line on
-side sigma (+1 left, -1 right) should lie at the signed distance sigma w / 2 from it. Parameters
-(d, theta0, kappa_0 .. kappa_m, w) minimise the robust weighted sum of squared distances plus a prior (the last
-solution, moved by the odometry) by Gauss-Newton with analytic Jacobian.
+The centerline is c(s) with c(0) = p_ref - d n(theta0), c' = (cos theta, sin theta), theta(s) = theta0 + int_0^s kappa,
+and kappa piecewise linear between nodes: a chain of clothoids. A point of the line on side sigma (+1 left, -1 right)
+should lie at the signed distance sigma w / 2 from it. Gauss-Newton with an analytic Jacobian minimises the robust
+weighted sum of squared distances plus a prior, the last solution moved by the odometry, over the parameters
+(d, theta0, kappa_0 .. kappa_m, w).
 
 Body frame: d is the car's offset (left positive) at the reference point, -theta0 its heading in the lane.
 """
@@ -23,15 +23,15 @@ from automodel.types import Bools, FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneFitConfig:
-    """Scales of the fit; lengths in lane widths, so that one set holds from scale car to highway."""
+    """Scales of the fit; lengths in lane widths, so that one set serves scale cars and highways."""
 
     lane_width_m: float
     reference_x_m: float
     behind_lanes: float = 1.4  # reach of the centerline behind the reference point
     ahead_lanes: float = 4.0  # and ahead of it
     node_lanes: float = 0.6  # spacing of the curvature's nodes
-    sure_lanes: float = 1.0  # how far ahead the prior is to be trusted
-    outlier_lanes: float = 0.06  # Tukey's biweight goes to 0 at this distance
+    sure_lanes: float = 1.0  # distance ahead up to which the prior is trusted
+    outlier_lanes: float = 0.06  # distance at which Tukey's biweight becomes 0
     width_sigma: float = 0.10  # how well the configured width is known, relative
 
 
@@ -54,7 +54,7 @@ class LanePrior:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bearing:
-    """The lane's direction [rad, body frame] at arc length s from the reference point's foot, known otherwise."""
+    """A measurement of the lane's direction [rad] in the body frame at arc length s from the reference point's foot."""
 
     s_m: float
     theta_rad: float
@@ -99,7 +99,7 @@ class LaneShape:
     width_m: float
 
     def beside(self, lateral_m: float) -> FloatArray:
-        """Points (n, 2) at a distance to the left of the centerline."""
+        """Points (n, 2) [m] at a distance to the left of the centerline."""
         out = np.empty_like(self.points_m)
         out[:, 0] = self.points_m[:, 0] - lateral_m * np.sin(self.theta_rad)
         out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)
@@ -117,14 +117,14 @@ class LaneShape:
         return TabulatedCurve(s[::stride], points[::stride], self.theta_rad[::stride], kappa[::stride])
 
     def nearest_s(self, points_m: FloatArray) -> FloatArray:
-        """Arc length (n,) of the grid point next to each of `points_m` (n, 2)."""
+        """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""
         return self.s_m[nearest_samples(self.points_m, points_m)]
 
 
 class LaneFit:
-    """The fit's fixed grids, and one solve a frame."""
+    """The fit on fixed grids of nodes and points: `solve` in each frame."""
 
-    FAR_CUTS = 8.0
+    FAR_CUTS = 8.0  # [outlier distances] first limit of residuals far ahead
 
     def __init__(self, config: LaneFitConfig) -> None:
         self.config = config
@@ -149,15 +149,15 @@ class LaneFit:
 
     @property
     def size(self) -> int:
-        """How many parameters there are."""
+        """Number of parameters."""
         return len(self.nodes_m) + 3
 
     def start(self, offset_m: float, theta_rad: float, curvature_per_m: float, width_m: float) -> FloatArray:
-        """Parameters of an arc."""
+        """Parameters (m,) of an arc."""
         return np.concatenate(([offset_m, theta_rad], np.full(len(self.nodes_m), curvature_per_m), [width_m]))
 
     def shape(self, parameters: FloatArray) -> LaneShape:
-        """The centerline that the parameters mean."""
+        """The centerline of the parameters."""
         points, theta, _ = self._curve(parameters)
         return LaneShape(
             s_m=self.grid_m,
@@ -168,9 +168,9 @@ class LaneFit:
         )
 
     def moved(self, parameters: FloatArray, shape: LaneShape, after_from_before: SE2) -> FloatArray:
-        """The same lane (`shape` is that of `parameters`) after the car has moved.
+        """Parameters of the same lane after a motion of the car; `shape` is that of `parameters`.
 
-        The origin slides along s, the body frame turns.
+        The origin moves along s to the new foot of the reference point, and the body frame turns.
         """
         reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))[None]
         at = nearest_samples(shape.points_m, reference)
@@ -188,7 +188,7 @@ class LaneFit:
         bearing: Bearing | None = None,
         guess: FloatArray | None = None,
     ) -> LaneSolution:
-        """Fit `samples` (and a known bearing of the lane), held by `prior`; starts there, or at `guess`."""
+        """Fit `samples`, and a bearing of the lane, with a prior; starts at `guess` or at the prior's mean."""
         unit = self.config.lane_width_m
         weight_prior = 1.0 / prior.sigma**2
         fixed, pull = self._smooth.copy(), weight_prior * prior.mean
@@ -213,9 +213,10 @@ class LaneFit:
         return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
 
     def _first_limits(self, jacobian: FloatArray, samples: LineSamples, fixed: FloatArray, cut: float) -> FloatArray:
-        """How far (n,) a point may be off at first: near the car what the prior leaves open, far ahead more.
+        """Limits (n,) [m] of the residuals in the first iteration.
 
-        A bend shows itself far ahead, against the prior.
+        Near the car they follow from the prior's covariance; far ahead they are wider, because a new bend contradicts
+        the prior there.
         """
         spread = np.linalg.solve(fixed, jacobian.T)
         open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
@@ -224,7 +225,7 @@ class LaneFit:
         return np.maximum(np.maximum(cut, 3.0 * open_m), self.FAR_CUTS * cut * far)
 
     def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
-        """Signed distance minus sigma w / 2 (n,) [m], and its Jacobian (n, m)."""
+        """Signed distance minus sigma w / 2 (n,) [m], to second order in the grid's step, and its Jacobian (n, m)."""
         points, theta, jacobian = self._curve(parameters, want_jacobian=True)
         q = samples.points_m
         nearest = nearest_samples(points, q)
@@ -273,7 +274,7 @@ class LaneFit:
         return points, theta, jacobian
 
     def _smoothness(self, spacing: float) -> FloatArray:
-        """Information of: the curvature is a random walk along s, and the lane's width is roughly the configured."""
+        """Information matrix of the prior that the curvature is a random walk along s."""
         unit = self.config.lane_width_m
         count = len(self.nodes_m)
         step_sigma = 0.35 / unit * np.sqrt(spacing / (0.6 * unit))

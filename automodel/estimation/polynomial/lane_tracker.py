@@ -1,4 +1,4 @@
-"""The lane over time: points remembered in the moving body frame, and one `LaneFit` a frame."""
+"""The lane over time: remembered points that move with the odometry, and one `LaneFit` per frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from automodel.types import FloatArray
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """Line points of one frame, body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
+    """One frame's line points in the body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
 
     left_m: FloatArray
     right_m: FloatArray
@@ -33,35 +33,35 @@ class Observation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Support:
-    """How many of a frame's points carry the lane, a line."""
+    """Number of a frame's points that support the lane, by line."""
 
     left: int
     right: int
 
 
 class LaneTracker:
-    """Carries one lane from frame to frame.
+    """One lane, tracked from frame to frame.
 
-    A line's points that come near the car are kept and moved along by the odometry, so that the lane is supported where
-    the car is, though the camera sees the ground only ahead of it. The last solution, moved, is the next one's prior.
-    Where a crossing was seen the lane is expected to go straight on, square to it: a road bends before or after it.
-    `parameters` are None while there is no lane; `shape` is theirs. `blind_m` is the way since a line was seen.
+    The camera sees the ground only ahead of the car. So that points lie beside the car too, the nearest ones are
+    remembered and moved by the odometry. The last solution, moved, is the prior of the next. At a crossing the lane is
+    expected to be straight and perpendicular to it. `parameters` is None while there is no lane; `shape` is theirs.
+    `blind_m` is the distance driven since a line was seen.
     """
 
-    KEEP_EVERY_LANES = 0.06  # way between two rounds of remembering
-    KEEP_DEPTH_LANES = 0.7  # depth of the near zone whose points are remembered
-    CAPACITY = 60
-    ROUNDS = 3  # of the fit in a frame
+    KEEP_EVERY_LANES = 0.06  # distance between two rounds of remembering
+    KEEP_DEPTH_LANES = 0.7  # length of the near zone whose points are remembered
+    CAPACITY = 60  # remembered points
+    ROUNDS = 3  # iterations of the fit in a frame
     STEP_LANES = 0.04
-    # Process noise over STEP_LANES of way while the motion is known; near the car the curvature was seen before.
+    # Process noise over STEP_LANES of distance while the motion is known; near the car the curvature was seen before.
     OFFSET = 0.005
     HEADING_RAD = 0.006
-    BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth with the way without a line: per metre, radians per lane width
+    BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth per distance without a line: per metre, radians per lane width
     KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
-    CROSSING_LANES = 3.3  # depth of a crossing
-    CROSSING_TURN_RAD = 0.2  # how much the lane may turn within a crossing
-    CROSSING_BEARING_RAD = 0.06  # how well a crossing's edge shows the lane's direction
-    DRIFT = 0.012  # growth of a remembered point's sigma with the way driven since
+    CROSSING_LANES = 3.3  # length of a crossing along the lane
+    CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
+    CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
+    DRIFT = 0.012  # growth of a remembered point's sigma per distance driven
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
         self.fit = LaneFit(config)
@@ -92,7 +92,7 @@ class LaneTracker:
         self._crossing_s_m = -np.inf
 
     def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
-        """Carry lane and points over to the body frame after a motion; unknown motion forgets the points."""
+        """Move lane and points into the body frame after a motion; an unknown motion drops the points."""
         if self.parameters is not None:
             self.parameters = self.fit.moved(self.parameters, self.shape, after_from_before)
             self.shape = self.fit.shape(self.parameters)
@@ -112,9 +112,9 @@ class LaneTracker:
             self._memory = self._memory[self._memory[:, 0] > behind]
 
     def fit_frame(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
-        """A lane from one frame's points near a guess of the parameters; None where they do not make one."""
+        """A lane fitted to one frame's points from a guess of the parameters; None if they make none."""
         samples = _samples(seen)
-        mean = guess.copy()  # the road up to what is seen may as well be straight, and the car stand well in its lane
+        mean = guess.copy()  # where nothing is seen: straight, with the car on the centerline
         mean[:2] = 0.0
         mean[2:-1][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
         solution = self.fit.solve(samples, LanePrior(mean=mean, sigma=self._start_sigma), rounds=6, guess=guess)
@@ -125,22 +125,20 @@ class LaneTracker:
         return solution
 
     def start(self, seen: Observation, solution: LaneSolution) -> None:
-        """Go on from a lane that `fit_frame` found."""
+        """Start with a lane that `fit_frame` found."""
         self.forget()
         self._take(solution.parameters)
         self._keep(_samples(seen), solution.inliers)
 
     def add_crossing(self, distance_m: float, theta_rad: float) -> None:
-        """A crossing was seen at a way ahead of the reference point; square to it is `theta_rad`, body frame."""
+        """Take a crossing into account: its distance ahead [m], the direction perpendicular to it [rad], body frame."""
         since_m = distance_m - self._crossing_s_m
-        if (
-            abs(since_m) < self.CROSSING_LANES * self.unit
-        ):  # the one that is known, or its far side, or a road across it
+        if abs(since_m) < self.CROSSING_LANES * self.unit:  # the known crossing: its near or far edge
             expected = float(np.interp(distance_m, self.shape.s_m, self.shape.theta_rad))
             if abs(theta_rad - expected) > self.CROSSING_TURN_RAD:
                 return
         elif self.parameters is not None:
-            after = self.parameters.copy()  # a bend that leads up to a crossing says nothing of what comes after it
+            after = self.parameters.copy()  # a bend before a crossing does not continue behind it
             after[2:-1][self.fit.nodes_m > distance_m] = 0.0
             self._take(after)
         if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:
@@ -149,16 +147,16 @@ class LaneTracker:
 
     @property
     def near_crossing(self) -> bool:
-        """Whether the car is about to pass a crossing, in it, or a little behind it."""
+        """Whether the car is shortly before a crossing, in it, or shortly behind it."""
         return -(self.CROSSING_LANES + 2.0) * self.unit < self._crossing_s_m < 2.0 * self.unit
 
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
-        """One frame's points into the lane; `parameters` must be there."""
+        """Update the lane by one frame's points; raises ValueError without a lane."""
         if self.parameters is None:
             raise ValueError("update: nothing is tracked; call start first")
         fresh = _samples(seen)
-        doubtful = self._doubtful(fresh)
-        sigma_m = np.where(doubtful, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)
+        crossing = self._in_crossing(fresh)
+        sigma_m = np.where(crossing, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)
         samples = LineSamples(
             points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
             side=np.concatenate((fresh.side, self._memory[:, 2])),
@@ -168,14 +166,14 @@ class LaneTracker:
         solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
         self._take(solution.parameters)
         good = solution.inliers[: len(fresh.side)]
-        self._keep(fresh, good & ~doubtful)
+        self._keep(fresh, good & ~crossing)
         support = Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
         if max(support.left, support.right) >= 2:
             self.blind_m = 0.0
         return solution, support
 
-    def _doubtful(self, samples: LineSamples) -> NDArray[np.bool_]:
-        """Which samples lie inside a crossing: there are no lines of this road, what looks like some counts little."""
+    def _in_crossing(self, samples: LineSamples) -> NDArray[np.bool_]:
+        """Which samples lie inside a crossing, where the road has no lines and what looks like one weighs little."""
         s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
         return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
@@ -185,8 +183,8 @@ class LaneTracker:
             sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
         sigma[0] += self.BLIND_OFFSET * self.blind_m
         sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
-        nodes, begin = self.fit.nodes_m, self._crossing_s_m
-        straight = (nodes > begin - 0.15 * self.unit) & (nodes < begin + self.CROSSING_LANES * self.unit)
+        nodes, start = self.fit.nodes_m, self._crossing_s_m
+        straight = (nodes > start - 0.15 * self.unit) & (nodes < start + self.CROSSING_LANES * self.unit)
         mean[2:-1][straight] = 0.0
         sigma[2:-1][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)

@@ -1,4 +1,4 @@
-"""Polynomial regression by the normal equations (seed 003, eq. (1)-(3), (6))."""
+"""Polynomial regression by the normal equations (the AutoModelCar paper, eq. (1)-(3), (6))."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from automodel.types import FloatArray
 def fit_polynomial(x: ArrayLike, y: ArrayLike, degree: int, weights: ArrayLike | None = None) -> FloatArray:
     """Coefficients (degree + 1,), lowest power first, of the least-squares polynomial y(x).
 
-    The paper solves the normal equations on raw rows, which are ill-conditioned; here x is centred and scaled to
-    -1 .. 1 first and the coefficients are carried back. The degree falls to what the points can carry. Raises
-    ValueError without any point.
+    The paper solves the normal equations on image rows, which are ill-conditioned; here x is scaled to -1 .. 1 first
+    and the coefficients are transformed back. The degree is less than the number of distinct x. Raises ValueError
+    without points.
     """
     xs, ys = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if len(xs) == 0:
@@ -40,8 +40,3 @@ def shift_polynomial(local: FloatArray, centre: float, scale: float) -> FloatArr
         out = [a - b * centre for a, b in zip([0.0, *rise], [*rise, 0.0], strict=True)]
         out[0] += coefficient
     return np.array(out)
-
-
-def evaluate_polynomial(coefficients: FloatArray, x: ArrayLike) -> FloatArray:
-    """The polynomial's values at x."""
-    return np.asarray(np.polynomial.polynomial.polyval(np.asarray(x, dtype=np.float64), coefficients), dtype=np.float64)
