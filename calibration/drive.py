@@ -18,7 +18,7 @@ from automodel.config import CarConfig
 from automodel.console.messages import EventTeller, say
 from automodel.control.limits import Limits
 from automodel.control.longitudinal import ObstacleGuard
-from automodel.curves.theta import line
+from automodel.curves import line
 from automodel.interfaces import Controller, VehicleLink
 from automodel.runtime.clocks import NS_PER_S, SleepingClock
 from automodel.runtime.loop import Loop

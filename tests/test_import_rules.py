@@ -157,7 +157,7 @@ def test_the_layers_exist() -> None:
     ("module", "imported"),
     [
         ("automodel.signals", "automodel.config"),
-        ("automodel.curves.theta", "automodel.signals"),
+        ("automodel.curves.polynomials", "automodel.signals"),
         ("automodel.perception.windows.sliding_windows", "automodel.pipelines.windows"),
         ("automodel.control.limits", "automodel.perception"),
         ("automodel.recording.writer", "automodel.runtime.runner"),

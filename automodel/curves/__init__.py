@@ -1,11 +1,9 @@
 """Plane curves by arc length."""
 
 from automodel.curves.base import Curve
-from automodel.curves.graph import GraphCurve
-from automodel.curves.joined import JoinedCurve, ReversedCurve
-from automodel.curves.sampled import OffsetCurve, SplineCurve
-from automodel.curves.tabulated import DeferredCurve, TabulatedCurve
-from automodel.curves.theta import ThetaCurve, arc, clothoid, line
+from automodel.curves.derived import JoinedCurve, OffsetCurve, ReversedCurve
+from automodel.curves.polynomials import GraphCurve, ThetaCurve, arc, clothoid, line
+from automodel.curves.sampled import DeferredCurve, SplineCurve, TabulatedCurve
 
 __all__ = [
     "Curve",

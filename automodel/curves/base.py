@@ -1,4 +1,4 @@
-"""The interface of all curves: plane, parameterised by arc length."""
+"""The interface of all curves: in the plane, by arc length."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _SEARCH = Search(ahead_m=1e-12, step_m=1e-12, least_stretch=1e-6, rounds=30)
 
 
 class Curve(ABC):
-    """A plane curve by arc length s in 0 .. length_m; s outside is extrapolated, or wraps where `closed`.
+    """A plane curve by arc length s in 0 .. length_m; other s are extrapolated, or wrap where `closed`.
 
-    All methods take s of any shape (n,) or a number, and are vectorised.
+    All methods are vectorised: they take a number or an array s [m] of any shape (...,).
     """
 
     length_m: float
@@ -39,7 +39,7 @@ class Curve(ABC):
         return np.empty(0)
 
     def offset_position(self, s_m: ArrayLike, d_m: ArrayLike) -> FloatArray:
-        """Points (..., 2) at arc length s and distance d to the left."""
+        """Points (..., 2) [m] at arc length s and distance d to the left."""
         theta = self.heading(s_m)
         normal = np.stack((-np.sin(theta), np.cos(theta)), axis=-1)
         return self.position(s_m) + np.asarray(d_m, dtype=np.float64)[..., None] * normal
@@ -47,17 +47,16 @@ class Curve(ABC):
     def project(
         self, point_m: ArrayLike, near_s_m: float | None = None, reach_m: float | None = None
     ) -> tuple[float, float]:
-        """Arc length s and signed distance d (left positive) of a point: the foot of its perpendicular.
+        """Arc length s and signed distance d (left positive) [m] of the foot of a point's perpendicular.
 
-        Without `near_s_m` the closest foot on the whole curve counts; with it, the closest within `reach_m` (default: a
-        tenth of the curve) of that s, so that self-crossings are resolved by continuity. Safeguarded Newton on s
-        (Cudrano et al. 2020, eq. (18)); on an open curve s is clamped to 0 .. length_m and d is then the distance
-        along the end's normal.
+        Without `near_s_m` this is the closest foot on the whole curve; with it, the closest within `reach_m` (default:
+        a tenth of the curve) of that s, so that self-crossings are resolved by continuity. On an open curve s is
+        clamped to 0 .. length_m, and d is then the distance along the normal at the end.
         """
         x, y = np.asarray(point_m, dtype=np.float64)
         step = self._sample_step()
         if near_s_m is None:
-            overlap = step if self.closed else 0.0  # a foot just beside the seam lies between two samples too
+            overlap = step if self.closed else 0.0  # so that a foot beside the seam lies between two samples
             low, high = -overlap, self.length_m + overlap
         else:
             reach = 0.1 * self.length_m if reach_m is None else reach_m
@@ -82,5 +81,5 @@ class Curve(ABC):
         return x, y, np.cos(theta), np.sin(theta), float(self.curvature(s_m))
 
     def _sample_step(self) -> float:
-        """Spacing [m] of the samples in which the nearest foot is looked for."""
+        """Spacing [m] of the samples from which the search for a foot starts."""
         return max(self.length_m / 200.0, 1e-3)

@@ -10,7 +10,7 @@ import pytest
 
 from automodel.bench.tusimple import centre_error_pct, ego_lines, lines_px, parse_labels, score
 from automodel.config.toml_reader import ConfigError
-from automodel.curves.tabulated import TabulatedCurve
+from automodel.curves import TabulatedCurve
 from automodel.signals import LaneEstimate, LaneLine, LaneStatus
 from tests.support.highway_pictures import camera_model, mounted
 

@@ -290,7 +290,7 @@ def test_projection_beyond_open_ends_is_clamped() -> None:
     ],
 )
 def test_impossible_curves_are_refused(make: object) -> None:
-    with pytest.raises(ValueError, match=r"wanted|finite|repeats|rise"):
+    with pytest.raises(ValueError, match=r"expected|finite|repeats|rise"):
         make()  # type: ignore[operator]
 
 
