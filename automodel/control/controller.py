@@ -1,6 +1,6 @@
-"""The controller of the loop: a lane estimate in, the wanted command out.
+"""The controller of the loop: a lane estimate in, the requested command out.
 
-The known delay between a frame and the wheels that turn for it, made good by prediction.
+The delay between a frame and the wheels that turn for it is compensated by prediction (a Smith predictor).
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from automodel.control.vehicle_model import arc_motion
 from automodel.geometry.se2 import SE2
 from automodel.signals import Command, LaneEstimate, Motion, VehicleState
 
-_FORGET_NS = 300_000_000  # after such a gap nothing is known of what the wheels do
+_FORGET_NS = 300_000_000  # after a longer gap between frames the commands in flight are forgotten
 
 
 class SteeringInFlight:
-    """The steering that was commanded and does not show yet: a command for the frame at t acts from t + delay on.
+    """Steering commands that do not act yet: a Smith predictor on the kinematic bicycle.
 
-    A pure delay stands for wire, servo frame, dead time and lag together (a Smith predictor on the bicycle model).
+    The command for the frame at t acts from t + delay on. One pure delay stands for wire, servo frame, dead time and
+    lag. Raises ValueError for a negative delay.
     """
 
     def __init__(self, delay_s: float, wheelbase_m: float) -> None:
         if not delay_s >= 0:
-            raise ValueError(f"delay_s: {delay_s} where a number >= 0 is wanted")
+            raise ValueError(f"delay_s: expected a number >= 0, got {delay_s}")
         self._delay_ns = round(delay_s * 1e9)
         self._wheelbase_m = wheelbase_m
         self._commands: deque[tuple[int, float]] = deque()
 
     def add(self, frame_ns: int, steering_rad: float) -> None:
-        """A command that was given for the frame at `frame_ns`."""
+        """Remember the command for the frame at `frame_ns`."""
         if self._commands and not 0 < frame_ns - self._commands[-1][0] < _FORGET_NS:
             self._commands.clear()
         self._commands.append((frame_ns, steering_rad))
@@ -41,14 +42,14 @@ class SteeringInFlight:
             self._commands.popleft()
 
     def predict(self, frame_ns: int, speed_mps: float, steering_before_rad: float) -> SE2:
-        """`frame_from_then`: where the car of the frame at `frame_ns` is when its command acts.
+        """`frame_from_then`: the pose, in the body frame at `frame_ns`, that the car will have when its command acts.
 
-        `steering_before_rad` is taken for the time before the first command that is remembered.
+        `steering_before_rad` applies to the time before the first remembered command.
         """
         then = SE2()
         steering, since = steering_before_rad, frame_ns - self._delay_ns
-        for begin, value in self._commands:
-            until = min(max(begin, since), frame_ns)
+        for start, value in self._commands:
+            until = min(max(start, since), frame_ns)
             then = then @ arc_motion(speed_mps, steering, self._wheelbase_m, (until - since) * 1e-9)
             steering, since = value, until
         return then @ arc_motion(speed_mps, steering, self._wheelbase_m, (frame_ns - since) * 1e-9)
@@ -61,9 +62,9 @@ class SteeringInFlight:
 class LaneController:
     """Drives along the estimated centerline; implements `interfaces.Controller`.
 
-    The pose that is steered from is the one that the car will have when the command acts: the estimate's, moved on by
-    the bicycle model with the steering that is under way (`SteeringInFlight`, `control.actuator_delay_s`). A lost
-    lane keeps the steering and asks for speed 0. Every command lives `safety.command_validity_s` from its frame on.
+    The control laws act on the pose that the car will have when the command takes effect: that of the frame, moved by
+    the bicycle model with the steering in flight (`SteeringInFlight`, `control.actuator_delay_s`). A lost lane keeps
+    the steering and requests speed 0. A command is valid for `safety.command_validity_s` from its frame on.
     """
 
     def __init__(self, car: CarConfig) -> None:
@@ -71,13 +72,13 @@ class LaneController:
         self._lateral = lateral_controller(car.control, car.vehicle)
         self._speed = SpeedPlanner(car.control, car.safety.speed_max_mps)
         self._in_flight = SteeringInFlight(car.control.actuator_delay_s, car.vehicle.wheelbase_m)
-        self._foreseen = Limits(car.safety, car.vehicle)  # what the limits will leave of a command is what will act
+        self._expected = Limits(car.safety, car.vehicle)  # predicts what the limits will leave of a command
         self._validity_ns = round(car.safety.command_validity_s * 1e9)
         self._last: Command | None = None
-        self._told_rad = 0.0
+        self._applied_rad = 0.0
 
     def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None, t_ns: int) -> Command:
-        """The command wanted at `t_ns`."""
+        """The requested command at `t_ns`."""
         if self._last is None:
             self._start(state, t_ns)
         self._speed.observe(state, t_ns)
@@ -93,32 +94,32 @@ class LaneController:
             valid_until_ns=estimate.t_ns + self._validity_ns,
         )
         self._last = command
-        self._in_flight.add(estimate.t_ns, self._foreseen.step(command, motion, t_ns).command.steering_rad)
+        self._in_flight.add(estimate.t_ns, self._expected.step(command, motion, t_ns).command.steering_rad)
         return command
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
         self._last = None
-        self._told_rad = 0.0
+        self._applied_rad = 0.0
         self._speed.reset()
         self._in_flight.reset()
-        self._foreseen.reset()
+        self._expected.reset()
 
     @property
     def _steering_rad(self) -> float:
-        return self._told_rad if self._last is None else self._last.steering_rad
+        return self._applied_rad if self._last is None else self._last.steering_rad
 
     def _start(self, state: VehicleState | None, t_ns: int) -> None:
-        """Begin from the steering that the vehicle says it was told last."""
+        """Start from the steering that the vehicle reports as applied."""
         if state is not None and state.steering_rad is not None and t_ns - state.t_ns <= STATE_TIMEOUT_NS:
-            self._told_rad = state.steering_rad
-        told = Command(t_ns=t_ns, steering_rad=self._told_rad, speed_mps=0.0, valid_until_ns=t_ns)
-        self._foreseen.reset(told)
+            self._applied_rad = state.steering_rad
+        applied = Command(t_ns=t_ns, steering_rad=self._applied_rad, speed_mps=0.0, valid_until_ns=t_ns)
+        self._expected.reset(applied)
 
     def _follow(self, lane: LanePath, estimate: LaneEstimate, motion: Motion, t_ns: int) -> tuple[float, float]:
-        """Steering [rad] and speed [m/s] along a lane that is seen."""
+        """Steering [rad] and speed [m/s] along a valid lane."""
         speed = motion.speed_mps if motion.known else (0.0 if self._last is None else self._last.speed_mps)
-        then = self._in_flight.predict(estimate.t_ns, speed, self._told_rad)
+        then = self._in_flight.predict(estimate.t_ns, speed, self._applied_rad)
         steering_max = self._car.safety.steering_max_rad
         steering = self._lateral.steer(lane, then, max(speed, 0.0))
         s_m, _ = lane.foot(then.x_m, then.y_m)

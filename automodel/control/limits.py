@@ -1,4 +1,4 @@
-"""The limits that every command passes last, before the wire: a pure function of the one before and the time since."""
+"""The limits that every command passes last, before the wire: pure functions of the previous command and the time."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from automodel.config import SafetyConfig, VehicleConfig
 from automodel.control.vehicle_model import curvature_per_m, steering_rad
 from automodel.signals import Command, Motion
 
-MAX_STEP_S = 0.1  # a longer gap gives no larger step: what the car did meanwhile is not known
-_STILL_MPS = 1e-3  # below this speed no steering makes a lateral acceleration that counts
+MAX_STEP_S = 0.1  # a longer gap allows no larger step, because the car's motion in it is not known
+_STILL_MPS = 1e-3  # below this speed lateral acceleration does not limit the steering
 
 NON_FINITE = "non_finite"
 SPEED = "speed"
@@ -22,7 +22,7 @@ LATERAL_JERK = "lateral_jerk"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitResult:
-    """A command that breaks no limit, and the names of those that changed it, empty where none did."""
+    """A command within all limits, and the names of the limits that changed it."""
 
     command: Command
     reasons: tuple[str, ...] = ()
@@ -30,9 +30,9 @@ class LimitResult:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """What the limits count from: the steering [rad] and the speed [m/s] on the wire, and the time since [s].
+    """The previous command: steering [rad] and speed [m/s] on the wire, and the time since [s].
 
-    `measured_mps` is the car's own speed, None where nothing is known of it.
+    `measured_mps` is the car's measured speed, None where it is not known.
     """
 
     steering_rad: float = 0.0
@@ -50,10 +50,10 @@ def limit(command: Command, before: Before, safety: SafetyConfig, vehicle: Vehic
         |delta| <= steering_max                     |kappa| v^2 <= lateral_accel_max
         |delta - before| <= steering_rate_max dt    |kappa - before| v^2 <= lateral_jerk_max dt
 
-    Where a bend is too sharp for the speed, the steering gives way: a car that runs wide can still be stopped,
-    one that tips or slides cannot. Where the steering cannot come back fast enough for that, the speed gives way.
-    The jerk is the part that steering makes. Less speed is always granted at once, so that a stop is never late.
-    Anything that is not finite gives straight and neutral at once, already expired, so that it keeps no timer alive.
+    Where a bend is too sharp for the speed, the steering is reduced: a car that runs wide can still be stopped, one
+    that tips or slides cannot. Where the steering rate does not allow that, the speed is reduced. The jerk is the part
+    due to steering. A lower speed is always allowed at once, so that a stop is never delayed. A value that is not
+    finite gives straight and neutral at once, already expired, so that it keeps no timer alive.
     """
     numbers = (command.steering_rad, command.speed_mps, before.steering_rad, before.speed_mps, before.dt_s)
     measured = before.measured_mps
@@ -110,7 +110,7 @@ def _speed_in_bend(steering: float, safety: SafetyConfig, vehicle: VehicleConfig
 
 
 class Limits:
-    """`limit` with the memory of the command that went before; the first one starts from straight and neutral."""
+    """`limit` with a memory of the previous command; the first command starts from straight and neutral."""
 
     def __init__(self, safety: SafetyConfig, vehicle: VehicleConfig) -> None:
         self._safety, self._vehicle = safety, vehicle
@@ -134,7 +134,7 @@ class Limits:
         return result
 
     def reset(self, sent: Command | None = None, t_ns: int | None = None) -> None:
-        """Forget the past but for `sent`, the command on the wire since `t_ns` (its own time where None)."""
+        """Forget all but `sent`, the command on the wire since `t_ns` (its own time where None)."""
         if sent is not None and t_ns is not None and t_ns != sent.t_ns:
             sent = replace(sent, t_ns=t_ns)
         self._sent = sent

@@ -1,4 +1,4 @@
-"""How fast to go: the bends ahead, what is in the way, and how well the lane is seen."""
+"""The speed: limited by the bends ahead, by obstacles, and by how well the lane is seen."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from automodel.config import ControlConfig
 from automodel.control.path import LanePath
 from automodel.signals import LaneStatus, VehicleState
 
-REACTION_S = 0.15  # from a lower wish to a slower car: dead time and lag of a scale car's motor
+REACTION_S = 0.15  # from a lower request to a slower car: dead time and lag of a scale car's motor
 STATE_TIMEOUT_NS = 500_000_000
 _MAX_STEP_S = 0.1
-_LOOKS = 16  # places ahead at which the curvature is looked at
-_MIN_WINDOW_S = 0.1  # of way over which a bend's curvature is averaged
-_CREEP_MPS = 0.1  # an obstacle is approached at this speed at least, so that the stop comes
+_LOOKS = 16  # places ahead at which the curvature is evaluated
+_MIN_WINDOW_S = 0.1  # the curvature is averaged at least over the distance driven in this time
+_CREEP_MPS = 0.1  # least speed towards an obstacle, so that the car reaches the stopping distance
 
 
 class ObstacleGuard:
     """Stop and go by the ultrasonic range ahead, with hysteresis, on the median of the last three readings.
 
-    No echo is a free way. A single wrong reading, short or missing, changes nothing.
+    No echo means a free path. A single wrong reading, short or missing, changes nothing. Raises ValueError unless
+    0 <= stop_m <= go_m.
     """
 
     def __init__(self, stop_m: float, go_m: float) -> None:
         if not 0 <= stop_m <= go_m:
-            raise ValueError(f"go_m: {go_m} where at least stop_m = {stop_m} >= 0 is wanted")
+            raise ValueError(f"go_m: expected at least stop_m = {stop_m} >= 0, got {go_m}")
         self._stop_m, self._go_m = stop_m, go_m
         self.blocked = False
         self._readings: deque[float] = deque(maxlen=3)
         self._read_ns: int | None = None
 
     def step(self, state: VehicleState | None, t_ns: int) -> None:
-        """Take in the newest state, which may have been given before."""
+        """Use the newest state; one that was given before is ignored."""
         if state is None or state.t_ns == self._read_ns or t_ns - state.t_ns > STATE_TIMEOUT_NS:
             return
         if not state.ranges_m:
@@ -47,7 +48,7 @@ class ObstacleGuard:
 
     @property
     def range_m(self) -> float:
-        """The way [m] that is free ahead, inf where nothing is heard."""
+        """The free distance ahead [m]; infinity without an echo."""
         readings = sorted((*self._readings, math.inf, math.inf, math.inf)[:3])
         return readings[1]
 
@@ -59,11 +60,11 @@ class ObstacleGuard:
 
 
 class SpeedPlanner:
-    """The wanted speed.
+    """The requested speed.
 
-    In a bend v^2 |kappa| <= a_lat; a bend at distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. An obstacle
-    allows sqrt(2 a_dec x) for the way x left to the stopping distance, and nothing at all below it.
-    Wishes rise and fall along ramps; only a stop for an obstacle comes at once.
+    In a bend v^2 |kappa| <= a_lat; a bend at the distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. An obstacle
+    allows sqrt(2 a_dec x) for the distance x to the stopping distance, and 0 below it. The requested speed changes
+    along ramps; only a stop for an obstacle is immediate.
     """
 
     def __init__(self, control: ControlConfig, speed_max_mps: float) -> None:
@@ -71,36 +72,36 @@ class SpeedPlanner:
         self._speed_mps = min(control.speed_mps, speed_max_mps)
         self._guard = ObstacleGuard(control.obstacle_stop_m, control.obstacle_go_m)
         self._shares = {LaneStatus.ONE_LINE: control.one_line_speed, LaneStatus.COASTING: control.coasting_speed}
-        self._wanted: tuple[int, float] | None = None
+        self._requested: tuple[int, float] | None = None
 
     def observe(self, state: VehicleState | None, t_ns: int) -> None:
-        """Take in the vehicle's state, in every frame."""
+        """Use the vehicle's state, in every frame."""
         self._guard.step(state, t_ns)
 
     def step(self, lane: LanePath, s_m: float, status: LaneStatus, speed_mps: float, t_ns: int) -> float:
-        """Wanted speed [m/s] for a car at arc length `s_m` that drives at `speed_mps`."""
+        """Requested speed [m/s] of a car at arc length `s_m` that drives at `speed_mps`."""
         wanted = min(
             self._speed_mps * self._shares.get(status, 1.0),
             self._for_bends(lane, s_m, speed_mps),
             self._for_obstacle(speed_mps),
         )
-        if self._wanted is None:
+        if self._requested is None:
             start, dt = max(speed_mps, 0.0), 0.0
         else:
-            start, dt = self._wanted[1], min(max((t_ns - self._wanted[0]) * 1e-9, 0.0), _MAX_STEP_S)
+            start, dt = self._requested[1], min(max((t_ns - self._requested[0]) * 1e-9, 0.0), _MAX_STEP_S)
         ramped = min(max(wanted, start - self._control.decel_mps2 * dt), start + self._control.accel_mps2 * dt)
         ramped = 0.0 if self._guard.blocked else min(ramped, self._speed_mps)
-        self._wanted = (t_ns, ramped)
+        self._requested = (t_ns, ramped)
         return ramped
 
     def stop(self) -> float:
-        """The wanted speed without a lane: 0, at once; the next ramp starts from the speed the car then has."""
-        self._wanted = None
+        """The requested speed without a lane: 0 at once; the next ramp starts from the car's speed at that time."""
+        self._requested = None
         return 0.0
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
-        self._wanted = None
+        self._requested = None
         self._guard.reset()
 
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
@@ -111,11 +112,11 @@ class SpeedPlanner:
         window = max(speed * _MIN_WINDOW_S, spacing)
         allowed2 = math.inf
         for look in range(_LOOKS + 2):
-            begin = s_m + look * spacing
-            if begin > lane.length_m and look > 0:
+            start = s_m + look * spacing
+            if start > lane.length_m and look > 0:
                 break
-            kappa = abs(lane.mean_curvature(begin, begin + window))
-            if kappa > 1e-9:  # a bend may begin anywhere after the look before
+            kappa = abs(lane.mean_curvature(start, start + window))
+            if kappa > 1e-9:  # a bend may start anywhere after the previous place
                 braking = max((look - 1) * spacing - speed * REACTION_S, 0.0)
                 allowed2 = min(allowed2, control.lateral_accel_mps2 / kappa + 2.0 * control.decel_mps2 * braking)
         return math.sqrt(allowed2)

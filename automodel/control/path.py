@@ -1,4 +1,4 @@
-"""The centerline as the controllers look at it: sampled once a frame, then plain floats."""
+"""The centerline for the controllers: sampled once per frame, evaluated in plain floats."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _SEARCH = Search(ahead_m=1e-9)
 
 
 class LanePath:
-    """A curve in the body frame by arc length, with an arc of the end's curvature beyond each end.
+    """A curve in the body frame by arc length, extended at both ends by arcs of the curvature there.
 
-    An estimate may begin ahead of the rear axle and ends where the camera saw no further; polynomials leave the road
-    there, arcs stay with it.
+    An estimate may start ahead of the rear axle and ends where the camera sees no further. Beyond its ends a polynomial
+    leaves the road; an arc stays on it.
     """
 
     def __init__(self, curve: Curve) -> None:
@@ -44,18 +44,18 @@ class LanePath:
     def position(self, s_m: float) -> tuple[float, float]:
         """The point (x, y) [m]."""
         interval, anchor = self._find(s_m)
-        way = s_m - self._s[anchor]
-        half = 0.5 * way * self._bends[interval]
-        chord = way * (math.sin(half) / half) if abs(half) > 1e-9 else way
+        length = s_m - self._s[anchor]
+        half = 0.5 * length * self._bends[interval]
+        chord = length * (math.sin(half) / half) if abs(half) > 1e-9 else length
         middle = self._theta[anchor] + half
         return self._x[anchor] + chord * math.cos(middle), self._y[anchor] + chord * math.sin(middle)
 
-    def mean_curvature(self, begin_m: float, end_m: float) -> float:
-        """The curvature [1/m] between two arc lengths: how far the tangent turns, over the way."""
-        return (self.heading(end_m) - self.heading(begin_m)) / (end_m - begin_m)
+    def mean_curvature(self, start_m: float, end_m: float) -> float:
+        """The mean curvature [1/m] between two arc lengths: the turn of the tangent over the distance."""
+        return (self.heading(end_m) - self.heading(start_m)) / (end_m - start_m)
 
     def foot(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Arc length s of the perpendicular's foot, also beyond the ends, and distance d to the left of it [m]."""
+        """Arc length s of a point's foot, also beyond the ends, and the point's distance d to the left [m]."""
         nearest = int(nearest_samples(self._points, np.array([[x_m, y_m]]))[0])
         return newton_foot(self._place, (x_m, y_m), self._s[nearest], _SEARCH)
 
@@ -64,6 +64,6 @@ class LanePath:
         return *self.position(s_m), math.cos(theta), math.sin(theta), self._bends[self._find(s_m)[0]]
 
     def _find(self, s_m: float) -> tuple[int, int]:
-        """The number of the stretch, and of the sample to reckon from."""
+        """Index of the interval, and of the sample at its start."""
         interval = bisect_right(self._s, s_m)
         return interval, max(interval - 1, 0)

@@ -31,17 +31,17 @@ def yaw_rate_radps(speed_mps: float, steering_rad: float, wheelbase_m: float) ->
 
 
 def arc_motion(speed_mps: float, steering_rad: float, wheelbase_m: float, duration_s: float) -> SE2:
-    """`before_from_after` of a drive at constant speed and steering: an arc of length v t that turns by v t kappa."""
-    way_m = speed_mps * duration_s
-    return SE2.arc(way_m, way_m * curvature_per_m(steering_rad, wheelbase_m))
+    """`before_from_after` of a motion at constant speed and steering: an arc of length v t that turns by v t kappa."""
+    distance_m = speed_mps * duration_s
+    return SE2.arc(distance_m, distance_m * curvature_per_m(steering_rad, wheelbase_m))
 
 
 def rear_offset_m(curvature_per_m: float, reference_x_m: float) -> float:
-    """Where the rear axle runs beside a circle that the point `reference_x_m` ahead of it runs on, left positive [m].
+    """Offset [m] of the rear axle from the circle of the point `reference_x_m` ahead of it, left positive.
 
-    The reference's radius R and the rear axle's are the long sides of a right triangle with the short side l: the rear
-    axle is R - sqrt(R^2 - l^2) nearer to the centre, (1 - sqrt(1 - (kappa l)^2)) / kappa to the left.
+    The radius R of the reference point, that of the rear axle and the distance l between them make a right triangle:
+    the rear axle is R - sqrt(R^2 - l^2) nearer to the centre, (1 - sqrt(1 - (kappa l)^2)) / kappa to the left.
     """
     bend = min(abs(curvature_per_m * reference_x_m), 1.0)
-    # (1 - root) / kappa = kappa l^2 / (1 + root), which holds on a straight, too
+    # (1 - root) / kappa = kappa l^2 / (1 + root), which is defined on a straight, too
     return curvature_per_m * reference_x_m**2 / (1.0 + math.sqrt(1.0 - bend * bend))
