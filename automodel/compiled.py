@@ -26,7 +26,7 @@ config: Any = numba_config  # its names are made at run time
 
 
 def compiled(function: F) -> F:
-    """The function, to be compiled: scalars, tuples and arrays of numbers go in and come out."""
+    """The function, compiled at its first call; arguments and results are numbers, tuples and arrays of numbers."""
     _announce()
     folder = _cache_folder()
     if folder is None:

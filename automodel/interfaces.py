@@ -1,4 +1,4 @@
-"""What the runner knows of the things it drives; concrete classes are chosen in `automodel.cli`."""
+"""The interfaces between the runner and the parts of a run; `automodel.assembly` chooses the classes."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, Stere
 
 
 class Clock(Protocol):
-    """Integer nanoseconds that never go back: the monotonic clock, or a simulation's virtual one."""
+    """Monotonic time in integer nanoseconds, of the system or of a simulation."""
 
     def now_ns(self) -> int:
         """The time now [ns]."""
@@ -16,19 +16,19 @@ class Clock(Protocol):
 
 
 class Source(Protocol):
-    """Where frames come from. `read` raises `SourceError` (an OSError) when the source is broken."""
+    """A source of frames. `read` raises `SourceError` (an OSError) when the source is broken."""
 
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
-        """The next frame, or None when none came within `timeout_s`; raises EndOfSource after the last one."""
+        """The next frame, or None if none came within `timeout_s`; raises EndOfSource after the last one."""
         ...
 
     def close(self) -> None:
-        """Give the device back; may be called twice."""
+        """Release the device; may be called twice."""
         ...
 
 
 class Pipeline(Protocol):
-    """An image in, the lane out. Never raises on what an image shows, never gives NaN."""
+    """Estimates the lane from images. Never raises because of an image's content, never returns NaN."""
 
     name: str
 
@@ -42,10 +42,10 @@ class Pipeline(Protocol):
 
 
 class Controller(Protocol):
-    """A lane estimate and the vehicle's state in, the wanted command out (limits come after it)."""
+    """Computes the requested command from a lane estimate and the vehicle's state; limits follow."""
 
     def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None, t_ns: int) -> Command:
-        """The command wanted at `t_ns`."""
+        """The requested command at `t_ns`."""
         ...
 
     def reset(self) -> None:
@@ -54,60 +54,60 @@ class Controller(Protocol):
 
 
 class VehicleLink(Protocol):
-    """A vehicle behind a pipe. Every call may raise a `LinkError` (an OSError) when the pipe is gone; none blocks."""
+    """A connection to a vehicle. Every call may raise a `LinkError` (an OSError) when it is lost; none blocks."""
 
     def open(self) -> None:
-        """Open the pipe; the vehicle may take seconds to answer its first `poll`."""
+        """Open the connection; the vehicle may take seconds to answer the first `poll`."""
         ...
 
     def poll(self, now_ns: int) -> VehicleState | None:
-        """Take in what has arrived; the newest state, or None until the vehicle has said hello."""
+        """Process what has arrived; the newest state, or None until the vehicle has sent its hello."""
         ...
 
     def send(self, command: Command, now_ns: int) -> None:
-        """Put a command on the wire; one that is no longer valid at `now_ns` goes out as neutral."""
+        """Send a command; one that is no longer valid at `now_ns` is sent as neutral."""
         ...
 
     def arm(self, now_ns: int) -> None:
-        """Ask the vehicle to accept commands; `VehicleState.armed` tells when it does."""
+        """Ask the vehicle to accept commands; `VehicleState.armed` is True once it does."""
         ...
 
     def disarm(self, now_ns: int) -> None:
-        """Neutral and straight, at once, and no more commands accepted until armed again."""
+        """Send straight and neutral at once; the vehicle accepts no commands until it is armed again."""
         ...
 
     def close(self) -> None:
-        """Disarm as far as the pipe allows, and close; may be called twice."""
+        """Disarm if the connection allows it, and close; may be called twice."""
         ...
 
 
 class Recorder(Protocol):
-    """Where a run is written down. Calls return at once; the writing happens elsewhere."""
+    """Records a run. Calls return at once; another thread writes."""
 
     def frame(self, frame: Frame | StereoFrame) -> None:
-        """A frame that the pipeline was given."""
+        """Record a frame that was given to the pipeline."""
         ...
 
     def motion(self, motion: Motion) -> None:
-        """The motion that the pipeline was given with the frame before."""
+        """Record the motion that was given to the pipeline with the previous frame."""
         ...
 
     def state(self, state: VehicleState) -> None:
-        """A state that the vehicle sent."""
+        """Record a state of the vehicle."""
         ...
 
     def estimate(self, estimate: LaneEstimate) -> None:
-        """A pipeline's estimate."""
+        """Record an estimate of the pipeline."""
         ...
 
     def command(self, command: Command) -> None:
-        """A command as it was sent, after the limits."""
+        """Record a command as it was sent, after the limits."""
         ...
 
     def event(self, event: Event) -> None:
-        """A safety event."""
+        """Record a safety event."""
         ...
 
     def close(self) -> None:
-        """Write what is left and close the file."""
+        """Write what is pending and close the file."""
         ...

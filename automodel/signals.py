@@ -1,4 +1,4 @@
-"""The values that cross stages: frozen, slotted, keyword-only.
+"""The values that pass between stages: frozen, slotted, keyword-only.
 
 SI units; ISO 8855 signs (left and anticlockwise positive). Arrays inside are read-only. Time is integer nanoseconds of
 the monotonic clock, taken at capture.
@@ -17,8 +17,13 @@ from automodel.types import FloatArray, Image
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
     array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
+<<<<<<< HEAD
     wanted = tuple([got if want is None else want for got, want in zip(array.shape, shape, strict=False)])
     if array.ndim != len(shape) or array.shape != wanted:
+=======
+    expected = tuple([got if size is None else size for got, size in zip(array.shape, shape, strict=False)])
+    if array.ndim != len(shape) or array.shape != expected:
+>>>>>>> a5d936c (Geometry, the values and the interfaces: texts)
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     array.flags.writeable = False
     return array
@@ -27,14 +32,18 @@ def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> Floa
 def _frozen_image(image: Image, name: str) -> Image:
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise ValueError(f"{name}: expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}")
+<<<<<<< HEAD
     view = image.view()  # a view, not a copy: the source hands the buffer over and does not write to it again
+=======
+    view = image.view()  # no copy: the source does not write to the buffer again
+>>>>>>> a5d936c (Geometry, the values and the interfaces: texts)
     view.flags.writeable = False
     return view
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """One camera picture.
+    """One camera image.
 
     `t_ns` is the time of capture, `index` counts what the source delivered, `image` is uint8, (h, w) grey or
     (h, w, 3) BGR.
@@ -50,7 +59,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoFrame:
-    """Two pictures taken at the same time; the images as in `Frame`."""
+    """Two images taken at the same time; as in `Frame`."""
 
     t_ns: int
     index: int
@@ -63,13 +72,13 @@ class StereoFrame:
 
 
 class MotionSource(enum.Enum):
-    """Where a `Motion` comes from, the best first."""
+    """The source of a `Motion`, the best first."""
 
     MEASURED = "measured"  # speed and yaw rate both measured
     MODEL = "model"  # speed measured, yaw rate from the bicycle model on the applied steering
-    COMMAND = "command"  # speed and yaw rate from what was commanded
+    COMMAND = "command"  # speed or steering as commanded
     RECORDED = "recorded"  # read from a recording or motion.csv
-    NONE = "none"  # nothing is known: both are zero and must not be used
+    NONE = "none"  # unknown: both values are 0 and must not be used
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,11 +97,11 @@ class Motion:
 
 
 class LaneStatus(enum.Enum):
-    """How far an estimate may be trusted."""
+    """What supports an estimate."""
 
     TRACKING = "TRACKING"  # both lines seen in this frame
-    ONE_LINE = "ONE_LINE"  # one line seen, the other placed by the lane's width
-    COASTING = "COASTING"  # none seen: dead reckoning, for a bounded time
+    ONE_LINE = "ONE_LINE"  # one line seen, the other one placed by the lane's width
+    COASTING = "COASTING"  # no line seen: dead reckoning, for a limited time
     LOST = "LOST"  # no estimate; pose, lines and centerline are None
 
 
@@ -144,10 +153,9 @@ class Crossing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneEstimate:
-    """What a pipeline says of one frame; body frame, metres.
+    """A pipeline's estimate of the lane in one frame; body frame, metres.
 
-    `frame_age_ns` is the age of the youngest picture in which a line was seen: 0 while one is seen, growing while
-    coasting.
+    `frame_age_ns` is the age of the last frame in which a line was seen: 0 while one is seen.
     """
 
     t_ns: int
@@ -167,7 +175,7 @@ class LaneEstimate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """What the car shall do until `valid_until_ns`: road-wheel angle [rad], left positive, and speed [m/s]."""
+    """A command until `valid_until_ns`: road-wheel angle [rad], left positive, and speed [m/s]."""
 
     t_ns: int
     steering_rad: float
@@ -180,11 +188,10 @@ NEUTRAL = Command(t_ns=0, steering_rad=0.0, speed_mps=0.0, valid_until_ns=0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
-    """What the vehicle says of itself; None where it does not say.
+    """The state that a vehicle reports; None for a value that it does not report.
 
-    `ranges_m`: ultrasonic ranges (left, centre, right) [m], None where there was no echo. `steering_rad` is the
-    angle that the actuator was told last. `faults` are names, empty when all is well. `boot_id` changes whenever the
-    controller restarts.
+    `ranges_m`: ultrasonic ranges (left, centre, right) [m], None without an echo. `steering_rad` is the last angle sent
+    to the actuator. `faults` are names. `boot_id` changes whenever the vehicle's controller restarts.
     """
 
     t_ns: int
@@ -200,7 +207,7 @@ class VehicleState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """Something that the recording must tell: `kind` is a fixed word, `text` one line for a person."""
+    """An event for the recording: `kind` is a fixed word, `text` one line for people."""
 
     t_ns: int
     kind: str
@@ -209,10 +216,10 @@ class Event:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardSensors:
-    """What the sensors on the controller board read at one time.
+    """Readings of the sensors on the controller board at one time.
 
-    `ranges_m`: ultrasonic (left, centre, right) [m], None without an echo. `wheel_ticks` counts up from power-on, down
-    in reverse. `yaw_rate_radps` is None where no gyro is fitted.
+    `ranges_m`: ultrasonic ranges (left, centre, right) [m], None without an echo. `wheel_ticks` counts from power-on,
+    down in reverse. `yaw_rate_radps` is None without a gyro.
     """
 
     ranges_m: tuple[float | None, float | None, float | None]

@@ -1,4 +1,4 @@
-"""Array types, named once: what is in an array; its shape, unit and frame stand in each docstring."""
+"""Types of arrays by their elements; each docstring states shape, unit and frame."""
 
 from __future__ import annotations
 

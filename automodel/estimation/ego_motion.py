@@ -1,4 +1,4 @@
-"""The car's motion from what the vehicle says of itself and what it was told."""
+"""The car's motion from the vehicle's sensors, or else from the last command."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import math
 from automodel.config import VehicleConfig
 from automodel.signals import Command, Motion, MotionSource, VehicleState
 
-STATE_TIMEOUT_NS = 200_000_000  # an older state counts as none
-SETTLE_NS = 300_000_000  # the car must have stood so long before the gyro's reading counts as its bias
-MIN_READINGS = 10  # readings before the bias counts as known
-MAX_READINGS = 500  # older ones fade, because the bias drifts with the temperature
+STATE_TIMEOUT_NS = 200_000_000  # an older state is ignored
+SETTLE_NS = 300_000_000  # time at rest before a gyro reading counts as bias
+MIN_READINGS = 10  # readings from which on the bias is known
+MAX_READINGS = 500  # memory of the running mean: the bias drifts with the temperature
 BIAS_MAX_RADPS = 0.3  # a car at rest that turns faster is being carried
 
 
 class MotionEstimator:
-    """Speed and yaw rate for dead reckoning, from the best that there is.
+    """Speed and yaw rate for dead reckoning, from the best source available.
 
     ========  =============  ===============================================
     source    speed          yaw rate
@@ -27,8 +27,8 @@ class MotionEstimator:
     NONE      0              0
     ========  =============  ===============================================
 
-    The gyro's bias is the running mean of its readings while the car stands still; until ten were taken the gyro is not
-    used. A command that has expired drives nothing: it counts as speed 0.
+    The gyro's bias is the running mean of its readings at rest; the gyro is not used before ten of them. An expired
+    command counts as speed 0.
     """
 
     def __init__(self, vehicle: VehicleConfig) -> None:
@@ -37,7 +37,7 @@ class MotionEstimator:
 
     @property
     def bias_radps(self) -> float | None:
-        """The gyro's bias [rad/s], None while it is not known."""
+        """The gyro's bias [rad/s]; None while unknown."""
         return self._mean_radps if self._readings >= MIN_READINGS else None
 
     def step(self, state: VehicleState | None, last_command: Command | None, t_ns: int) -> Motion:
@@ -61,7 +61,7 @@ class MotionEstimator:
         if steering is None and last_command is not None:
             steering = _finite(last_command.steering_rad)
         if steering is None:
-            if speed != 0.0:  # a moving car whose steering nobody knows
+            if speed != 0.0:  # the car moves and its steering is unknown
                 return Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
             steering = 0.0
         yaw_rate = speed * math.tan(steering) / self._wheelbase_m
@@ -74,7 +74,7 @@ class MotionEstimator:
         self._still_since_ns: int | None = None
 
     def _learn(self, state: VehicleState, commanded_mps: float | None) -> None:
-        """Take a new state's gyro reading for the bias, if the car has stood long enough."""
+        """Use a new state's gyro reading for the bias, if the car has been at rest long enough."""
         self._read_ns = state.t_ns
         gyro = _finite(state.yaw_rate_radps)
         still = state.speed_mps == 0.0 and not commanded_mps

@@ -1,4 +1,4 @@
-"""Frames, cameras and the ground plane."""
+"""Coordinate frames, the camera, the ground plane and the bird's-eye view."""
 
 from automodel.geometry.birdseye import BirdsEye, View
 from automodel.geometry.camera import CameraModel

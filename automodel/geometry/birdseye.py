@@ -1,4 +1,4 @@
-"""The bird's-eye view: the ground seen from straight above, by one remap with fixed-point maps."""
+"""The bird's-eye view: the ground seen from above, by one remap with fixed-point maps."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from automodel.types import FloatArray, Image
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class View:
-    """The part of the ground that a bird's-eye view shows; rows run towards the car, columns to the right."""
+    """The part of the ground in a bird's-eye view; rows run towards the car, columns to the right.
+
+    Raises ValueError for an empty view.
+    """
 
     x_near_m: float
     x_far_m: float
@@ -27,7 +30,7 @@ class View:
             object.__setattr__(self, "m_per_row", self.m_per_px)
         positive = min(self.half_width_m, self.m_per_px, self.m_per_row) > 0
         if not (self.x_far_m > self.x_near_m and positive):
-            raise ValueError(f"View: nothing to see in {self}")
+            raise ValueError(f"View: expected x_far_m > x_near_m and positive sizes, got {self}")
 
     @property
     def height_px(self) -> int:
@@ -61,9 +64,9 @@ class View:
 
 
 class BirdsEye:
-    """Warps pictures of one calibrated camera into a `View`.
+    """Warps images of one calibrated camera into a `View`.
 
-    `mask` (h, w) is 255 where the view's ground lies inside the picture, else 0.
+    `mask` (h, w) is 255 where the view's ground lies inside the image, else 0.
     """
 
     def __init__(self, camera: GroundCamera, view: View) -> None:
@@ -77,7 +80,7 @@ class BirdsEye:
         self._map_xy, self._map_fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
 
     def warp(self, image: Image) -> Image:
-        """The view (h, w[, 3]) of a picture; ground outside the picture repeats the picture's edge."""
+        """The view (h, w[, 3]) of an image; ground outside the image repeats the image's edge."""
         return np.asarray(
             cv2.remap(image, self._map_xy, self._map_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
             dtype=np.uint8,

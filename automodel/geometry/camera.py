@@ -1,4 +1,4 @@
-"""Pinhole camera with Brown distortion (OpenCV's model: k1 k2 p1 p2 k3)."""
+"""Pinhole camera with Brown's distortion (OpenCV's model: k1 k2 p1 p2 k3)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class CameraModel:
         return np.where(seen[..., None], pixels, np.nan)
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
-        """Pixels (..., 2) -> rays (..., 3) of the cam frame with z = 1; NaN where the lens model has no such ray."""
+        """Pixels (..., 2) -> rays (..., 3) in the cam frame with z = 1; NaN where the lens model has no ray."""
         p = np.asarray(pixels, dtype=np.float64)
         m = self.matrix
         xd, yd = (p[..., 0] - m[0, 2]) / m[0, 0], (p[..., 1] - m[1, 2]) / m[1, 1]
@@ -69,7 +69,7 @@ class CameraModel:
         )
 
     def _undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The inverse of `_distort` by Newton's method inside the radius where there is one; NaN elsewhere."""
+        """The inverse of `_distort` by Newton's method within the fold radius; NaN elsewhere."""
         k1, k2, p1, p2, k3 = self.distortion
         x, y = xd, yd
         for _ in range(20):
@@ -91,7 +91,7 @@ class CameraModel:
         return np.where(found, x, np.nan), np.where(found, y, np.nan)
 
     def inside(self, pixels: ArrayLike, margin_px: float = 0.0) -> NDArray[np.bool_]:
-        """Which pixels (..., 2) lie in the picture, `margin_px` from its edge; False for NaN."""
+        """Which pixels (..., 2) lie in the image, at least `margin_px` from its edge; False for NaN."""
         p = np.asarray(pixels, dtype=np.float64)
         u, v = p[..., 0], p[..., 1]
         return (
@@ -102,7 +102,7 @@ class CameraModel:
         )
 
     def _fold_radius(self) -> float:
-        """The normalised radius up to which the radial polynomial rises; beyond it two rays share one pixel."""
+        """The normalised radius up to which the radial polynomial rises; beyond it two rays share a pixel."""
         k1, k2, _, _, k3 = self.distortion
         radius = np.linspace(0.0, 10.0, 2001)
         r2 = radius * radius

@@ -13,10 +13,10 @@ from automodel.types import FloatArray
 
 
 def cam_from_body_rotation(extrinsics: Extrinsics) -> FloatArray:
-    """Rotation (3, 3) that carries body directions into the cam frame.
+    """Rotation (3, 3) from the body frame to the cam frame.
 
-    The camera starts looking along body x, then turns by yaw (left positive) about z, pitch (down positive) about its
-    y axis and roll (right side down positive) about its line of sight.
+    A camera that looks along body x is turned by yaw (left positive) about z, pitch (down positive) about its y axis
+    and roll (right side down positive) about its optical axis.
     """
     cy, sy = math.cos(extrinsics.yaw_rad), math.sin(extrinsics.yaw_rad)
     cp, sp = math.cos(extrinsics.pitch_rad), math.sin(extrinsics.pitch_rad)
@@ -42,12 +42,12 @@ class GroundCamera:
         return cls(CameraModel.from_config(camera), camera.extrinsics)
 
     def body_to_px(self, points_m: ArrayLike) -> FloatArray:
-        """Points (..., 3) of the body frame -> pixels (..., 2), NaN where not seen; also outside the picture."""
+        """Points (..., 3) [m] of the body frame -> pixels (..., 2), also outside the image; NaN where there is none."""
         points = np.asarray(points_m, dtype=np.float64)
         return self.camera.project((points - self.centre_m) @ self.cam_from_body.T)
 
     def ground_to_px(self, points_m: ArrayLike) -> FloatArray:
-        """Ground points (..., 2) of the body frame -> pixels (..., 2), NaN where not seen."""
+        """Ground points (..., 2) [m] of the body frame -> pixels (..., 2); NaN where there is none."""
         points = np.asarray(points_m, dtype=np.float64)
         return self.body_to_px(np.concatenate((points, np.zeros((*points.shape[:-1], 1))), axis=-1))
 
@@ -60,16 +60,16 @@ class GroundCamera:
 
     @property
     def homography(self) -> FloatArray:
-        """Undistorted `px_from_ground` (3, 3): ground point (x, y, 1) -> pixel (u, v, 1) times its depth."""
+        """`px_from_ground` (3, 3) without distortion: ground point (x, y, 1) -> pixel (u, v, 1) times its depth."""
         basis = np.column_stack(
             (self.cam_from_body[:, 0], self.cam_from_body[:, 1], -self.cam_from_body @ self.centre_m)
         )
         return np.asarray(self.camera.matrix @ basis)
 
     def first_visible_x_m(self) -> float:
-        """Body x [m] of the nearest ground in the picture's bottom row; raises ValueError when none of it is ground."""
+        """Body x [m] of the nearest ground in the image's bottom row; raises ValueError if there is no ground in it."""
         bottom = [(u, self.camera.height_px - 1.0) for u in np.linspace(0, self.camera.width_px - 1.0, 9)]
         x = self.px_to_ground(bottom)[:, 0]
         if not np.isfinite(x).any():
-            raise ValueError("pitch_rad: the picture's bottom row shows no ground; the camera looks over it")
+            raise ValueError("pitch_rad: the image's bottom row shows no ground; the camera looks too high")
         return float(np.nanmin(x))

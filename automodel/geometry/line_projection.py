@@ -1,4 +1,4 @@
-"""Lines on the ground in the picture: where a point of one lies, how it runs there, and what a shift of it moves."""
+"""Projection of lines on the ground into the image: pixel, tangent, and displacement by a lateral shift."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from automodel.geometry.ground import GroundCamera
 from automodel.types import Complexes, Floats
 
 View = tuple[Floats, Floats, float, float]
-_NEAREST = 1e-3  # [m] of depth: what is less counts as behind the camera
+_NEAREST = 1e-3  # [m] least depth; points nearer are behind the camera
 _NOWHERE_PX = -1e6
-_WIDEST = 4.0  # normalised radius, 76 degrees off the axis: no lens model of this kind reaches further
+_WIDEST = 4.0  # normalised radius, 76 degrees off the axis: the model does not hold beyond
 
 
 @dataclass(slots=True, eq=False)
 class ProjectedLine:
-    """Points (n,) of lines in the picture; `values` (5, n) holds `place`, `along` and `area`.
+    """Points (n,) of lines in the image; `values` (5, n) holds `place`, `along` and `area`.
 
-    A point beyond where the lens model folds back lies far outside the picture. What lies behind the camera has no
-    meaning, but is finite.
+    A point beyond the fold of the lens model gets a place far outside the image. Values of points behind the camera are
+    finite but have no meaning.
     """
 
     values: Floats
@@ -46,43 +46,44 @@ class ProjectedLine:
 class LineProjection:
     """Projects ground points and directions of the body frame, with the lens's distortion.
 
-    A point that moves by delta to the left of its line, while it stays on its row of the picture, moves by
-    `-area / along_v * delta` pixels along that row: shifted by delta n + tau t its row stays where
+    A point that moves by delta to the left of its line and stays on its image row moves along that row by
+    `-area / along_v * delta` pixels: after a shift by delta n + tau t the row is the same where
     v_n delta + v_t tau = 0, and then u_n delta + u_t tau = (u_n v_t - u_t v_n) / v_t * delta.
 
-    `view` is what `project_lines` needs to know of the camera.
+    `view` holds the camera's parameters for `project_lines`.
     """
 
     def __init__(self, camera: GroundCamera, dtype: type[np.floating[Any]] = np.float64) -> None:
         self.dtype = dtype
         rotation, matrix = camera.cam_from_body, camera.camera.matrix
-        # From (x, y, 1) on the ground, in the body frame, to the camera's frame.
+        # (x, y, 1) on the ground in the body frame -> cam frame
         plane = np.column_stack((rotation[:, 0], rotation[:, 1], -rotation @ camera.centre_m))
         lens = [*camera.camera.distortion, matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
         fold2 = min(camera.camera.max_radius, _WIDEST) ** 2
         self.view: View = plane.astype(dtype), np.array(lens, dtype), float(np.linalg.det(plane)), fold2
 
-    def project(self, place: Complexes, along: Complexes, aside_m: float) -> ProjectedLine:
-        """Two lines `aside_m` to the left and to the right of the one at `place` (n,) with unit tangents `along`.
+    def project(self, place: Complexes, along: Complexes, lateral_m: float) -> ProjectedLine:
+        """Project the two lines `lateral_m` to the left and to the right of the points `place` (n,).
 
-        Both as complex numbers x + i y [m]. The first n of the 2 n points are the left line's.
+        `place` and the unit tangents `along` (n,) are complex numbers x + i y [m] in the body frame. The first n of the
+        2 n results belong to the left line.
         """
-        return ProjectedLine(project_lines(self.view, place, along, aside_m))
+        return ProjectedLine(project_lines(self.view, place, along, lateral_m))
 
 
 @compiled
-def project_lines(view: View, place: Complexes, along: Complexes, aside_m: float) -> Floats:
-    """The values (5, 2 n) of `LineProjection.project`, by Brown's distortion.
+def project_lines(view: View, place: Complexes, along: Complexes, lateral_m: float) -> Floats:
+    """The values (5, 2 n) of `LineProjection.project`, with Brown's distortion.
 
-    `view`: the plane's matrix (3, 3); k1, k2, p1, p2, k3, focal lengths and centre [px] (9,); the matrix's determinant;
-    the square of the normalised radius at which the lens model folds back.
+    `view`: the matrix (3, 3) from the ground to the cam frame; k1, k2, p1, p2, k3, focal lengths and centre [px] (9,);
+    the matrix's determinant; the squared normalised radius at which the lens model folds.
     """
     plane, lens, volume, fold2 = view
     k1, k2, p1, p2, k3, focal_x, focal_y, centre_x, centre_y = lens
     n = len(place)
     values = np.empty((5, 2 * n), plane.dtype)
     for i in range(2 * n):
-        away = aside_m if i < n else -aside_m
+        away = lateral_m if i < n else -lateral_m
         t = along[i % n]
         x0, y0 = place[i % n].real - away * t.imag, place[i % n].imag + away * t.real
         depth = plane[2, 0] * x0 + plane[2, 1] * y0 + plane[2, 2]

@@ -13,7 +13,7 @@ from automodel.types import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class SE2:
-    """A pose or a transform `a_from_b`: rotate by `yaw_rad`, then shift by (x_m, y_m).
+    """A pose or a transform `a_from_b`: rotate by `yaw_rad`, then translate by (x_m, y_m).
 
     Names cancel: `world_from_body @ body_from_lane` is world_from_lane, `world_from_body.apply(p_body)` is p_world.
     """
@@ -36,7 +36,7 @@ class SE2:
         return SE2(-cos * self.x_m - sin * self.y_m, sin * self.x_m - cos * self.y_m, -self.yaw_rad)
 
     def apply(self, points_m: ArrayLike) -> FloatArray:
-        """Points (..., 2) moved from frame b to frame a."""
+        """Points (..., 2) [m] of frame b in frame a."""
         points = np.asarray(points_m, dtype=np.float64)
         cos, sin = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         x, y = points[..., 0], points[..., 1]
@@ -44,12 +44,12 @@ class SE2:
 
     @staticmethod
     def arc(distance_m: float, turn_rad: float) -> SE2:
-        """`before_from_after` of a drive along a circular arc: the exponential map of (distance, 0, turn)."""
+        """`before_from_after` of a motion along a circular arc: the exponential map of (distance, 0, turn)."""
         half = 0.5 * turn_rad
         chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
         return SE2(chord * math.cos(half), chord * math.sin(half), turn_rad)
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same direction in -pi .. pi."""
+    """The same angle [rad] in -pi .. pi."""
     return math.remainder(angle_rad, 2.0 * math.pi)

@@ -216,7 +216,7 @@ class TestBirdsEye:
         assert view.to_body(view.to_px((0.7, 0.2))) == pytest.approx([0.7, 0.2])
 
     def test_impossible_views_are_refused(self) -> None:
-        with pytest.raises(ValueError, match="nothing to see"):
+        with pytest.raises(ValueError, match="View: expected"):
             View(x_near_m=1.0, x_far_m=0.5, half_width_m=0.5, m_per_px=0.01)
 
     @pytest.mark.parametrize("lens", [Intrinsics(), LENS], ids=["pinhole", "distorted"])
