@@ -12,7 +12,6 @@ class Clock(Protocol):
 
     def now_ns(self) -> int:
         """The time now [ns]."""
-        ...
 
 
 class Source(Protocol):
@@ -20,11 +19,9 @@ class Source(Protocol):
 
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The next frame, or None if none came within `timeout_s`; raises EndOfSource after the last one."""
-        ...
 
     def close(self) -> None:
         """Release the device; may be called twice."""
-        ...
 
 
 class Pipeline(Protocol):
@@ -34,11 +31,9 @@ class Pipeline(Protocol):
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame; `motion` is the car's since the frame before."""
-        ...
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
-        ...
 
 
 class Controller(Protocol):
@@ -46,11 +41,9 @@ class Controller(Protocol):
 
     def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None, t_ns: int) -> Command:
         """The requested command at `t_ns`."""
-        ...
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
-        ...
 
 
 class VehicleLink(Protocol):
@@ -58,27 +51,21 @@ class VehicleLink(Protocol):
 
     def open(self) -> None:
         """Open the connection; the vehicle may take seconds to answer the first `poll`."""
-        ...
 
     def poll(self, now_ns: int) -> VehicleState | None:
         """Process what has arrived; the newest state, or None until the vehicle has sent its hello."""
-        ...
 
     def send(self, command: Command, now_ns: int) -> None:
         """Send a command; one that is no longer valid at `now_ns` is sent as neutral."""
-        ...
 
     def arm(self, now_ns: int) -> None:
         """Ask the vehicle to accept commands; `VehicleState.armed` is True once it does."""
-        ...
 
     def disarm(self, now_ns: int) -> None:
         """Send straight and neutral at once; the vehicle accepts no commands until it is armed again."""
-        ...
 
     def close(self) -> None:
         """Disarm if the connection allows it, and close; may be called twice."""
-        ...
 
 
 class Recorder(Protocol):
@@ -86,28 +73,21 @@ class Recorder(Protocol):
 
     def frame(self, frame: Frame | StereoFrame) -> None:
         """Record a frame that was given to the pipeline."""
-        ...
 
     def motion(self, motion: Motion) -> None:
         """Record the motion that was given to the pipeline with the previous frame."""
-        ...
 
     def state(self, state: VehicleState) -> None:
         """Record a state of the vehicle."""
-        ...
 
     def estimate(self, estimate: LaneEstimate) -> None:
         """Record an estimate of the pipeline."""
-        ...
 
     def command(self, command: Command) -> None:
         """Record a command as it was sent, after the limits."""
-        ...
 
     def event(self, event: Event) -> None:
         """Record a safety event."""
-        ...
 
     def close(self) -> None:
         """Write what is pending and close the file."""
-        ...

@@ -29,7 +29,6 @@ class LateralController(Protocol):
 
     def steer(self, lane: LanePath, car: SE2, speed_mps: float) -> float:
         """Road-wheel angle [rad] for the rear axle at `car`, a pose in the frame of `lane`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 from automodel.curves.base import Curve
 from automodel.types import FloatArray
 
+_LEAST_STRETCH = 0.05  # least 1 - kappa d of a curve beside another: it is 0 at the centre of curvature
 _SPLIT = 16  # intervals of the table of arc lengths per interval of the spline
 
-Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+Table = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # arguments of `TabulatedCurve`
 
 _FIELDS = ("s_m", "points_m", "headings_rad", "curvatures_per_m", "length_m")
 
@@ -183,6 +184,15 @@ class DeferredCurve(TabulatedCurve):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         super().__init__(*self._make())
         return self.__dict__[name]
+
+
+def beside(table: Table, lateral_m: float) -> Table:
+    """The table of the curve `lateral_m` to the left of that of a table, between the same perpendiculars."""
+    s, points, theta, kappa = table
+    stretch = np.maximum(1.0 - kappa * lateral_m, _LEAST_STRETCH)
+    steps = 0.5 * (stretch[1:] + stretch[:-1]) * np.diff(s)
+    normal = np.column_stack((-np.sin(theta), np.cos(theta)))
+    return np.concatenate(([0.0], np.cumsum(steps))), points + lateral_m * normal, theta, kappa / stretch
 
 
 def _arc_chord(heading: FloatArray, curvature: FloatArray, length: FloatArray) -> FloatArray:

@@ -10,7 +10,10 @@ from automodel.types import FloatArray
 
 
 class CameraModel:
-    """Projects points of the cam frame (x right, y down, z ahead) to pixels, integers at pixel centres."""
+    """Projects points of the cam frame (x right, y down, z ahead) to pixels, integers at pixel centres.
+
+    `max_radius` is the normalised radius at which the lens model folds: beyond it two rays share a pixel.
+    """
 
     def __init__(self, intrinsics: Intrinsics, width_px: int, height_px: int) -> None:
         self.width_px, self.height_px = width_px, height_px
@@ -22,17 +25,12 @@ class CameraModel:
             ]
         )
         self.distortion: FloatArray = np.array(intrinsics.distortion, dtype=np.float64)
-        self._max_radius = self._fold_radius()
+        self.max_radius = self._fold_radius()
 
     @classmethod
     def from_config(cls, camera: CameraConfig) -> CameraModel:
         """The camera of car.toml."""
         return cls(camera.intrinsics, camera.width_px, camera.height_px)
-
-    @property
-    def max_radius(self) -> float:
-        """The normalised radius beyond which the lens model folds back, infinite where it does not."""
-        return self._max_radius
 
     def project(self, points_cam: ArrayLike) -> FloatArray:
         """Points (..., 3) [m] -> pixels (..., 2); NaN behind the camera and beyond where the lens model folds back."""
@@ -42,7 +40,7 @@ class CameraModel:
         safe = np.where(ahead, z, 1.0)
         xn, yn = points[..., 0] / safe, points[..., 1] / safe
         radius2 = xn * xn + yn * yn
-        seen = ahead & (radius2 <= self._max_radius**2)
+        seen = ahead & (radius2 <= self.max_radius**2)
         xn, yn = np.where(seen, xn, 0.0), np.where(seen, yn, 0.0)
         xd, yd = self._distort(xn, yn)
         m = self.matrix
@@ -84,7 +82,7 @@ class CameraModel:
             det = jxx * jyy - jxy * jxy
             det = np.where(np.abs(det) > 1e-9, det, 1e-9)
             x, y = x - (jyy * ex - jxy * ey) / det, y - (jxx * ey - jxy * ex) / det
-            shrink = np.minimum(1.0, self._max_radius / np.maximum(np.hypot(x, y), 1e-12))
+            shrink = np.minimum(1.0, self.max_radius / np.maximum(np.hypot(x, y), 1e-12))
             x, y = x * shrink, y * shrink
         ex, ey = self._distort(x, y)
         found = np.hypot(ex - xd, ey - yd) < 1e-7
@@ -102,7 +100,7 @@ class CameraModel:
         )
 
     def _fold_radius(self) -> float:
-        """The normalised radius up to which the radial polynomial rises; beyond it two rays share a pixel."""
+        """The normalised radius up to which the radial polynomial rises, infinite where it always does."""
         k1, k2, _, _, k3 = self.distortion
         radius = np.linspace(0.0, 10.0, 2001)
         r2 = radius * radius

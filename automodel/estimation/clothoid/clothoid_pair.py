@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from automodel.compiled import compiled
+from automodel.curves.sampled import Table
 from automodel.types import Complexes, FloatArray, Floats
 
 _LEAST_STRETCH = 0.05  # least 1 - kappa d of a curve beside the centerline: it is 0 at the centre of curvature
@@ -35,6 +36,9 @@ class Parameter(IntEnum):
     HEADING = 1  # [rad]
     WIDTH = 2  # [m]
     CURVATURE = 3  # [1/m], the first of m
+
+
+OFFSET, HEADING, WIDTH, CURVATURE = (int(p) for p in Parameter)  # for compiled functions
 
 
 @dataclass(slots=True, eq=False)
@@ -76,16 +80,16 @@ class ClothoidPair:
         self._none: Complexes = np.empty(0, np.result_type(dtype, np.complex64))  # gives the compiled function the type
         self._steps: Floats = np.diff(s).astype(dtype)
         self._parts, self._slopes = self._tables(s)
-        n, size = self.count, Parameter.CURVATURE + self.stations
+        n, size = self.count, CURVATURE + self.stations
         self._jacobian: Floats = np.zeros((3 * n, size), dtype)
-        self._jacobian[:n, Parameter.WIDTH], self._jacobian[n : 2 * n, Parameter.WIDTH] = 0.5, -0.5
-        self._jacobian[2 * n :, Parameter.HEADING] = 1.0
+        self._jacobian[:n, WIDTH], self._jacobian[n : 2 * n, WIDTH] = 0.5, -0.5
+        self._jacobian[2 * n :, HEADING] = 1.0
 
     def shape(self, parameters: Floats, phase_m: float) -> PairShape:
         """The pair of `parameters` (3 + m,) while the reference point is `phase_m` past station 0."""
         at = phase_m / self.spacing_m * self.PHASES
         tables = self._parts, self._slopes, self._steps
-        place, along = _lay(parameters, at, *tables, self._first, self.reference_x_m, self._jacobian, self._none)
+        place, along = _lay(parameters, at, tables, self._first, self.reference_x_m, self._jacobian, self._none)
         return PairShape(place=place, along=along, jacobian=self._jacobian)
 
     def _tables(self, s: FloatArray) -> tuple[Floats, Floats]:
@@ -102,13 +106,8 @@ class ClothoidPair:
         parts = np.concatenate((np.ones((*turns.shape[:2], 1)), turns), axis=2).astype(self.dtype)
         return parts, np.diff(parts, axis=0)
 
-    def table(
-        self, parameters: Floats, phase_m: float, lateral_m: float = 0.0, behind_m: float = 0.0
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """The curve `lateral_m` left of the centerline, from `behind_m` before the reference point to the last node.
-
-        Arc lengths from 0 (k,), points (k, 2) [m], headings [rad] and curvatures [1/m] (k,), for `TabulatedCurve`.
-        """
+    def table(self, parameters: Floats, phase_m: float, lateral_m: float = 0.0, behind_m: float = 0.0) -> Table:
+        """The curve `lateral_m` left of the centerline, from `behind_m` before the reference point to the last node."""
         x = np.asarray(parameters, dtype=np.float64)
         stations = np.arange(self.stations) * self.spacing_m - phase_m
         end = float(self.nodes_m[-1])
@@ -116,21 +115,21 @@ class ClothoidPair:
         before, after = max(math.ceil(behind_m / step), 0), math.ceil(end / step)
         s = np.concatenate((np.linspace(-behind_m, 0.0, before, endpoint=False), np.linspace(0.0, end, after + 1)))
         fine = np.linspace(s[:-1], s[1:], 5, axis=1)  # (k - 1, 5): Boole's rule needs five points an interval
-        kappa = np.interp(fine, stations, x[Parameter.CURVATURE :])
+        kappa = np.interp(fine, stations, x[CURVATURE:])
         quarter = np.diff(fine, axis=1)
         turns = np.concatenate(
             (np.zeros((len(fine), 1)), np.cumsum(0.5 * quarter * (kappa[:, 1:] + kappa[:, :-1]), axis=1)), axis=1
         )
         theta0 = np.concatenate(([0.0], np.cumsum(turns[:, -1])))
-        theta0 += x[Parameter.HEADING] - theta0[before]
+        theta0 += x[HEADING] - theta0[before]
         theta = theta0[:-1, None] + turns
         weights = np.diff(s)[:, None] * (np.array((7.0, 32.0, 12.0, 32.0, 7.0)) / 90.0)
         steps = np.stack(((np.cos(theta) * weights).sum(axis=1), (np.sin(theta) * weights).sum(axis=1)), axis=1)
         points = np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
         normal = np.stack((-np.sin(theta0), np.cos(theta0)), axis=1)
-        foot = np.array((self.reference_x_m, 0.0)) - x[Parameter.OFFSET] * normal[before]
+        foot = np.array((self.reference_x_m, 0.0)) - x[OFFSET] * normal[before]
         points += foot - points[before]
-        kappa0 = np.interp(s, stations, x[Parameter.CURVATURE :])
+        kappa0 = np.interp(s, stations, x[CURVATURE:])
         if lateral_m == 0.0:
             return s - s[0], points, theta0, kappa0
         stretch = np.maximum(1.0 - lateral_m * kappa, _LEAST_STRETCH)
@@ -143,9 +142,7 @@ class ClothoidPair:
 def _lay(
     x: Floats,
     at: float,
-    parts: Floats,
-    slopes: Floats,
-    steps: Floats,
+    tables: tuple[Floats, Floats, Floats],
     first: int,
     reference_x_m: float,
     jacobian: Floats,
@@ -154,8 +151,10 @@ def _lay(
     """`place` and `along` (n,) of `PairShape`, of the type of `none`; fills `jacobian`.
 
     Eq. (2.4)-(2.6): headings at the points of integration (k,), of which the last n are the nodes, and the trapezoidal
-    rule over `steps` (k - 1,) [m]. `at` is the phase as a place in the tables.
+    rule. `at` is the phase as a place in the tables of turns (q, k, 1 + m) and their differences; the third one holds
+    the steps of integration (k - 1,) [m].
     """
+    parts, slopes, steps = tables
     q = min(int(at), len(slopes) - 1)
     share = at - q
     points, size, n = parts.shape[1], parts.shape[2], len(jacobian) // 3

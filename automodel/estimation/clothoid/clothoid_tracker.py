@@ -16,16 +16,8 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
-from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape, Parameter
-from automodel.estimation.clothoid.solvers import (
-    CURVATURE,
-    HEADING,
-    OFFSET,
-    SOLVERS,
-    correct,
-    gradient_descent,
-    posterior,
-)
+from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET, WIDTH, ClothoidPair, PairShape
+from automodel.estimation.clothoid.solvers import SOLVERS, Sightings, State, correct, gradient_descent, posterior
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
 from automodel.types import Bools, FloatArray, Floats, Ints
@@ -77,8 +69,6 @@ class ArcLane:
     sure_m: float
     share: float = 1.0
 
-
-WIDTH = int(Parameter.WIDTH)
 
 _foot_on_circle = compiled(foot_on_circle)
 
@@ -312,15 +302,8 @@ class ClothoidTracker:
         config = self.config
         self.parameters, self.covariance, count, carrying, missed, self.moved_m = correct(
             self._descend,
-            before,
-            self.covariance,
-            prior,
-            p,
-            shape.jacobian,
-            self._noise,
-            nodes,
-            residual,
-            found,
+            State(before, self.covariance, prior, p),
+            Sightings(shape.jacobian, self._noise, nodes, residual, found),
             (config.gate, config.agreed, self._bend, self._lever_m),
         )
         self.iterations += count

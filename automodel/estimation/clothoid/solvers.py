@@ -8,15 +8,38 @@ section 1.3). Both return x, its covariance (A + P^-1)^-1 (m, m), and the number
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.estimation.clothoid.clothoid_pair import Parameter
+from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET
 from automodel.types import Bools, Floats, Ints
 
 MOST_STEPS = 1000
 CONVERGED = 1e-5  # [sigmas of the prediction] gradient descent ends when no parameter moves further in a step
-OFFSET, HEADING, CURVATURE = int(Parameter.OFFSET), int(Parameter.HEADING), int(Parameter.CURVATURE)
+
+
+class State(NamedTuple):
+    """The estimate at which the measurements were taken, and the prediction: parameters (m,), covariances (m, m)."""
+
+    before: Floats
+    covariance: Floats
+    prior: Floats
+    prior_covariance: Floats
+
+
+class Sightings(NamedTuple):
+    """The nodes (k,) that were searched for, of 2 n, as in `ClothoidTracker.update`.
+
+    `jacobian` (3 n, m) is that of `PairShape`; `noise` (2, 3 n): variances of its rows, and the largest residuals.
+    """
+
+    jacobian: Floats
+    noise: Floats
+    nodes: Ints
+    residual: Floats
+    found: Floats
 
 
 @compiled
@@ -120,30 +143,19 @@ def _times(matrix: Floats, values: Floats) -> Floats:
 
 @compiled
 def correct(
-    descend: bool,
-    before: Floats,
-    covariance: Floats,
-    prior: Floats,
-    prior_covariance: Floats,
-    jacobian: Floats,
-    noise: Floats,
-    nodes: Ints,
-    residual: Floats,
-    found: Floats,
-    scales: tuple[float, float, float, float],
+    descend: bool, state: State, seen: Sightings, scales: tuple[float, float, float, float]
 ) -> tuple[Floats, Floats, int, Bools, int, float]:
-    """Correct the parameters by measurements that were taken from the estimate `before`, with robust weights.
+    """Correct the parameters by measurements that were taken at the estimate, with robust weights.
 
-    `prior` and its covariance are the prediction, `covariance` is that of `before`; `jacobian`, `noise` (2, 3 n),
-    `nodes` (k,), `residual` (2 k,) and `found` (2 k,) are as in `ClothoidTracker.update`. The weights are renewed once
-    where a residual that remains is not small. Returns the parameters, their covariance, the iterations, which nodes
-    (k,) support the lane, how many were found without supporting it, and how far the lane moved [m].
+    The weights are renewed once where a residual that remains is not small. `scales`: the gate [sigmas], the share of
+    its limit up to which a residual is small, the largest curvature [1/m], and the lever [m] that turns a change of
+    heading into a distance. Returns the parameters, their covariance, the iterations, which nodes (k,) support the
+    lane, how many were found without supporting it, and how far the lane moved [m].
     """
     gate, agreed, bend, lever_m = scales
-    k = len(nodes)
-    rows, aim, ratio2, precision, limit = _linearise(
-        before, covariance, prior, jacobian, noise, nodes, residual, found, gate
-    )
+    before, _, prior, prior_covariance = state
+    found, k = seen.found, len(seen.nodes)
+    rows, aim, ratio2, precision, limit = _linearise(state, seen, gate)
     iterations, worst = 0, 0.0
     for _ in range(2):
         information, pull, weight = _weigh(rows, aim, ratio2, precision)
@@ -174,22 +186,14 @@ def correct(
 
 
 @compiled
-def _linearise(
-    before: Floats,
-    covariance: Floats,
-    prior: Floats,
-    jacobian: Floats,
-    noise: Floats,
-    nodes: Ints,
-    residual: Floats,
-    found: Floats,
-    gate: float,
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """The measurements (2 k,) relative to the prediction `prior`, linearised at `before`.
+def _linearise(state: State, seen: Sightings, gate: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """The measurements (2 k,) relative to the prediction `prior`, linearised at the estimate.
 
     Returns the Jacobian (2 k, m), the residuals (2 k,), the squares of their ratio to the gate, which counts sigmas of
     the estimate and of the measurement together, the precisions, and the limits of what may remain of the residuals.
     """
+    before, covariance, prior, _ = state
+    jacobian, noise, nodes, residual, found = seen
     n, size, k = len(jacobian) // 3, len(before), len(nodes)
     rows, aim = np.empty((2 * k, size), before.dtype), np.empty(2 * k, before.dtype)
     ratio2, precision = np.empty(2 * k, before.dtype), np.empty(2 * k, before.dtype)

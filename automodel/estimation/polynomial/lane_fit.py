@@ -17,6 +17,7 @@ import numpy as np
 
 from automodel.curves import TabulatedCurve
 from automodel.curves.foot import nearest_samples, newton_steps
+from automodel.curves.sampled import beside
 from automodel.geometry import SE2
 from automodel.types import Bools, FloatArray
 
@@ -107,14 +108,9 @@ class LaneShape:
 
     def curve(self, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
         """The centerline, or the curve `lateral_m` to its left, over the whole grid."""
-        s, kappa, points = self.s_m - self.s_m[0], self.kappa_per_m, self.points_m
-        if lateral_m:
-            points = self.beside(lateral_m)
-            stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
-            steps = 0.5 * (stretch[1:] + stretch[:-1]) * (s[1] - s[0])
-            s = np.concatenate(([0.0], np.cumsum(steps)))
-            kappa = kappa / stretch
-        return TabulatedCurve(s[::stride], points[::stride], self.theta_rad[::stride], kappa[::stride])
+        table = self.s_m - self.s_m[0], self.points_m, self.theta_rad, self.kappa_per_m
+        s, points, theta, kappa = beside(table, lateral_m) if lateral_m else table
+        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
 
     def nearest_s(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from automodel.curves import DeferredCurve
 from automodel.curves.foot import Search, nearest_samples, newton_foot
+from automodel.curves.sampled import Table, beside
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -174,15 +175,12 @@ class HeadingPolynomial:
         dx, dy = x - after_from_before.x_m, y - after_from_before.y_m
         foot = self.foot((cos * dx + sin * dy, cos * dy - sin * dx), near_s_m=0.0)
         w0, w1, w2, w3 = (shift_matrix(foot.s_m / self.scale_m) @ self.coefficients_rad).tolist()
-        line = HeadingPolynomial(
+        line = replace(
+            self,
             coefficients_rad=(w0 + after_from_before.yaw_rad, w1, w2, w3),
-            scale_m=self.scale_m,
-            reference_m=self.reference_m,
             lateral_m=foot.lateral_m,
             s_min_m=self.s_min_m - foot.s_m,
             s_max_m=self.s_max_m - foot.s_m,
-            max_curvature_per_m=self.max_curvature_per_m,
-            arc_ahead_m=self.arc_ahead_m,
         )
         return line, foot.s_m
 
@@ -198,17 +196,10 @@ class HeadingPolynomial:
         """
         return DeferredCurve(partial(self._samples, s_from_m, s_to_m, count, lateral_m))
 
-    def _samples(
-        self, s_from_m: float, s_to_m: float, count: int, lateral_m: float
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _samples(self, s_from_m: float, s_to_m: float, count: int, lateral_m: float) -> Table:
         s = np.linspace(s_from_m, s_to_m, count)
-        points, theta, kappa = self.points(s), self.heading(s), self.curvature(s)
-        if lateral_m == 0.0:
-            return s - s_from_m, points, theta, kappa
-        points += lateral_m * np.column_stack((-np.sin(theta), np.cos(theta)))
-        stretch = np.maximum(1.0 - kappa * lateral_m, 0.05)
-        steps = 0.5 * (stretch[1:] + stretch[:-1]) * (s[1:] - s[:-1])
-        return np.concatenate(([0.0], np.cumsum(steps))), points, theta, kappa / stretch
+        table = s - s_from_m, self.points(s), self.heading(s), self.curvature(s)
+        return beside(table, lateral_m) if lateral_m else table
 
     def _cubic(self, s: float) -> float:
         u = s / self.scale_m
