@@ -17,13 +17,8 @@ from automodel.types import FloatArray, Image
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
     array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
-<<<<<<< HEAD
-    wanted = tuple([got if want is None else want for got, want in zip(array.shape, shape, strict=False)])
-    if array.ndim != len(shape) or array.shape != wanted:
-=======
     expected = tuple([got if size is None else size for got, size in zip(array.shape, shape, strict=False)])
     if array.ndim != len(shape) or array.shape != expected:
->>>>>>> a5d936c (Geometry, the values and the interfaces: texts)
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
     array.flags.writeable = False
     return array
@@ -32,11 +27,7 @@ def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> Floa
 def _frozen_image(image: Image, name: str) -> Image:
     if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
         raise ValueError(f"{name}: expected uint8 (h, w) or (h, w, 3), got {image.dtype} {image.shape}")
-<<<<<<< HEAD
-    view = image.view()  # a view, not a copy: the source hands the buffer over and does not write to it again
-=======
     view = image.view()  # no copy: the source does not write to the buffer again
->>>>>>> a5d936c (Geometry, the values and the interfaces: texts)
     view.flags.writeable = False
     return view
 
