@@ -1,4 +1,4 @@
-"""Cameras for the training pictures, from a wide lens 10 cm over a floor to a windscreen; lengths in lane widths."""
+"""Random cameras, from a wide-angle lens 10 cm above a floor to a windscreen camera; lengths in lane widths."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from automodel.config import Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.types import FloatArray
 
-_WIDEST_RAD = 1.45  # off the line of sight, at the picture's corners: short of the rays that run beside the camera
+_WIDEST_RAD = 1.45  # the largest angle from the optical axis in the image corners
 
 
 class Kind(Enum):
-    """What sort of place a picture shows: a scale car's floor, a public road, a race circuit."""
+    """The kind of scene: the floor of a scale car, a public road, a race circuit."""
 
     SCALE = "scale"
     ROAD = "road"
@@ -24,21 +24,21 @@ class Kind(Enum):
 
 
 class WideLens(CameraModel):
-    """A lens that images a ray `theta` off its axis at the normalised radius tan(a theta) / a.
+    """A lens that images a ray at the angle `theta` from its axis at the normalised radius tan(a theta) / a.
 
-    `bend` a = 1 is the pinhole, 0.5 the stereographic and a towards 0 the equidistant fisheye lens: barrel distortion
-    with an inverse in closed form, at any width of view.
+    `bend` a = 1 is the pinhole, 0.5 the stereographic and a -> 0 the equidistant fisheye lens: barrel distortion with a
+    closed-form inverse for any field of view.
     """
 
     def __init__(self, intrinsics: Intrinsics, width_px: int, height_px: int, bend: float = 1.0) -> None:
         super().__init__(intrinsics, width_px, height_px)
         if not 0.0 < bend <= 1.0:
-            raise ValueError(f"bend: {bend} where more than 0 and at most 1 (the pinhole) is wanted")
+            raise ValueError(f"bend: expected more than 0 and at most 1 (the pinhole), got {bend}")
         self.bend = bend
         self._limit_rad = min(1.55, 0.49 * math.pi / bend)
 
     def project(self, points_cam: ArrayLike) -> FloatArray:
-        """Points (..., 3) -> pixels (..., 2); NaN where the ray leaves the lens's view."""
+        """Points (..., 3) to pixels (..., 2); NaN outside the lens's field of view."""
         p = np.asarray(points_cam, dtype=np.float64)
         across = np.hypot(p[..., 0], p[..., 1])
         theta = np.arctan2(across, p[..., 2])
@@ -48,7 +48,7 @@ class WideLens(CameraModel):
         return np.stack((m[0, 0] * scale * p[..., 0] + m[0, 2], m[1, 1] * scale * p[..., 1] + m[1, 2]), axis=-1)
 
     def rays(self, pixels: ArrayLike) -> FloatArray:
-        """Pixels (..., 2) -> rays (..., 3) of the cam frame with z = 1; NaN where the lens has no such ray."""
+        """Pixels (..., 2) to rays (..., 3) of the cam frame with z = 1; NaN outside the lens's field of view."""
         p = np.asarray(pixels, dtype=np.float64)
         m = self.matrix
         x, y = (p[..., 0] - m[0, 2]) / m[0, 0], (p[..., 1] - m[1, 2]) / m[1, 1]
@@ -60,14 +60,14 @@ class WideLens(CameraModel):
         return np.stack((x * scale, y * scale, np.where(np.isnan(theta), np.nan, 1.0)), axis=-1)
 
     def off_axis_rad(self, radius: ArrayLike) -> FloatArray:
-        """The angle off the axis of a normalised image radius."""
+        """The angle from the axis [rad] at a normalised image radius."""
         return np.asarray(np.arctan(self.bend * np.asarray(radius, dtype=np.float64)) / self.bend)
 
 
 def random_camera(rng: np.random.Generator, kind: Kind, width_px: int, height_px: int) -> GroundCamera:
-    """A camera over the body origin, its height in lane widths, for a picture that was cropped and squeezed."""
+    """A random camera above the body's origin, for an image that was cropped and rescaled."""
     bend, half_rad = _lens(rng, kind)
-    focal = 0.5 * bend / math.tan(bend * half_rad)  # of the original picture's width
+    focal = 0.5 * bend / math.tan(bend * half_rad)  # in widths of the original image
     left, top, kept_w, kept_h = _crop(rng)
     reach = math.hypot(max(0.5 - left, kept_w - 0.5 + left), kept_h)
     focal = max(focal, reach * bend / math.tan(min(bend * _WIDEST_RAD, 1.45)))
@@ -91,7 +91,7 @@ def random_camera(rng: np.random.Generator, kind: Kind, width_px: int, height_px
 
 
 def _lens(rng: np.random.Generator, kind: Kind) -> tuple[float, float]:
-    """The lens's bend, and half the original picture's width of view [rad]."""
+    """The lens's bend, and half the horizontal field of view of the original image [rad]."""
     if kind is Kind.ROAD:
         width_deg = rng.uniform(40.0, 75.0) if rng.random() < 0.8 else rng.uniform(75.0, 110.0)
     elif kind is Kind.CIRCUIT:
@@ -106,7 +106,7 @@ def _lens(rng: np.random.Generator, kind: Kind) -> tuple[float, float]:
 
 
 def _crop(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """What is kept of the original, in its widths: left edge, top edge under the optical axis, width, height."""
+    """The crop in widths of the original: left edge, top edge below the optical axis, width, height."""
     height = 1.0 / rng.choice([4 / 3, 1.6, 16 / 9, 2.0], p=[0.4, 0.12, 0.4, 0.08])
     top, bottom, left, right = 0.0, 0.0, 0.0, 0.0
     if rng.random() < 0.4:
@@ -117,7 +117,7 @@ def _crop(rng: np.random.Generator) -> tuple[float, float, float, float]:
 
 
 def _horizon(rng: np.random.Generator, kind: Kind) -> float:
-    """Where the horizon lies, in heights of the picture from its top."""
+    """The row of the horizon in image heights from the top."""
     if rng.random() < 0.15:
         return float(rng.uniform(-0.9, 0.65))
     if kind is Kind.SCALE:

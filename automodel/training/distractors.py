@@ -1,7 +1,4 @@
-"""Flat things on the ground that are no lane lines: zebra bars, arrows, text, seams, patches, kerbs, cables, litter.
-
-Painted signs on the road that are no lane lines: zebra bars, stop lines, arrows, writing, hatched areas.
-"""
+"""Flat objects on the ground that are no lane lines: road signs, text, seams, patches, kerbs, cables, litter."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ Rng = np.random.Generator
 
 
 def somewhere_ahead(rng: Rng, road: Road, furthest: float = 12.0) -> float:
-    """A place on the road ahead, more often near than far."""
+    """A random distance along the road ahead, more often near than far."""
     return float(rng.uniform(0.3, min(furthest, 0.8 * road.reach)) * rng.uniform(0.2, 1.0))
 
 
@@ -31,7 +28,7 @@ def _paint(rng: Rng) -> Ink:
 
 
 def _placed(road: Road, outlines: list[FloatArray], ink: Ink) -> Patch:
-    """Outlines in (along, left) of the road laid on its curve."""
+    """A patch of outlines that are given in (along, left) of the road."""
     laid = []
     for outline in outlines:
         laid.append(road.ribbon.place(outline[:, 0], outline[:, 1]))
@@ -39,7 +36,7 @@ def _placed(road: Road, outlines: list[FloatArray], ink: Ink) -> Patch:
 
 
 def zebra(rng: Rng, road: Road) -> list[Patch]:
-    """Bars across the whole road, drawn out along it."""
+    """A zebra crossing: bars along the road over its whole width."""
     s, long = somewhere_ahead(rng, road), rng.uniform(0.2, 1.2)
     bar = rng.uniform(0.06, 0.2)
     pitch = bar * rng.uniform(1.5, 2.5)
@@ -49,7 +46,7 @@ def zebra(rng: Rng, road: Road) -> list[Patch]:
 
 
 def stop_line(rng: Rng, road: Road) -> list[Patch]:
-    """A bar across one lane or the whole road, whole or broken."""
+    """A stop line across one lane or the whole road, solid or dashed."""
     s, long = somewhere_ahead(rng, road), rng.uniform(0.04, 0.2)
     d0, d1 = (-0.5, 0.5) if rng.random() < 0.6 else (-road.right, road.left)
     pieces = [box(s, s + long, d0 + 0.03, d1 - 0.03)]
@@ -68,7 +65,7 @@ def triangles(rng: Rng, road: Road) -> list[Patch]:
 
 
 def arrow(rng: Rng, road: Road) -> list[Patch]:
-    """An arrow in a lane: straight on, or with a head turned to a side."""
+    """An arrow in a lane: straight ahead or to a side."""
     s, long, wide = somewhere_ahead(rng, road), rng.uniform(0.6, 2.0), rng.uniform(0.2, 0.4)
     middle = rng.normal(0.0, 0.08) + float(rng.choice([0.0, 0.0, -1.0, 1.0]))
     shaft, head = 0.15 * wide, 0.35 * long
@@ -86,12 +83,12 @@ def arrow(rng: Rng, road: Road) -> list[Patch]:
 
 @lru_cache(maxsize=64)
 def _glyphs(text: str, font: int) -> tuple[FloatArray, ...]:
-    """Outlines of a text, 1 high, its middle at 0: columns are (up, left)."""
+    """Outlines (up, left) of a text of height 1, centred laterally at 0."""
     size, base = cv2.getTextSize(text, font, 2.0, 5)
-    picture = np.zeros((size[1] + base + 12, size[0] + 12), dtype=np.uint8)
-    cv2.putText(picture, text, (6, size[1] + 6), font, 2.0, (255,), 5)
-    rings, _ = cv2.findContours(picture, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_TC89_L1)
-    height, width = picture.shape
+    image = np.zeros((size[1] + base + 12, size[0] + 12), dtype=np.uint8)
+    cv2.putText(image, text, (6, size[1] + 6), font, 2.0, (255,), 5)
+    rings, _ = cv2.findContours(image, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_TC89_L1)
+    height, width = image.shape
     return tuple(
         np.column_stack((1.0 - ring[:, 0, 1] / height, (0.5 * width - ring[:, 0, 0]) / height))
         for ring in rings
@@ -100,7 +97,7 @@ def _glyphs(text: str, font: int) -> tuple[FloatArray, ...]:
 
 
 def writing(rng: Rng, road: Road) -> list[Patch]:
-    """A word, a number or a speed limit on the ground, upright or turned."""
+    """A word or a number on the road, upright or rotated."""
     words = ("STOP", "BUS", "SLOW", "30", "50", "80", "KEEP", "TAXI", "P", "A7", "ONLY", "XING")
     text = (
         words[int(rng.integers(len(words)))]
@@ -144,7 +141,7 @@ Shape = Stripe | Patch
 
 
 def random_distractors(rng: Rng, road: Road) -> list[Shape]:
-    """A random few of them, where they would lie on this road."""
+    """A random selection of distractors on a road."""
     chances: dict[Callable[[Rng, Road], Sequence[Shape]], float] = {
         zebra: 0.07,
         stop_line: 0.07,
@@ -171,7 +168,7 @@ def random_distractors(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _wander(rng: Rng, road: Road, amount: float) -> FloatArray:
-    """A line (n, 2) that wanders along or over the road, in the body frame."""
+    """A random line (n, 2) along or across the road, in the body frame."""
     if rng.random() < 0.6:
         s = np.linspace(rng.uniform(-1.0, 3.0), min(road.reach, rng.uniform(4.0, 25.0)), 60)
         d = rng.uniform(-road.right - 0.3, road.left + 0.3) + rng.uniform(-0.25, 0.25) * (s - s[0])
@@ -184,7 +181,7 @@ def _wander(rng: Rng, road: Road, amount: float) -> FloatArray:
 
 
 def _seams(rng: Rng, road: Road) -> list[Shape]:
-    """Tar seams, cracks and joints: dark, a few light."""
+    """Tar seams, cracks and joints, mostly dark."""
     shapes: list[Shape] = []
     ink = Ink.DARK if rng.random() < 0.75 else Ink.BRIGHT
     for _ in range(int(rng.integers(1, 6))):
@@ -200,7 +197,7 @@ def _seams(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _slab_joints(rng: Rng, road: Road) -> list[Shape]:
-    """Joints straight across at even distances, and a few along."""
+    """Joints of slabs: straight across at a regular distance, and a few along the road."""
     ink = Ink.DARK if rng.random() < 0.7 else Ink.BRIGHT
     half, strength = rng.uniform(0.002, 0.015), rng.uniform(0.3, 1.0)
     if ink is Ink.BRIGHT:
@@ -220,7 +217,7 @@ def _slab_joints(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _beside_lines(rng: Rng, road: Road) -> list[Shape]:
-    """Dark joints close beside the markings, as where concrete slabs meet at a lane's edge; old paint blackened out."""
+    """Dark joints close to the markings, as between concrete slabs, or old paint that was blackened."""
     shapes: list[Shape] = []
     shift, half = rng.uniform(-0.12, 0.12), rng.uniform(0.003, 0.03)
     for stripe in road.stripes[:6]:
@@ -237,7 +234,7 @@ def _beside_lines(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _repairs(rng: Rng, road: Road) -> list[Shape]:
-    """Rectangles of newer or older surface."""
+    """Repaired rectangles of the surface."""
     shapes: list[Shape] = []
     ink = (Ink.DARK, Ink.BRIGHT, Ink.BAND)[int(rng.integers(3))]
     for _ in range(int(rng.integers(1, 5))):
@@ -250,7 +247,7 @@ def _repairs(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _kerb(rng: Rng, road: Road) -> list[Shape]:
-    """Blocks of two colours along an edge."""
+    """A kerb with blocks of two colours along an edge."""
     side = 1.0 if rng.random() < 0.5 else -1.0
     edge = road.left if side > 0 else -road.right
     half = rng.uniform(0.02, 0.07)
@@ -264,7 +261,7 @@ def _kerb(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _kerb_stone(rng: Rng, road: Road) -> list[Shape]:
-    """A light kerb of concrete with a shaded foot, beyond the edge lines."""
+    """A light concrete kerb with a shadow at its foot, beyond the edge lines."""
     shapes: list[Shape] = []
     half, gap = rng.uniform(0.02, 0.08), rng.uniform(0.1, 0.6)
     for side, edge in ((1.0, road.left), (-1.0, -road.right)):
@@ -282,15 +279,15 @@ def _kerb_stone(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _cable(rng: Rng, road: Road) -> list[Shape]:
-    """A thin cable or hose that winds over the floor, with its shade."""
+    """A winding thin cable or hose on the floor, with its shadow."""
     half = rng.uniform(0.004, 0.014)
     turn = np.cumsum(0.35 * np.cumsum(rng.standard_normal(80)) * 0.15)
     step = rng.uniform(0.05, 0.12)
-    way = np.cumsum(step * np.column_stack((np.cos(turn), np.sin(turn))), axis=0)
+    path = np.cumsum(step * np.column_stack((np.cos(turn), np.sin(turn))), axis=0)
     angle = rng.uniform(-math.pi, math.pi)
     cos, sin = math.cos(angle), math.sin(angle)
     middle = np.array([rng.uniform(0.5, 5.0), rng.uniform(-1.5, 1.5)])
-    points = (way - way.mean(axis=0)) @ np.array([[cos, sin], [-sin, cos]]) + middle
+    points = (path - path.mean(axis=0)) @ np.array([[cos, sin], [-sin, cos]]) + middle
     shade = Stripe(points=points + np.array([0.0, 1.2 * half]), half_width=half, ink=Ink.DARK, strength=0.8)
     if rng.random() < 0.5:
         return [shade]
@@ -298,7 +295,7 @@ def _cable(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _litter(rng: Rng, road: Road) -> list[Shape]:
-    """Leaves, paper, stains: small blots, mostly light."""
+    """Leaves, paper, stains: small blobs, mostly light."""
     shapes: list[Shape] = []
     for _ in range(int(rng.integers(2, 14))):
         t = np.linspace(0.0, 2.0 * math.pi, 8, endpoint=False)
@@ -312,7 +309,7 @@ def _litter(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _tyre_marks(rng: Rng, road: Road) -> list[Shape]:
-    """Pairs of dark tracks that follow the road, or leave it."""
+    """Pairs of dark tyre marks that follow the road or leave it."""
     shapes: list[Shape] = []
     half, gauge = rng.uniform(0.015, 0.05), rng.uniform(0.3, 0.5)
     strength = rng.uniform(0.15, 0.6)
@@ -325,7 +322,7 @@ def _tyre_marks(rng: Rng, road: Road) -> list[Shape]:
 
 
 def _wheel_tracks(rng: Rng, road: Road) -> list[Shape]:
-    """Wide faint bands along the lanes: where wheels run, where oil drips, where the surface was widened."""
+    """Wide faint bands along the lanes: wheel tracks, oil, a widened surface."""
     shapes: list[Shape] = []
     draw = rng.random()
     places = [(k + shift, half) for k in (-1, 0, 1) for shift, half in ((0.0, 0.18),)]

@@ -1,4 +1,4 @@
-"""Which lines lie where: lanes side by side, forks, crossings, square corners, roundabouts, loose strands."""
+"""Random layouts of a road's lines: parallel lanes, forks, crossings, corners, roundabouts, unrelated lines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LANE_CHANCES = {
 
 
 def random_road(rng: np.random.Generator, kind: Kind) -> Road:
-    """A road with its lines; now and then one without any."""
+    """A random road with its lines, sometimes without any."""
     rarer = 0.5 if kind is Kind.ROAD else 0.0 if kind is Kind.CIRCUIT else 1.0
     chances = np.array([0.12 * rarer, 0.08 * rarer, 0.04 * rarer, 0.05 * rarer, 0.065])
     layouts: list[Callable[[np.random.Generator, Kind], Road]] = [_crossing, _corner, _roundabout, _strands, _bare]
@@ -33,7 +33,7 @@ def random_road(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _offsets(rng: np.random.Generator, kind: Kind) -> FloatArray:
-    """Where the lines lie, from right to left, seen from the ego lane's middle (0)."""
+    """The offsets of the lines from the centre of the ego lane, from right to left."""
     count = int(rng.choice(5, p=_LANE_CHANCES[kind])) + 1
     own = int(rng.integers(count))
     widths = np.exp(rng.normal(0.0, 0.06, count))
@@ -43,7 +43,7 @@ def _offsets(rng: np.random.Generator, kind: Kind) -> FloatArray:
 
 
 def _lanes(rng: np.random.Generator, kind: Kind) -> Road:
-    """Lanes side by side whose widths may change and whose lines may drift apart, end or fork."""
+    """Parallel lanes whose width may change and whose lines may diverge, end or fork."""
     offsets = _offsets(rng, kind)
     ribbon = random_ribbon(rng, kind, float(np.abs(offsets).max()))
     stripes: list[Stripe] = []
@@ -74,7 +74,7 @@ def _lanes(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _squeeze(rng: np.random.Generator, ribbon: Ribbon) -> FloatArray:
-    """The lanes' width along the road, 1 where it is the common one."""
+    """The factor of the lanes' width along the road."""
     if rng.random() > 0.2:
         return np.ones_like(ribbon.s)
     start, length = rng.uniform(-1.0, 8.0), rng.uniform(0.5, 8.0)
@@ -83,7 +83,7 @@ def _squeeze(rng: np.random.Generator, ribbon: Ribbon) -> FloatArray:
 
 
 def _kept(rng: np.random.Generator, ribbon: Ribbon) -> NDArray[np.bool_]:
-    """Mostly all of a line; now and then it begins or ends in sight, or misses a piece."""
+    """Which points of a line to keep: mostly all; some lines start or end in view."""
     keep = np.ones(len(ribbon.s), dtype=bool)
     draw = rng.random()
     if draw < 0.03:
@@ -94,7 +94,7 @@ def _kept(rng: np.random.Generator, ribbon: Ribbon) -> NDArray[np.bool_]:
 
 
 def _fork(rng: np.random.Generator, ribbon: Ribbon, offsets: FloatArray, style: LineStyle) -> list[Stripe]:
-    """A line that leaves one edge, or comes to it, and another on the far side of the way that it opens."""
+    """A line that leaves one edge or joins it, and the other line of the branch."""
     side = 1.0 if rng.random() < 0.5 else -1.0
     edge = float(offsets[-1] if side > 0 else offsets[0])
     start, length = rng.uniform(0.5, 12.0), rng.uniform(3.0, 12.0)
@@ -111,7 +111,7 @@ def _fork(rng: np.random.Generator, ribbon: Ribbon, offsets: FloatArray, style: 
 
 
 def _rounded(corner: FloatArray, before: FloatArray, after: FloatArray, radius: float) -> FloatArray:
-    """A polyline from `before` to `after` round a right-angled corner; radius 0 leaves the corner square."""
+    """A polyline from `before` to `after` around a corner with a radius; radius 0 keeps the corner sharp."""
     u = (before - corner) / max(float(np.hypot(*(before - corner))), 1e-9)
     w = (after - corner) / max(float(np.hypot(*(after - corner))), 1e-9)
     turn = math.acos(float(np.clip(-u @ w, -1.0, 1.0)))
@@ -134,7 +134,7 @@ def _straight(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _crossing(rng: np.random.Generator, kind: Kind) -> Road:
-    """A crossing or a T: the road's lines stop short of it, the other road's lines run away to the sides."""
+    """A crossing or a T junction: the road's lines end before it, the lines of the other road go to the sides."""
     offsets = _offsets(rng, kind)
     ribbon = random_ribbon(rng, kind, float(np.abs(offsets).max()), crossed=True)
     left, right = float(offsets[-1]), float(-offsets[0])
@@ -174,7 +174,7 @@ def _crossing(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _corner(rng: np.random.Generator, kind: Kind) -> Road:
-    """A bend of about 90 deg without a curve, or with a short round one."""
+    """A sharp corner of about 90 deg, or one with a small radius."""
     offsets = _offsets(rng, kind)
     ribbon = random_ribbon(rng, kind, float(np.abs(offsets).max()), straight=True)
     at, side = rng.uniform(0.3, 5.0), 1.0 if rng.random() < 0.5 else -1.0
@@ -193,7 +193,7 @@ def _corner(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _roundabout(rng: np.random.Generator, kind: Kind) -> Road:
-    """A ring with arms, of which the car's road is one."""
+    """A roundabout; the car's road is one of its arms."""
     offsets = _offsets(rng, Kind.SCALE)
     ribbon = random_ribbon(rng, kind, float(np.abs(offsets).max()), straight=True)
     width, inside = rng.uniform(0.8, 1.6), rng.uniform(0.5, 2.0)
@@ -216,9 +216,9 @@ def _roundabout(rng: np.random.Generator, kind: Kind) -> Road:
     for arm in arms:
         along, across = np.array([math.cos(arm), math.sin(arm)]), np.array([-math.sin(arm), math.cos(arm)])
         for k, d in enumerate(offsets - middle):
-            begin = math.sqrt(max(outside**2 - d * d, 0.0)) + rng.uniform(0.0, 0.1)
+            start = math.sqrt(max(outside**2 - d * d, 0.0)) + rng.uniform(0.0, 0.1)
             style = outer if k in (0, len(offsets) - 1) else inner
-            lines.append((style, _straight(begin * along + d * across, 15.0 * along + d * across)))
+            lines.append((style, _straight(start * along + d * across, 15.0 * along + d * across)))
     stripes: list[Stripe] = []
     for style, points in lines:
         stripes += painted(rng, style, ribbon.local(centre, points + np.array([0.0, middle])))
@@ -227,13 +227,13 @@ def _roundabout(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _between(arms: FloatArray, opening: float) -> list[tuple[float, float]]:
-    """The arcs of a circle that lie between arms at the given angles."""
+    """The arcs of a circle between arms at the given angles."""
     following = np.append(arms[1:], arms[0] + 2.0 * math.pi)
     return [(a + opening, b - opening) for a, b in zip(arms, following, strict=True) if b - a > 2.0 * opening + 0.05]
 
 
 def _strands(rng: np.random.Generator, kind: Kind) -> Road:
-    """Loose lines, each with a way of its own: nothing about lanes can be learnt from them."""
+    """Unrelated lines on independent curves, which do not form lanes."""
     ribbon = random_ribbon(rng, kind, 0.6)
     stripes: list[Stripe] = []
     for _ in range(int(rng.integers(1, 4))):

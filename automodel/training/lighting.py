@@ -1,4 +1,4 @@
-"""Light on the ground: shadows, patches of sun, reflections, headlamps. None of it is a line marking."""
+"""Light on the ground: shadows, patches of sun, reflections, headlamps."""
 
 from __future__ import annotations
 
@@ -15,40 +15,40 @@ from automodel.types import FloatArray, FloatImage, Image
 Rng = np.random.Generator
 
 
-def light(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
-    """Light the ground in a picture (h, w) float32 of grey 0 to 255, in place; lengths in lane widths."""
+def light(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
+    """Apply random light to the ground in an image (h, w) float32 of grey 0..255, in place; lengths in lane widths."""
     if rng.random() < 0.4:
-        _gradient(picture, rng)
+        _gradient(image, rng)
     if rng.random() < 0.28:
-        _patterns(picture, camera, rng)
+        _patterns(image, camera, rng)
     if rng.random() < 0.11:
-        _dapples(picture, camera, rng)
+        _dapples(image, camera, rng)
     if rng.random() < 0.14:
-        _soft_shadows(picture, rng)
+        _soft_shadows(image, rng)
     if rng.random() < 0.07:
-        _headlamps(picture, camera, rng)
+        _headlamps(image, camera, rng)
     if rng.random() < 0.26:
-        _reflections(picture, rng)
-    np.clip(picture, 0.0, 255.0, out=picture)
+        _reflections(image, rng)
+    np.clip(image, 0.0, 255.0, out=image)
 
 
-def _gradient(picture: FloatImage, rng: Rng) -> None:
-    """Brightness that changes along and across the picture."""
-    height, width = picture.shape
+def _gradient(image: FloatImage, rng: Rng) -> None:
+    """A brightness gradient along and across the image."""
+    height, width = image.shape
     along = np.exp(rng.normal(0.0, 0.25) * np.linspace(-1, 1, height))
     across = np.exp(rng.normal(0.0, 0.2) * np.linspace(-1, 1, width))
-    picture *= along.astype(np.float32)[:, None]
-    picture *= across.astype(np.float32)[None, :]
+    image *= along.astype(np.float32)[:, None]
+    image *= across.astype(np.float32)[None, :]
 
 
-def _scale(picture: FloatImage, mask: Image, gain: float) -> None:
+def _scale(image: FloatImage, mask: Image, gain: float) -> None:
     """Multiply by `gain` where the mask is 255, by 1 where it is 0."""
     table = (1.0 + (gain - 1.0) * np.arange(256) / 255.0).astype(np.float32)
-    cv2.multiply(picture, cv2.LUT(mask, table), dst=picture)
+    cv2.multiply(image, cv2.LUT(mask, table), dst=image)
 
 
 def _outlines(camera: GroundCamera, quads: FloatArray) -> list[NDArray[np.int32]]:
-    """Ground quads (n, 4, 2) as polygons of pixels in sixteenths, their edges sampled so that lenses bend them."""
+    """Ground quads (n, 4, 2) as polygons [1/16 px] with edges sampled for lens distortion."""
     steps = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
     after = np.roll(quads, -1, axis=1)
     edges = quads[:, :, None, :] * (1.0 - steps) + after[:, :, None, :] * steps
@@ -57,8 +57,8 @@ def _outlines(camera: GroundCamera, quads: FloatArray) -> list[NDArray[np.int32]
     return [np.rint(np.clip(p, -4000, 4000) * 16).astype(np.int32) for p in found if len(p) >= 3]
 
 
-def _patterns(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
-    """Hard or soft shapes on the ground, darker or brighter than the rest."""
+def _patterns(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
+    """Hard or soft shapes on the ground, darker or brighter than their surroundings."""
     kind = rng.random()
     if kind < 0.4:
         quads = _stripes(rng)
@@ -68,22 +68,22 @@ def _patterns(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
         quads = _big_shade(rng)
     else:
         quads = _own_shadow(camera, rng)
-    mask = np.zeros(picture.shape, dtype=np.uint8)
+    mask = np.zeros(image.shape, dtype=np.uint8)
     for outline in _outlines(camera, quads):
         cv2.fillPoly(mask, [outline], 255, cv2.LINE_AA, 4)
     if rng.random() < 0.6:
         mask = np.asarray(cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.6, 4.0)), dtype=np.uint8)
     if kind < 0.7 and rng.random() < 0.55:
-        room = max(1.25, 225.0 / max(float(picture[picture.shape[0] // 2 :: 8, ::8].mean()), 20.0))
-        _scale(picture, mask, min(rng.uniform(1.2, 3.5), room))
+        room = max(1.25, 225.0 / max(float(image[image.shape[0] // 2 :: 8, ::8].mean()), 20.0))
+        _scale(image, mask, min(rng.uniform(1.2, 3.5), room))
     elif kind < 0.7 and rng.random() < 0.3:  # light between shadows
-        _scale(picture, np.bitwise_not(mask), rng.uniform(0.25, 0.8))
+        _scale(image, np.bitwise_not(mask), rng.uniform(0.25, 0.8))
     else:
-        _scale(picture, mask, rng.uniform(0.2, 0.8))
+        _scale(image, mask, rng.uniform(0.2, 0.8))
 
 
 def _stripes(rng: Rng) -> FloatArray:
-    """Bands across the road at any angle: poles, trunks, rails, or the light between them. Ground quads (n, 4, 2)."""
+    """Shadows of poles, trunks or rails at any angle, or the light between them. Ground quads (n, 4, 2)."""
     count = int(rng.integers(1, 12))
     angle = rng.choice((math.pi / 2, rng.uniform(0, math.pi)))
     spacing = rng.uniform(0.2, 1.6)
@@ -117,7 +117,7 @@ def _window_panes(rng: Rng) -> FloatArray:
 
 
 def _big_shade(rng: Rng) -> FloatArray:
-    """The shade of a bridge, a house or a wall beside the road. Ground quads (1, 4, 2)."""
+    """The shadow of a bridge, a house or a wall beside the road. Ground quads (1, 4, 2)."""
     if rng.random() < 0.5:
         near, lean = rng.uniform(0.3, 6.0), rng.normal(0.0, 1.5)
         far = near + rng.uniform(0.5, 12.0)
@@ -127,15 +127,15 @@ def _big_shade(rng: Rng) -> FloatArray:
 
 
 def _own_shadow(camera: GroundCamera, rng: Rng) -> FloatArray:
-    """The shadow that the car itself throws ahead. Ground quads (1, 4, 2)."""
+    """The shadow of the car itself ahead of it. Ground quads (1, 4, 2)."""
     x, y = camera.centre_m[0], camera.centre_m[1] + rng.normal(0, 0.3)
     reach, half, lean = rng.uniform(0.3, 2.0), rng.uniform(0.15, 0.5), rng.normal(0, 0.3)
     return np.array([[[x, y - half], [x, y + half], [x + reach, y + half + lean], [x + reach, y - half + lean]]])
 
 
-def _dapples(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
-    """Light through leaves, or clouds' soft shade, laid on the ground in perspective."""
-    height, width = picture.shape
+def _dapples(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
+    """Light through leaves or soft shadows of clouds, in perspective."""
+    height, width = image.shape
     size_lanes = rng.uniform(1.5, 9.0)
     scale = noise.SIDE_PX / size_lanes
     pattern = noise.crop(noise.leaves(noise.variant(rng)), rng)
@@ -149,20 +149,20 @@ def _dapples(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
         pattern, half, (width // 2, height // 2), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
     )
     mask = np.asarray(cv2.resize(seen, (width, height)), dtype=np.uint8)
-    _scale(picture, mask, rng.uniform(0.3, 0.85) if rng.random() < 0.75 else rng.uniform(1.15, 1.8))
+    _scale(image, mask, rng.uniform(0.3, 0.85) if rng.random() < 0.75 else rng.uniform(1.15, 1.8))
 
 
-def _soft_shadows(picture: FloatImage, rng: Rng) -> None:
-    """Shade without an edge, and the worn sheen of a floor."""
-    height, width = picture.shape
+def _soft_shadows(image: FloatImage, rng: Rng) -> None:
+    """Soft shadows, and uneven gloss of a floor."""
+    height, width = image.shape
     part = noise.crop(noise.fractal(1.8, noise.variant(rng)), rng, 128, 256)
     mask = np.asarray(cv2.resize(part, (width, height)), dtype=np.uint8)
-    _scale(picture, mask, rng.uniform(0.3, 1.6))
+    _scale(image, mask, rng.uniform(0.3, 1.6))
 
 
-def _headlamps(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
-    """Night: only what the headlamps and a little ambient light reach."""
-    height, width = picture.shape
+def _headlamps(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
+    """Night: light from headlamps and little ambient light."""
+    height, width = image.shape
     u, v = np.meshgrid(np.linspace(0, width - 1, 24), np.linspace(0, height - 1, 20))
     ground = camera.px_to_ground(np.stack((u, v), axis=-1)) - camera.centre_m[:2]
     x, y = ground[..., 0], ground[..., 1]
@@ -170,12 +170,12 @@ def _headlamps(picture: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     off = y / (0.5 + spread * np.maximum(x, 0.0))
     lit = np.exp(-x / reach - off * off)
     gain = rng.uniform(0.06, 0.35) + rng.uniform(0.6, 1.5) * np.where(np.isfinite(lit), np.clip(lit, 0, 1), 0.0)
-    picture *= cv2.resize(gain.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+    image *= cv2.resize(gain.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _reflections(picture: FloatImage, rng: Rng) -> None:
-    """Lamps and windows mirrored in a shiny floor: streaks drawn out upright, soft, wavy."""
-    height, width = picture.shape
+def _reflections(image: FloatImage, rng: Rng) -> None:
+    """Reflections of lamps and windows in a shiny floor: soft, wavy vertical streaks."""
+    height, width = image.shape
     glow = np.zeros((height // 2, width // 2), dtype=np.float32)
     panes = rng.random() < 0.3
     bright = rng.uniform(25, 230)
@@ -197,4 +197,4 @@ def _reflections(picture: FloatImage, rng: Rng) -> None:
         mottle = noise.crop(noise.fractal(1.0, noise.variant(rng)), rng, height, width)
         _scale(glow, mottle, rng.uniform(0.1, 1.0))
     np.minimum(glow, 250.0, out=glow)
-    picture += glow * (1.0 - np.minimum(picture, 255.0) * np.float32(1.0 / 320.0))  # the sensor's shoulder
+    image += glow * (1.0 - np.minimum(image, 255.0) * np.float32(1.0 / 320.0))  # the sensor's shoulder

@@ -1,7 +1,7 @@
-"""Banks of periodic noise and marks, made once per process from fixed seeds and cropped at random.
+"""Layers of periodic noise and marks, created once per process from fixed seeds and cropped at random.
 
-Every layer is a (512, 512) periodic picture repeated 2 x 2, so that any crop up to (512, 512) is a plain view.
-Signed layers lie around `MIDDLE` with a standard deviation of `SPREAD`; masks run from 0 (nothing) to 255.
+Every layer is a periodic image (512, 512) repeated 2 x 2, so that any crop up to (512, 512) is a view. Signed layers
+have the mean `MIDDLE` and the standard deviation `SPREAD`; masks are 0 (nothing) to 255.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def _repeated(tile: NDArray[np.generic]) -> Image:
 
 
 def _filtered(amplitude: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
-    """White noise shaped by a spectrum (512, 257); zero mean, unit standard deviation, periodic."""
+    """Periodic noise with an amplitude spectrum (512, 257); zero mean, unit standard deviation."""
     white = np.random.default_rng(seed).standard_normal((SIDE_PX, SIDE_PX))
     amplitude[0, 0] = 0.0
     shaped: NDArray[np.float64] = np.fft.irfft2(np.fft.rfft2(white) * amplitude, s=(SIDE_PX, SIDE_PX))
@@ -36,14 +36,14 @@ def _filtered(amplitude: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
 
 
 def _frequencies(stretch: float) -> NDArray[np.float64]:
-    """Cycles per tile (512, 257) of each term of the spectrum, those along the rows counted `stretch` times."""
+    """Cycles per tile (512, 257) of each term of the spectrum, multiplied by `stretch` along the rows."""
     fx, fy = np.fft.rfftfreq(SIDE_PX, 1.0 / SIDE_PX), np.fft.fftfreq(SIDE_PX, 1.0 / SIDE_PX)
     return np.maximum(np.hypot(fx[None, :] * stretch, fy[:, None]), 1e-6)
 
 
 @cache
 def band(cycles: float, stretch: float = 1.0, variant: int = 0) -> Image:
-    """Signed noise with about `cycles` waves a tile, drawn out `stretch` times along the rows."""
+    """Signed noise with about `cycles` waves per tile, stretched by `stretch` along the rows."""
     octaves = np.log2(_frequencies(stretch) / cycles)
     return _repeated(MIDDLE + SPREAD * _filtered(np.exp(-((octaves / 0.8) ** 2)), 1000 + variant))
 
@@ -56,13 +56,13 @@ def fractal(slope: float = 1.4, variant: int = 0) -> Image:
 
 @cache
 def stains(variant: int = 0) -> Image:
-    """A mask of soft blots that cover about a sixth of the tile."""
+    """A mask of soft blobs that cover about a sixth of the tile."""
     return _repeated(110.0 * (_filtered(_frequencies(1.0) ** -1.8, 3000 + variant) - 0.9))
 
 
 @cache
 def leaves(variant: int = 0) -> Image:
-    """A mask of hard-edged blots of many sizes, half of the tile: foliage against the sky, dappled light."""
+    """A mask of hard-edged blobs of many sizes that cover half of the tile: foliage, dappled light."""
     octaves = np.log2(_frequencies(1.0) / 20.0)
     amplitude = np.exp(-((octaves / 1.6) ** 2)) * _frequencies(1.0) ** -0.5
     return _repeated(128.0 + 190.0 * _filtered(amplitude, 4000 + variant))
@@ -80,7 +80,7 @@ def specks(percent: float, variant: int = 0) -> Image:
 
 @cache
 def white(variant: int = 0) -> NDArray[np.float32]:
-    """Independent normal noise (1024, 1024) float32, the sensor's."""
+    """Independent normal noise (1024, 1024) float32, for the sensor."""
     noise = np.random.default_rng(6000 + variant).standard_normal((2 * SIDE_PX, 2 * SIDE_PX)).astype(np.float32)
     noise.setflags(write=False)
     return noise
@@ -104,7 +104,7 @@ def _draw_wrapped(mask: Image, path: NDArray[np.float64], grey: int, width_px: i
 
 @cache
 def cracks(paths: int, width_px: int, wander_rad: float, variant: int = 0) -> Image:
-    """A mask of wandering lines: cracks (much wander), tar seams (some), skid marks and scratches (little)."""
+    """A mask of random lines: cracks (much `wander_rad`), tar seams (some), skid marks and scratches (little)."""
     rng = np.random.default_rng(7000 + variant)
     mask = np.zeros((SIDE_PX, SIDE_PX), dtype=np.uint8)
     for _ in range(paths):
@@ -115,12 +115,12 @@ def cracks(paths: int, width_px: int, wander_rad: float, variant: int = 0) -> Im
 
 
 def variant(rng: np.random.Generator) -> int:
-    """One of the variants of a layer."""
+    """The number of a random variant of a layer."""
     return int(rng.integers(VARIANTS))
 
 
 def crop(layer: Image, rng: np.random.Generator, height_px: int = SIDE_PX, width_px: int = SIDE_PX) -> Image:
-    """A view of a layer (height, width) from a random place; a layer too small for it is enlarged first."""
+    """A random crop (height, width) of a layer, which is enlarged if it is too small."""
     if max(height_px, width_px) > SIDE_PX:
         small = crop(layer, rng)
         return np.asarray(cv2.resize(small, (width_px, height_px), interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
@@ -128,12 +128,12 @@ def crop(layer: Image, rng: np.random.Generator, height_px: int = SIDE_PX, width
     return layer[y : y + height_px, x : x + width_px]
 
 
-def add(picture: Image, layer: Image, spread: float, rng: np.random.Generator) -> None:
+def add(image: Image, layer: Image, spread: float, rng: np.random.Generator) -> None:
     """Add a random crop of a signed layer in place, scaled to a standard deviation of `spread` grey levels."""
-    part = crop(layer, rng, *picture.shape[:2])
-    cv2.addWeighted(picture, 1.0, part, spread / SPREAD, -MIDDLE * spread / SPREAD, dst=picture)
+    part = crop(layer, rng, *image.shape[:2])
+    cv2.addWeighted(image, 1.0, part, spread / SPREAD, -MIDDLE * spread / SPREAD, dst=image)
 
 
-def add_mask(picture: Image, layer: Image, change: float, rng: np.random.Generator) -> None:
-    """Add `change` grey levels in place where a random crop of a mask is full."""
-    cv2.addWeighted(picture, 1.0, crop(layer, rng, *picture.shape[:2]), change / 255.0, 0.0, dst=picture)
+def add_mask(image: Image, layer: Image, change: float, rng: np.random.Generator) -> None:
+    """Add `change` grey levels in place, in proportion to a random crop of a mask."""
+    cv2.addWeighted(image, 1.0, crop(layer, rng, *image.shape[:2]), change / 255.0, 0.0, dst=image)

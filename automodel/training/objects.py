@@ -1,4 +1,4 @@
-"""Things that stand on the ground or belong to the own car, drawn over a picture and taken out of its mask."""
+"""Objects on the ground and parts of the own car, drawn into an image and removed from its mask."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ Rng = np.random.Generator
 Pixels = list[NDArray[np.int32]]
 
 
-def draw_objects(picture: Image, mask: Image, camera: GroundCamera, rng: Rng, road_reach: float) -> None:
-    """Draw up to six solid things and parts of the own car in place; `mask` becomes 0 where they cover it.
+def draw_objects(image: Image, mask: Image, camera: GroundCamera, rng: Rng, road_reach: float) -> None:
+    """Draw up to six solids and parts of the own car in place; `mask` becomes 0 where they cover it.
 
-    `picture` and `mask` are (h, w) uint8 of the size of `camera`, whose lengths are in lane widths; `road_reach`
-    [lane widths] is how far ahead things may stand.
+    `image` and `mask` are (h, w) uint8 of the size of `camera`, whose lengths are in lane widths; `road_reach` [lane
+    widths] is the largest distance of objects.
     """
     count = int(rng.choice(7, p=(0.3, 0.2, 0.17, 0.13, 0.1, 0.06, 0.04)))
     things = [_thing(camera, rng, road_reach) for _ in range(count)]
     eye = camera.centre_m[:2]
     for thing in sorted(things, key=lambda s: -float(np.hypot(*(s.quads[..., :2].mean(axis=(0, 1)) - eye)))):
-        _shade(picture, camera, thing, rng)
-        _paint(picture, mask, camera, thing, rng)
+        _shade(image, camera, thing, rng)
+        _paint(image, mask, camera, thing, rng)
     if rng.random() < 0.16:
-        _own_car(picture, mask, rng)
+        _own_car(image, mask, rng)
     if rng.random() < 0.04:
-        _wiper(picture, mask, rng)
+        _wiper(image, mask, rng)
     if rng.random() < 0.05:
-        _dashboard_reflection(picture, rng)
+        _dashboard_reflection(image, rng)
 
 
 def _place(camera: GroundCamera, rng: Rng, reach: float, in_lane: float) -> FloatArray:
-    """A point (2,) of the ground, mostly beside the lane."""
+    """A random ground point (2,), mostly beside the lane."""
     x = camera.centre_m[0] + float(np.exp(rng.uniform(math.log(0.7), math.log(max(reach, 1.0)))))
     if rng.random() < in_lane:
         return np.array([x, rng.uniform(-0.6, 0.6)])
@@ -81,7 +81,7 @@ def _wall_beside(camera: GroundCamera, rng: Rng, reach: float) -> Solid:
 
 
 def _polygons(camera: GroundCamera, outlines: FloatArray) -> Pixels:
-    """Outlines (n, k, 3) as polygons in sixteenths of a pixel, edges sampled for bent lenses; empty: unseen."""
+    """Outlines (n, k, 3) as polygons [1/16 px] with edges sampled for lens distortion; empty if not visible."""
     steps = np.linspace(0.0, 1.0, 5, endpoint=False)[:, None]
     after = np.roll(outlines, -1, axis=1)
     edges = outlines[:, :, None, :] * (1.0 - steps) + after[:, :, None, :] * steps
@@ -92,7 +92,7 @@ def _polygons(camera: GroundCamera, outlines: FloatArray) -> Pixels:
 
 
 def _facing(solid: Solid, eye: FloatArray) -> NDArray[np.bool_]:
-    """Which faces (n,) turn towards the camera's centre (3,)."""
+    """Which faces (n,) are turned towards the camera's centre (3,)."""
     if solid.two_sided:
         return np.ones(len(solid.quads), dtype=np.bool_)
     q = solid.quads
@@ -102,7 +102,7 @@ def _facing(solid: Solid, eye: FloatArray) -> NDArray[np.bool_]:
 
 
 def _box_around(polygons: Pixels, shape: tuple[int, ...], margin_px: int) -> tuple[slice, slice] | None:
-    """Rows and columns of the picture that polygons touch; None when they lie outside."""
+    """Rows and columns of the bounding box of polygons in the image; None if they are outside."""
     corners = [p for p in polygons if len(p)]
     if not corners:
         return None
@@ -114,48 +114,48 @@ def _box_around(polygons: Pixels, shape: tuple[int, ...], margin_px: int) -> tup
     return slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
 
 
-def _paint(picture: Image, mask: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
+def _paint(image: Image, mask: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
     shown = _facing(solid, camera.centre_m)
     polygons = _polygons(camera, solid.quads[shown])
-    box = _box_around(polygons, picture.shape, 1)
+    box = _box_around(polygons, image.shape, 1)
     if box is None:
         return
-    cover = np.zeros_like(picture)
+    cover = np.zeros_like(image)
     for polygon, grey in zip(polygons, solid.greys[shown], strict=True):
         if len(polygon):
-            cv2.fillPoly(picture, [polygon], float(np.clip(grey, 0, 255)), cv2.LINE_AA, 4)
+            cv2.fillPoly(image, [polygon], float(np.clip(grey, 0, 255)), cv2.LINE_AA, 4)
             cv2.fillPoly(cover, [polygon], 255, cv2.LINE_8, 4)
-    part, hidden = picture[box], cover[box]
+    part, covered = image[box], cover[box]
     if rng.random() < 0.7:
         rough = part.copy()
         noise.add(rough, noise.fractal(1.4, noise.variant(rng)), rng.uniform(2, 14), rng)
         if rng.random() < 0.4:
             noise.add(rough, noise.band(64.0, 1.0, noise.variant(rng)), rng.uniform(1, 8), rng)
-        part[hidden > 0] = rough[hidden > 0]
-    mask[box][hidden > 0] = 0
+        part[covered > 0] = rough[covered > 0]
+    mask[box][covered > 0] = 0
 
 
-def _shade(picture: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
-    """The dark ground under and beside a thing; lines in it stay lines."""
+def _shade(image: Image, camera: GroundCamera, solid: Solid, rng: Rng) -> None:
+    """Darken the ground under and beside an object."""
     if not len(solid.footprint):
         return
     middle = solid.footprint.mean(axis=0)
     ground = middle + (solid.footprint - middle) * rng.uniform(1.0, 1.2) + rng.normal(0, 0.06, 2)
     outline = np.column_stack((ground, np.zeros(len(ground))))
     polygons = _polygons(camera, outline[None])
-    box = _box_around(polygons, picture.shape, 8)
+    box = _box_around(polygons, image.shape, 8)
     if box is None:
         return
-    cover = np.zeros_like(picture)
+    cover = np.zeros_like(image)
     cv2.fillPoly(cover, polygons, 255, cv2.LINE_AA, 4)
     soft = cv2.GaussianBlur(cover[box], (0, 0), rng.uniform(0.6, 3.0))
     table = (1.0 - rng.uniform(0.3, 0.92) * np.arange(256) / 255.0).astype(np.float32)
-    picture[box] = (picture[box] * cv2.LUT(soft, table)).astype(np.uint8)
+    image[box] = (image[box] * cv2.LUT(soft, table)).astype(np.uint8)
 
 
-def _own_car(picture: Image, mask: Image, rng: Rng) -> None:
-    """The own bonnet or bumper along the bottom edge, with a highlight."""
-    height, width = picture.shape
+def _own_car(image: Image, mask: Image, rng: Rng) -> None:
+    """The own bonnet or bumper along the bottom edge, with highlights."""
+    height, width = image.shape
     tall, u = rng.uniform(0.02, 0.16) * height, width * rng.uniform(0.35, 0.65)
     half, grey = width * rng.uniform(0.2, 0.9), rng.choice((rng.uniform(0, 60), rng.uniform(60, 230)))
     bend = rng.uniform(0.1, 1.0)
@@ -165,32 +165,32 @@ def _own_car(picture: Image, mask: Image, rng: Rng) -> None:
         (np.column_stack((u + half * across, top)), [[u + half, height + 2], [u - half, height + 2]])
     )
     polygon = [np.rint(outline * 16).astype(np.int32)]
-    cv2.fillPoly(picture, polygon, float(grey), cv2.LINE_AA, 4)
+    cv2.fillPoly(image, polygon, float(grey), cv2.LINE_AA, 4)
     cv2.fillPoly(mask, polygon, 0.0, cv2.LINE_8, 4)
     for _ in range(int(rng.integers(0, 3))):  # highlights and edges follow its shape
         line = np.column_stack((u + half * across, top + rng.uniform(0.0, 0.8) * tall))
         tone = float(np.clip(grey + rng.normal(30, 60), 0, 255))
         cv2.polylines(
-            picture, [np.rint(line * 16).astype(np.int32)], False, tone, int(rng.integers(1, 4)), cv2.LINE_AA, 4
+            image, [np.rint(line * 16).astype(np.int32)], False, tone, int(rng.integers(1, 4)), cv2.LINE_AA, 4
         )
 
 
-def _wiper(picture: Image, mask: Image, rng: Rng) -> None:
-    """A wiper's arm in front of the picture."""
-    height, width = picture.shape
+def _wiper(image: Image, mask: Image, rng: Rng) -> None:
+    """The arm of a wiper in front of the image."""
+    height, width = image.shape
     start = (int(rng.uniform(0, width)), height + 5)
     end = (int(start[0] + rng.normal(0, 0.4) * width), int(height * rng.uniform(0.4, 0.95)))
     thick = int(rng.integers(3, 12))
-    cv2.line(picture, start, end, float(rng.uniform(0, 50)), thick, cv2.LINE_AA)
+    cv2.line(image, start, end, float(rng.uniform(0, 50)), thick, cv2.LINE_AA)
     cv2.line(mask, start, end, 0.0, thick + 1)
 
 
-def _dashboard_reflection(picture: Image, rng: Rng) -> None:
-    """Faint bright edges of the dashboard mirrored in the windscreen; the lines behind stay visible."""
-    height, width = picture.shape
+def _dashboard_reflection(image: Image, rng: Rng) -> None:
+    """A faint reflection of the dashboard in the windscreen; the lines behind it stay visible."""
+    height, width = image.shape
     veil = np.zeros((height // 2, width // 2), dtype=np.uint8)
     for _ in range(int(rng.integers(1, 6))):
         start, end = (tuple(int(v) for v in rng.uniform(0, 1, 2) * (width // 2, height // 2)) for _ in range(2))
         cv2.line(veil, start, end, float(rng.uniform(10, 50)), int(rng.integers(2, 30)))
     soft = cv2.resize(cv2.GaussianBlur(veil, (0, 0), rng.uniform(1.0, 5.0)), (width, height))
-    cv2.add(picture, soft, dst=picture)
+    cv2.add(image, soft, dst=image)

@@ -1,4 +1,4 @@
-"""Roads for the training pictures: how they bend, how their lines look. Lengths in lane widths, car at the origin."""
+"""Random roads: their curves and the styles of their lines. Lengths in lane widths, car at the origin."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from automodel.training.cameras import Kind
 from automodel.training.shapes import Ink, Ribbon, Stripe
 from automodel.types import FloatArray
 
-_BEHIND = 4.0  # how far a road reaches behind the car
+_BEHIND = 4.0  # length of a road behind the car
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Road:
     """A road around the car: its curve, the extent of its lanes to the left and right, and its stripes.
 
-    `paved` are the stripes that its surface covers; empty where the floor goes on beside the road.
+    `paved` are the stripes that its surface covers; empty for a road without a surface of its own.
     """
 
     kind: Kind
@@ -33,21 +33,21 @@ class Road:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineStyle:
-    """How one line is painted: half widths of its stripes with their places beside the line, and their patterns."""
+    """The style of one line: half width, patterns and spacing of its stripes."""
 
     half_width: float
     ink: Ink
-    patterns: tuple[tuple[float, ...], ...]  # one a stripe; () is solid
-    spacing: float = 0.0  # between the middles of a double line's stripes
-    label: tuple[float, ...] | None = None  # the pattern that is to be found, where it is not that of the paint
+    patterns: tuple[tuple[float, ...], ...]  # one per stripe; () is solid
+    spacing: float = 0.0  # between the centres of the stripes of a double line
+    label: tuple[float, ...] | None = None  # the pattern of the label if it differs from that of the paint
 
 
 def random_ribbon(
     rng: np.random.Generator, kind: Kind, room: float, *, straight: bool = False, crossed: bool = False
 ) -> Ribbon:
-    """The curve of the ego lane's middle, in the body frame of a car that is somewhere in it.
+    """A random centerline of the ego lane, in the body frame of a car at a random pose in the lane.
 
-    `room` is the widest offset that lines will have from it, which bounds its curvature.
+    `room` is the largest offset of lines from it, which limits its curvature.
     """
     reach = rng.uniform(*{Kind.SCALE: (8.0, 40.0), Kind.ROAD: (40.0, 110.0), Kind.CIRCUIT: (15.0, 60.0)}[kind])
     tightest = max(1.5, 1.2 * room)
@@ -69,7 +69,7 @@ def random_ribbon(
 def _curvature(
     rng: np.random.Generator, kind: Kind, reach: float, radius: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Knots of a curvature that changes linearly between them, as clothoids do."""
+    """Knots of a piecewise linear curvature (clothoids)."""
     longest = {Kind.SCALE: 5.0, Kind.ROAD: 40.0, Kind.CIRCUIT: 15.0}[kind]
     s, k = [-_BEHIND], [0.0]
     side = 1.0 if rng.random() < 0.5 else -1.0
@@ -87,7 +87,7 @@ def _curvature(
 
 
 def _from_body(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, room: float) -> Ribbon:
-    """Integrates the curve through s = 0 and turns it into the frame of a car beside it."""
+    """Integrate the curvature, and transform the curve to the frame of a car near s = 0."""
     steps = np.diff(s)
     heading = np.concatenate(([0.0], np.cumsum(0.5 * (curvature[1:] + curvature[:-1]) * steps)))
     middle = 0.5 * (heading[1:] + heading[:-1])
@@ -103,7 +103,7 @@ def _from_body(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, r
 
 
 def edge_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
-    """The line at a road's edge: mostly solid."""
+    """The style of a line at a road's edge: mostly solid."""
     half = _half_width(rng, kind)
     draw = rng.random()
     ink = Ink.SECOND_PAINT if rng.random() < 0.25 else Ink.PAINT
@@ -115,7 +115,7 @@ def edge_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
 
 
 def inner_style(rng: np.random.Generator, kind: Kind) -> LineStyle:
-    """The line between two lanes: dashed, solid, double or dotted."""
+    """The style of a line between two lanes: dashed, solid, double or dotted."""
     half = _half_width(rng, kind)
     draw = rng.random()
     ink = Ink.SECOND_PAINT if rng.random() < 0.35 else Ink.PAINT
@@ -155,14 +155,14 @@ def _dashes(rng: np.random.Generator, kind: Kind) -> tuple[float, ...]:
 
 
 def _dots(rng: np.random.Generator, half: float) -> tuple[float, ...]:
-    """Studs: groups of dots as long as they are wide."""
+    """The pattern of groups of square dots."""
     size, gap = 2.0 * half, rng.uniform(0.15, 0.5)
     dots = (size, gap) * int(rng.integers(1, 5))
     return (*dots[:-1], gap + rng.uniform(0.0, 2.0))
 
 
 def _studs(rng: np.random.Generator, ink: Ink) -> LineStyle:
-    """Raised dots of a hand's breadth instead of paint: a long row, or groups of some dots where a dash would be."""
+    """Raised dots of about 10 cm instead of paint: a continuous row, or groups in place of dashes."""
     size, gap = rng.uniform(0.025, 0.05), rng.uniform(0.15, 0.4)
     if rng.random() < 0.35:
         return LineStyle(half_width=0.5 * size, ink=ink, patterns=((size, gap),), label=())
@@ -172,7 +172,7 @@ def _studs(rng: np.random.Generator, ink: Ink) -> LineStyle:
 
 
 def painted(rng: np.random.Generator, style: LineStyle, points: FloatArray) -> list[Stripe]:
-    """The stripes of one line along a polyline (n, 2); none where hardly anything is left of it."""
+    """The stripes of one line along a polyline (n, 2); none for fewer than two points."""
     stripes: list[Stripe] = []
     if len(points) < 2:
         return stripes
@@ -200,7 +200,7 @@ def painted(rng: np.random.Generator, style: LineStyle, points: FloatArray) -> l
 
 
 def paved(road: Road, margin_left: float, margin_right: float) -> Road:
-    """The road with a surface of its own that ends a margin beyond its outer lines."""
+    """The road with a surface of its own that extends beyond its outer lines by the margins."""
     left, right = road.left + margin_left, road.right + margin_right
     bed = Stripe(
         points=road.ribbon.place(road.ribbon.s, 0.5 * (left - right)),

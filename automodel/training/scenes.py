@@ -1,10 +1,8 @@
-"""Synthetic pictures to train the marking network on: `make_sample(seed)` gives a picture and its mask.
+"""Synthetic images for training the marking network: `make_sample(seed)` gives an image and its mask.
 
-A picture is put together in the order in which light meets things: a backdrop, the ground (floor, roadside, stains,
-paint) as a random camera sees it, light and shadow, things that stand on the ground, then the camera's own damage.
-Lengths are in lane widths, so that one generator covers scale cars and highways.
-
-The ground as a camera sees it, pixel by pixel: where each pixel looks, and tiled pictures laid on the ground.
+An image is composed of a backdrop, the ground (floor, roadside, stains, paint) as a random camera sees it, light and
+shadow, and objects on the ground; then lens and sensor effects are applied. Lengths are in lane widths, so that one
+generator covers scale cars and highways.
 """
 
 from __future__ import annotations
@@ -13,33 +11,43 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 
 from automodel.geometry import GroundCamera
 from automodel.training import noise
-from automodel.training.augmentation import damage, light
+from automodel.training.augmentation import augment
 from automodel.training.backdrops import backdrop
 from automodel.training.cameras import Kind, random_camera
 from automodel.training.distractors import random_distractors
 from automodel.training.layouts import random_road
+from automodel.training.lighting import light
 from automodel.training.objects import draw_objects
 from automodel.training.roads import Road
 from automodel.training.shapes import UNKNOWN, Canvas, Ink, Patch, Stripe, worn
 from automodel.training.textures import floor_tile, roadside_tile
 from automodel.types import FloatImage, Image
 
-_CELL_PX = 8  # rays are computed this far apart and interpolated between
+Rng = np.random.Generator
+
+_CELL_PX = 8  # rays are computed at this spacing and interpolated
 _TILE_PX = 512
-_LEVELS = 6  # a tile and its halvings
+_LEVELS = 6  # mip levels of a tile
+_TILES = 160  # number of different floors; each is used with random size, rotation and tone
+_FAINT = 2.2  # grey levels that paint must add to be visible,
+_ROUGH_SHARE = 0.6  # plus this share of the roughness around it
+_SURE = 40  # mask value (of 255) from which a pixel counts as marking
+
+Layers = tuple[Image, Image, FloatImage, FloatImage]  # image, mask, and what worn and whole paint add
 
 
 class GroundView:
-    """What each pixel (h, w) of a camera looks at.
+    """The ground point of each pixel (h, w) of a camera.
 
-    `share` is how much of the pixel is ground (1 below the horizon), `distance` how far away it is along the ground and
-    `rise` the tangent of the ray's elevation. Lengths in the camera's own unit.
+    `share` is the share of ground in the pixel (1 below the horizon), `distance` the distance along the ground and
+    `rise` the tangent of the ray's elevation. Lengths are in the camera's unit.
     """
 
     def __init__(self, camera: GroundCamera, farthest: float) -> None:
@@ -57,13 +65,13 @@ class GroundView:
         self._x: FloatImage = rays[..., 0] * scale
         self._y: FloatImage = rays[..., 1] * scale
         across = math.sqrt(float(camera.camera.matrix[0, 0]) * focal)
-        # the ground under a pixel: distance / f across and distance^2 / (height f) along, here their mean
+        # a pixel's size on the ground is distance / f across and distance^2 / (height f) along: the geometric mean
         self._log_size: FloatImage = np.log2(
             np.maximum(self.distance, self.height) ** 1.5 / (math.sqrt(self.height) * across)
         )
 
     def laid(self, atlas: Image, size: float, turn_rad: float, shift: tuple[float, float]) -> Image:
-        """An `atlas` of a tile whose side is `size` long, repeated over the ground, as the camera sees it (h, w)."""
+        """The camera's view (h, w) of the `atlas` of a tile with side length `size`, repeated over the ground."""
         cos, sin = math.cos(turn_rad) / size, math.sin(turn_rad) / size
         u = self._x * np.float32(cos) + self._y * np.float32(sin) + np.float32(shift[0])
         v = self._y * np.float32(cos) - self._x * np.float32(sin) + np.float32(shift[1])
@@ -76,7 +84,7 @@ class GroundView:
 
 
 def _ray_grid(camera: GroundCamera, width: int, height: int) -> FloatImage:
-    """Directions (h, w, 3) of the body frame in which the pixels look, not of unit length."""
+    """Ray directions (h, w, 3) of the pixels in the body frame, not normalised."""
     columns = np.arange(-1, width // _CELL_PX + 3) * float(_CELL_PX)
     rows = np.arange(-1, height // _CELL_PX + 3) * float(_CELL_PX)
     grid = np.stack(np.meshgrid(columns, rows), axis=-1)
@@ -101,31 +109,24 @@ _SIDES, _LEFTS, _TOPS = (np.array(values, dtype=np.float32) for values in _layou
 
 
 def atlas(tile: Image) -> Image:
-    """A tile (512, 512) and its halvings in one picture, each with a border that repeats it."""
-    picture = np.empty((_TILE_PX + 2, _TILE_PX + 2 + _TILE_PX // 2 + 2), dtype=np.uint8)
+    """The mip levels of a tile (512, 512) in one image, each with a border that repeats it."""
+    image = np.empty((_TILE_PX + 2, _TILE_PX + 2 + _TILE_PX // 2 + 2), dtype=np.uint8)
     level = tile
     for left, top in zip(_LEFTS.astype(int), _TOPS.astype(int), strict=True):
         side = level.shape[0]
-        picture[top : top + side, left : left + side] = level
-        picture[top + side, left : left + side] = level[0]
-        picture[top : top + side, left + side] = level[:, 0]
-        picture[top + side, left + side] = level[0, 0]
+        image[top : top + side, left : left + side] = level
+        image[top + side, left : left + side] = level[0]
+        image[top : top + side, left + side] = level[:, 0]
+        image[top + side, left + side] = level[0, 0]
         level = np.asarray(cv2.resize(level, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-    return picture
-
-
-Rng = np.random.Generator
-_TILES = 160  # different floors; each is seen at many sizes, turns and tones
-_FAINT = 2.2  # grey levels that paint must add to be seen,
-_SURE = 40  # of 255: a mask's value from which on a pixel is marking
-_ROUGH_SHARE = 0.6  # and as a share of the unevenness of what is around
+    return image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sample:
-    """A picture (h, w) uint8 grey, and its mask (h, w) uint8: 0..255, how much of the pixel is lane-line marking.
+    """An image (h, w) uint8 grey, and its mask (h, w) uint8: the share of lane marking in each pixel, 0..255.
 
-    `UNKNOWN` in the mask: a marking is there that nobody can see.
+    `UNKNOWN` in the mask stands for a marking that is not visible.
     """
 
     image: Image
@@ -133,33 +134,33 @@ class Sample:
 
 
 def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
-    """The training picture of a seed: the same seed gives the same picture."""
+    """The training sample of a seed, the same for the same seed."""
     rng = np.random.default_rng(seed)
     kind = (Kind.SCALE, Kind.ROAD, Kind.CIRCUIT)[int(rng.choice(3, p=(0.5, 0.38, 0.12)))]
     camera = random_camera(rng, kind, width_px, height_px)
     road = random_road(rng, kind)
     ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes))
-    picture, mask = ground.picture, ground.mask
-    draw_objects(picture, mask, camera, rng, min(road.reach, 60.0))
-    layers = picture, mask, ground.seen, ground.whole
+    draw_objects(ground.image, ground.mask, camera, rng, min(road.reach, 60.0))
+    layers = ground.image, ground.mask, ground.seen, ground.whole
     if rng.random() < 0.25:
-        layers = _bent(rng, layers)
-    return photographed(layers, int(rng.integers(2**62)))
+        layers = _warped(rng, layers)
+    return augmented(layers, int(rng.integers(2**62)))
 
 
-def photographed(layers: tuple[Image, Image, FloatImage, FloatImage], damage_seed: int) -> Sample:
-    """The picture as the camera delivers it, and the mask, `UNKNOWN` where nobody could see the marking that is there.
+def augmented(layers: Layers, seed: int) -> Sample:
+    """The image with lens and sensor effects, and the mask with `UNKNOWN` where a marking is not visible.
 
-    The same damage is done to the picture with whole paint and with none: where both look alike, nothing can be learnt.
+    The same effects are applied to the image with whole paint and without paint: a marking is invisible where both look
+    alike.
     """
-    picture, mask, seen, whole = layers
-    image = damage(picture, np.random.default_rng(damage_seed))
+    scene, mask, seen, whole = layers
+    image = augment(scene, np.random.default_rng(seed))
     if not mask.any():
         return Sample(image=image, mask=mask)
-    bare = np.where(mask > 0, np.clip(picture - seen, 0.0, 255.0), picture)
-    full = np.where(mask > 0, np.clip(bare + whole, 0.0, 255.0), picture)
+    bare = np.where(mask > 0, np.clip(scene - seen, 0.0, 255.0), scene)
+    full = np.where(mask > 0, np.clip(bare + whole, 0.0, 255.0), scene)
     parts = [part.astype(np.uint8) for part in (bare, full)]
-    without, painted = (damage(part, np.random.default_rng(damage_seed), picture) for part in parts)
+    without, painted = (augment(part, np.random.default_rng(seed), scene) for part in parts)
     rough = cv2.blur(cv2.absdiff(without, cv2.blur(without, (7, 7))), (21, 21)).astype(np.float32)
     needed = _FAINT + np.float32(_ROUGH_SHARE) * rough
     known = _stands_out(painted, without, needed, 9) * _stands_out(image, without, needed, 31)
@@ -168,27 +169,27 @@ def photographed(layers: tuple[Image, Image, FloatImage, FloatImage], damage_see
     return Sample(image=image, mask=shown)
 
 
-def _stands_out(picture: Image, without: Image, needed: FloatImage, around_px: int) -> FloatImage:
-    """Whether paint is to be seen at or near each pixel (h, w), 0..1."""
-    signal = cv2.dilate(cv2.blur(cv2.subtract(picture, without), (3, 3)), np.ones((around_px, around_px), np.uint8))
+def _stands_out(image: Image, without: Image, needed: FloatImage, around_px: int) -> FloatImage:
+    """The visibility (h, w) of paint at or near each pixel, 0..1."""
+    signal = cv2.dilate(cv2.blur(cv2.subtract(image, without), (3, 3)), np.ones((around_px, around_px), np.uint8))
     return np.asarray(np.clip((signal - needed) / (0.5 * needed), 0.0, 1.0), dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ground:
-    """The lit ground before anything stands on it: picture and mask (h, w), and what paint adds to it in grey levels.
+    """The lit ground without objects: image and mask (h, w), and the grey levels that paint adds.
 
-    `seen` is what the worn paint adds, `whole` what it would add if none of it were worn.
+    `seen` is the contribution of the worn paint, `whole` that of paint without wear.
     """
 
-    picture: Image
+    image: Image
     mask: Image
     seen: FloatImage
     whole: FloatImage
 
 
 def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stripe | Patch]) -> Ground:
-    """A road and what lies on it as a camera sees it, with the backdrop behind."""
+    """The camera's view of a road with its shapes, in front of a backdrop."""
     canvas = Canvas(camera)
     for shape in (*road.paved, *shapes):
         if isinstance(shape, Stripe):
@@ -197,21 +198,21 @@ def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stri
             canvas.patch(shape)
     view = GroundView(camera, farthest=300.0)
     floor = _floor(rng, view, canvas.coverage(Ink.ROADBED))
-    picture, seen, whole = _painted(rng, view, canvas, floor)
-    before = picture.copy()
-    light(picture, camera, rng)
-    gain = (picture + 4.0) / (before + 4.0)
+    image, seen, whole = _painted(rng, view, canvas, floor)
+    before = image.copy()
+    light(image, camera, rng)
+    gain = (image + 4.0) / (before + 4.0)
     gain = np.where((before - seen) * gain > 250.0, 0.0, np.minimum(gain, 1.0))
     if rng.random() < 0.15:
         clear = np.exp(view.distance * np.float32(-1.0 / rng.uniform(10.0, 200.0)))
-        picture = np.float32(rng.uniform(60.0, 220.0)) * (1.0 - clear) + clear * picture
+        image = np.float32(rng.uniform(60.0, 220.0)) * (1.0 - clear) + clear * image
         gain = gain * clear
     mask = np.round(canvas.label() * (view.share > 0.5)).astype(np.uint8)
     if float(view.share.min()) < 1.0:
         behind = _behind(rng, view, camera).astype(np.float32)
-        picture = behind + view.share * (picture - behind)
+        image = behind + view.share * (image - behind)
     return Ground(
-        picture=np.clip(picture, 0.0, 255.0).astype(np.uint8),
+        image=np.clip(image, 0.0, 255.0).astype(np.uint8),
         mask=mask,
         seen=np.asarray(seen * gain, dtype=np.float32),
         whole=np.asarray(whole * gain, dtype=np.float32),
@@ -220,24 +221,24 @@ def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stri
 
 @lru_cache(maxsize=2 * _TILES)
 def _ground_atlas(number: int, roadside: bool) -> tuple[Image, float, float]:
-    """A floor or roadside: its atlas, its mean grey and its size; a few hundred of them are kept."""
+    """The atlas, mean grey and size of a floor or roadside; a few hundred are cached."""
     rng = np.random.default_rng((number, int(roadside)))
     tile = roadside_tile(rng) if roadside else floor_tile(rng)
     return atlas(tile.image), float(tile.image.mean()), tile.size_lanes
 
 
 def _surface(rng: Rng, view: GroundView, roadside: bool) -> FloatImage:
-    """A floor as seen, its tone and contrast changed at random."""
-    picture, mean, size = _ground_atlas(int(rng.integers(_TILES)), roadside)
+    """A view of a random floor with random tone and contrast."""
+    tile, mean, size = _ground_atlas(int(rng.integers(_TILES)), roadside)
     turn = rng.normal(0.0, 0.1) if rng.random() < 0.5 else rng.uniform(0.0, 2.0 * math.pi)
-    seen = view.laid(picture, size * math.exp(rng.normal(0.0, 0.3)), turn, tuple(rng.uniform(0.0, 1.0, 2)))
+    seen = view.laid(tile, size * math.exp(rng.normal(0.0, 0.3)), turn, tuple(rng.uniform(0.0, 1.0, 2)))
     tone = np.clip(mean * math.exp(rng.normal(0.0, 0.35)), 6.0, 235.0)
     contrast = tone / max(mean, 8.0) * math.exp(rng.normal(0.0, 0.3))
     return (seen.astype(np.float32) - np.float32(mean)) * np.float32(contrast) + np.float32(tone)
 
 
 def _floor(rng: Rng, view: GroundView, bed: FloatImage | None) -> FloatImage:
-    """The bare ground, with another surface beside the road where the road has its own."""
+    """The ground without shapes, with another surface beside a paved road."""
     floor = _surface(rng, view, roadside=False)
     if bed is None:
         return floor
@@ -248,15 +249,15 @@ def _floor(rng: Rng, view: GroundView, bed: FloatImage | None) -> FloatImage:
 def _painted(
     rng: Rng, view: GroundView, canvas: Canvas, floor: FloatImage
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
-    """The ground with all that lies on it, and what worn and whole paint add to it."""
-    picture = floor.copy()
+    """The ground with its shapes, and the contributions of worn and whole paint."""
+    image = floor.copy()
     base = float(np.median(floor[::4, ::4][view.share[::4, ::4] > 0.5])) if (view.share[::4, ::4] > 0.5).any() else 90.0
     keep = _wear(rng, view)
     band = canvas.coverage(Ink.BAND)
     if band is not None:
         if rng.random() < 0.6:
             band = np.asarray(cv2.blur(band, (9, 5)), dtype=np.float32)
-        picture *= 1.0 + band * np.float32(rng.uniform(-0.35, 0.12))
+        image *= 1.0 + band * np.float32(rng.uniform(-0.35, 0.12))
     whole = seen = np.zeros_like(floor)
     for ink in (Ink.DARK, Ink.BRIGHT, Ink.SECOND_PAINT, Ink.PAINT):
         cover = canvas.coverage(ink)
@@ -268,17 +269,17 @@ def _painted(
         surface = tone + rough * (floor - np.float32(base))
         if ink in (Ink.SECOND_PAINT, Ink.PAINT):
             surface = np.maximum(surface, floor + 0.5 * stands_out)
-            full = cover * (surface - picture)
+            full = cover * (surface - image)
             added = keep * full
             whole, seen = np.maximum(whole, full), np.maximum(seen, added)
         else:
-            added = cover * (surface - picture)
-        picture += added
-    return picture, seen, whole
+            added = cover * (surface - image)
+        image += added
+    return image, seen, whole
 
 
 def _contrast(rng: Rng, ink: Ink, base: float) -> float:
-    """Image levels between the floor and an ink on it."""
+    """Grey levels between the floor and an ink on it."""
     if ink is Ink.DARK:
         return -base * rng.uniform(0.15, 0.85)
     if ink is Ink.BRIGHT:
@@ -290,7 +291,7 @@ def _contrast(rng: Rng, ink: Ink, base: float) -> float:
 
 
 def _wear(rng: Rng, view: GroundView) -> FloatImage:
-    """How much of the paint is left at each pixel (h, w)."""
+    """The share of the paint that is left at each pixel (h, w)."""
     if rng.random() < 0.5:
         return np.ones(view.share.shape, dtype=np.float32)
     lost = float(rng.beta(1.0, 2.2)) * 0.95 if rng.random() < 0.75 else rng.uniform(0.6, 0.95)
@@ -303,7 +304,7 @@ def _wear(rng: Rng, view: GroundView) -> FloatImage:
 
 
 def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Image:
-    """The backdrop (h, w), bent so that its horizon is where the camera sees the horizon."""
+    """The backdrop (h, w), warped so that its horizon matches that of the camera."""
     height, width = view.share.shape
     focal = float(camera.camera.matrix[1, 1])
     row = float(np.interp(0.0, view.rise[::-1, width // 2], np.arange(height)[::-1], left=height, right=-20.0))
@@ -313,8 +314,8 @@ def _behind(rng: Rng, view: GroundView, camera: GroundCamera) -> Image:
     return np.asarray(cv2.remap(flat, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT), dtype=np.uint8)
 
 
-def _bent(rng: Rng, layers: tuple[Image, Image, FloatImage, FloatImage]) -> tuple[Image, Image, FloatImage, FloatImage]:
-    """The layers with their rows shifted smoothly: hills ahead, a car that nods while the shutter rolls."""
+def _warped(rng: Rng, layers: Layers) -> Layers:
+    """The layers with smoothly shifted rows, as from hills, or from pitching with a rolling shutter."""
     height, width = layers[0].shape
     rows = np.arange(height) / height
     middle, spread = rng.uniform(0.1, 0.6), rng.uniform(0.1, 0.3)
@@ -322,15 +323,10 @@ def _bent(rng: Rng, layers: tuple[Image, Image, FloatImage, FloatImage]) -> tupl
     slope = rng.normal(0.0, 0.02) * np.sin(2.0 * math.pi * (rows * rng.uniform(0.3, 1.5) + rng.random()))
     v = np.repeat(((rows + shift) * height)[:, None], width, axis=1).astype(np.float32)
     u = (np.arange(width)[None, :] + (slope * width)[:, None]).astype(np.float32)
-    way = cv2.convertMaps(u, v, cv2.CV_16SC2)
+    maps = cv2.convertMaps(u, v, cv2.CV_16SC2)
 
-    def bent(layer: Image | FloatImage) -> cv2.typing.MatLike:
-        return cv2.remap(layer, *way, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    def warped(layer: Image | FloatImage) -> Any:
+        return cv2.remap(layer, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
-    picture, mask, seen, whole = layers
-    return (
-        np.asarray(bent(picture), dtype=np.uint8),
-        np.asarray(bent(mask), dtype=np.uint8),
-        np.asarray(bent(seen), dtype=np.float32),
-        np.asarray(bent(whole), dtype=np.float32),
-    )
+    image, mask, seen, whole = layers
+    return warped(image), warped(mask), warped(seen), warped(whole)

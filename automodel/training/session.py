@@ -1,12 +1,13 @@
-"""One training from start to end: draw pictures, train, write network, metrics and model card, and check the network.
+"""One training from start to end: draw samples, train, write network, metrics and model card, and check the network.
 
 Needs torch and onnx (the extra `train`).
 """
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,13 +19,43 @@ from automodel.console.workers import spread
 from automodel.output_files import output_path
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 from automodel.training import dataset, train
-from automodel.training.metrics import Origin, write_card, write_figures
 from automodel.training.unet import MarkingNet, with_metadata
+
+HEADER = f"""\
+# The marking networks
+
+They find lane markings in grey images. Input `image`, uint8 (1, 1, height, width); output `marking`, uint8 of the
+same shape: the probability of "lane marking" of each pixel times 255.
+
+- **Made by** `automodel train`: a U-Net of two levels on the image packed to half size
+  (`automodel/training/unet.py`), after P. Cudrano et al. 2020.
+- **Data**: drawn images only, none of them real (`automodel/training/scenes.py`).
+- **For** lane markings on the ground, seen by a car's camera that looks ahead. Not for anything else.
+
+Precision, recall and IoU count pixels of held-out drawn images, at a probability of one half. The "near" metrics
+allow {train.NEAR_PX} px between a mark and a label.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """The origin of a network; also stored in its ONNX file."""
+
+    size: str
+    seed: int
+    steps: int
+    batch: int
+    samples: int
+    validation: int
+    data_version: str
+    parameters: int
+    resumed: bool
+    command: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SessionConfig:
-    """What to train, from how many pictures, for how long (`minutes` or `steps`), and the folders of data and results.
+    """What to train, from how many samples, for how long (`minutes` or `steps`), and the folders of data and results.
 
     `resume` is a file of weights to start with, `workers` the number of processes and threads.
     """
@@ -57,7 +88,7 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
         threads=config.workers,
     )
     config.out.mkdir(parents=True, exist_ok=True)
-    learn, measure, version = _pictures(config)
+    learn, measure, version = _samples(config)
     torch.manual_seed(config.seed)
     net = MarkingNet()
     if config.resume is not None:
@@ -72,14 +103,14 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
         _write(config, kept, _origin(config, kept, version, parameters))
 
     kept = training.run(batches, truth, train.Watcher(progress=_say_progress, better=write))
-    row = {"size": config.size, "steps": kept.steps, **asdict(kept.figures)}
+    row = {"size": config.size, "steps": kept.steps, **asdict(kept.metrics)}
     if training.interrupted:
         say(f"automodel train: interrupted; the best network so far is in {config.out}")
         return row, False
     return row, passes_self_test(config)
 
 
-def _pictures(config: SessionConfig) -> tuple[dataset.Pictures, dataset.Pictures, str]:
+def _samples(config: SessionConfig) -> tuple[dataset.Samples, dataset.Samples, str]:
     """(to learn from, to measure with, data version); draws those that are not in the folder yet."""
     version = dataset.data_version()
     dataset.claim_folder(config.data, version)
@@ -87,10 +118,10 @@ def _pictures(config: SessionConfig) -> tuple[dataset.Pictures, dataset.Pictures
     learn = dataset.shards(config.data, dataset.FIRST_TRAINING_SEED * (config.seed + 1), config.samples)
     wanted = dataset.missing(measure + learn)
     if wanted:
-        say(f"drawing {sum(shard.count for shard in wanted)} pictures into {config.data}")
+        say(f"drawing {sum(shard.count for shard in wanted)} samples into {config.data}")
     for _ in spread("drawing", _draw, wanted, config.workers):
         pass
-    return dataset.Pictures(learn), dataset.Pictures(measure), version
+    return dataset.Samples(learn), dataset.Samples(measure), version
 
 
 def _draw(shard: dataset.Shard, tick: Callable[[float], None]) -> None:
@@ -103,9 +134,9 @@ def _write(config: SessionConfig, kept: train.Kept, origin: Origin) -> None:
     with output_path(file.with_suffix(".onnx")) as part:
         part.write_bytes(with_metadata(kept.onnx, asdict(origin)))
     train.save_weights(file.with_suffix(".pt"), kept)
-    write_figures(file.with_suffix(".json"), origin, kept.figures)
+    write_metrics(file.with_suffix(".json"), origin, kept.metrics)
     write_card(config.out)
-    found = ", ".join(f"{key} {value:.3f}" for key, value in asdict(kept.figures).items())
+    found = ", ".join(f"{key} {value:.3f}" for key, value in asdict(kept.metrics).items())
     say(f"step {kept.steps}: {found}; written to {file}.onnx")
 
 
@@ -140,5 +171,25 @@ def passes_self_test(config: SessionConfig) -> bool:
 def _say_progress(progress: train.Progress) -> None:
     say(
         f"{progress.share:4.0%}  step {progress.steps}  loss {progress.loss:.4f}"
-        f"  {progress.pictures_per_s:.1f} pictures/s"
+        f"  {progress.samples_per_s:.1f} samples/s"
     )
+
+
+def write_metrics(path: Path, origin: Origin, metrics: train.Metrics) -> None:
+    """Write the file that `write_card` reads, beside the network's ONNX file."""
+    text = json.dumps({"origin": asdict(origin), "figures": asdict(metrics)}, indent=1)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def write_card(folder: Path) -> None:
+    """MODEL_CARD.md of all the networks in a folder, from the files of `write_metrics` there."""
+    parts = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("marking_*.json"))]
+    (folder / "MODEL_CARD.md").write_text("\n".join([HEADER, *map(_section, parts)]), encoding="utf-8")
+
+
+def _section(part: Mapping[str, Mapping[str, object]]) -> str:
+    origin, metrics = part["origin"], part["figures"]
+    rows = [(key.replace("_", " "), str(value)) for key, value in origin.items() if key not in ("size", "command")]
+    rows += [(key.replace("_", " "), f"{value:.3f}") for key, value in metrics.items()]
+    lines = [f"## marking_{origin['size']}.onnx", "", f"`{origin['command']}`", "", "| | |", "|---|---|"]
+    return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in rows), ""])

@@ -1,6 +1,6 @@
-"""What lies flat on the ground in a training picture: stripes along curves and filled outlines, in lane widths.
+"""Flat shapes on the ground (stripes along curves, filled outlines) and their drawing into coverage layers.
 
-Draws stripes and outlines of the ground into coverage layers, and wears paint off.
+Lengths are in lane widths.
 """
 
 from __future__ import annotations
@@ -16,14 +16,19 @@ from numpy.typing import ArrayLike, NDArray
 from automodel.geometry import GroundCamera
 from automodel.types import FloatArray, FloatImage, Image
 
-UNKNOWN = 1  # in a mask: a marking is there, but the picture does not show it; neither answer is wrong
+UNKNOWN = 1  # in a mask: a marking that is not visible; both answers are right
+_FINER = 2  # layer pixels per image pixel
+_BITS = 4  # fractional bits of drawn coordinates
+_LABEL_PX = 3.0  # minimum width of a drawn label [layer px]
+_WIDE = 0.15  # half width from which a stripe may extend beyond the view on both sides
+_STEP_PX = 16.0  # length of the pieces in which a stripe is drawn [layer px]
 
 
 class Ink(IntEnum):
-    """What a shape is made of; later ones lie over earlier ones."""
+    """The material of a shape; later ones cover earlier ones."""
 
-    ROADBED = 0  # not paint: where the road's own surface lies, the roadside elsewhere
-    BAND = 1  # a faint change of the surface's tone: wheel tracks, oil, a shoulder
+    ROADBED = 0  # no paint: the extent of the road's own surface, beside which is the roadside
+    BAND = 1  # a faint change of tone: wheel tracks, oil, a shoulder
     DARK = 2  # tar, joints, tyre marks
     BRIGHT = 3  # kerbs, cables, paper, light joints
     SECOND_PAINT = 4
@@ -34,9 +39,9 @@ class Ink(IntEnum):
 class Stripe:
     """A stripe along a polyline (n, 2) of the body frame.
 
-    `half_width` is a number or one a point (n,); `pattern` alternates lengths of paint and of gap, empty for a solid
-    stripe; `phase` is where in the pattern the first point lies. A `marking` is to be found, the rest is not;
-    `label_pattern` is where, when that is not where the paint is (None).
+    `half_width` is a number or an array (n,); `pattern` alternates lengths of paint and gap, empty for a solid stripe;
+    `phase` is the position of the first point in the pattern. A `marking` is labelled, with `label_pattern` if that
+    differs from the pattern of the paint.
     """
 
     points: FloatArray
@@ -51,7 +56,7 @@ class Stripe:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Patch:
-    """Closed outlines, each (n, 2) of the body frame, filled by the even-odd rule; never a marking."""
+    """Closed outlines, each (n, 2) in the body frame, filled by the even-odd rule; never a marking."""
 
     outlines: tuple[FloatArray, ...]
     ink: Ink
@@ -59,7 +64,7 @@ class Patch:
 
 
 class Ribbon:
-    """A curve on the ground with its left normals: places (s, d) along and beside it in the body frame."""
+    """A curve on the ground with its left normals: converts curve coordinates (s, d) to the body frame."""
 
     def __init__(self, s: FloatArray, points: FloatArray, heading_rad: FloatArray) -> None:
         self.s = s
@@ -74,7 +79,7 @@ class Ribbon:
         return np.stack((x + across * nx, y + across * ny), axis=-1)
 
     def local(self, s: float, points: ArrayLike) -> FloatArray:
-        """Ground points (n, 2) of points (along, left) in the straight frame that touches the curve at `s`."""
+        """Ground points (n, 2) of points (along, left) in the tangent frame of the curve at `s`."""
         p = np.asarray(points, dtype=np.float64)
         origin = self.place(s, 0.0)
         heading = float(np.interp(s, self.s, self.heading_rad))
@@ -82,13 +87,13 @@ class Ribbon:
         return np.asarray(origin + p @ np.array([[cos, sin], [-sin, cos]]))
 
     def between(self, start: float, end: float) -> FloatArray:
-        """The curve's own samples from `start` to `end`, both ends included."""
+        """The curve's samples from `start` to `end`, including both."""
         inner = self.s[(self.s > start) & (self.s < end)]
         return np.concatenate(([start], inner, [end]))
 
 
 def dense(outline: ArrayLike, pieces: int = 4) -> FloatArray:
-    """A closed outline (n, 2) with every edge cut into `pieces`, so that a bent lens shows it bent."""
+    """A closed outline (n, 2) with every edge divided into `pieces`, for lens distortion."""
     corners = np.asarray(outline, dtype=np.float64)
     following = np.roll(corners, -1, axis=0)
     t = np.arange(pieces)[:, None] / pieces
@@ -100,28 +105,21 @@ def box(s0: float, s1: float, d0: float, d1: float) -> FloatArray:
     return np.array([[s0, d0], [s1, d0], [s1, d1], [s0, d1]])
 
 
-_FINER = 2  # the layers' pixels a picture's pixel
-_BITS = 4  # of a pixel's fraction in drawn coordinates
-_LABEL_PX = 3.0  # least width of a drawn label, in the layers' pixels
-_WIDE = 0.15  # half width from which a stripe may reach out of view on both sides
-_STEP_PX = 16.0  # length of the pieces that a stripe is drawn in, in the layers' pixels
-
-
 class Canvas:
-    """Layers (h, w) of a camera's picture: how much of each pixel an ink covers, and how much of it is marking.
+    """Layers (h, w) of a camera's image: the coverage of each pixel by an ink and by marking; `size` is in layer px.
 
-    Paint is drawn at its true coverage however thin it looks; the label of a marking never thinner than 1.5 px, so that
-    far lines count, and not at all once a dash is less than half a pixel long.
+    Paint is drawn with its exact coverage. The label of a marking is at least 1.5 px wide, so that far lines count, and
+    is omitted for dashes shorter than half a pixel.
     """
 
     def __init__(self, camera: GroundCamera) -> None:
         self._camera = camera
-        self._size = (camera.camera.height_px * _FINER, camera.camera.width_px * _FINER)
+        self.size = (camera.camera.height_px * _FINER, camera.camera.width_px * _FINER)
         self._layers: dict[Ink, Image] = {}
-        self._label: Image = np.zeros(self._size, dtype=np.uint8)
+        self._label: Image = np.zeros(self.size, dtype=np.uint8)
 
     def stripe(self, stripe: Stripe) -> None:
-        """Draws a stripe, and its label when it is a marking."""
+        """Draw a stripe, and its label if it is a marking."""
         drawn = _Drawn.of(stripe, self)
         if drawn is None:
             return
@@ -137,7 +135,7 @@ class Canvas:
         _fill(self._label, drawn.edges(_LABEL_PX), known)
 
     def patch(self, patch: Patch) -> None:
-        """Fills outlines."""
+        """Fill the outlines of a patch."""
         rings = []
         for outline in patch.outlines:
             points = dense(outline)
@@ -149,20 +147,20 @@ class Canvas:
             cv2.fillPoly(self._layer(patch.ink), rings, (value,), lineType=cv2.LINE_8, shift=_BITS)
 
     def coverage(self, ink: Ink) -> FloatImage | None:
-        """How much of each pixel (h, w) the ink covers, 0..1; None where nothing was drawn with it."""
+        """The coverage of each pixel (h, w) by the ink, 0..1; None if nothing was drawn with it."""
         layer = self._layers.get(ink)
         return None if layer is None else self._reduced(layer).astype(np.float32) * np.float32(1.0 / 255.0)
 
     def label(self) -> Image:
-        """How much of each pixel (h, w) is marking, 0..255."""
+        """The share of marking in each pixel (h, w), 0..255."""
         return self._reduced(self._label)
 
     def project(self, points: FloatArray) -> FloatArray:
-        """Ground points (n, 2) -> the layers' pixels (n, 2); NaN where not seen."""
+        """Ground points (n, 2) to layer pixels (n, 2); NaN where not visible."""
         return (self._camera.ground_to_px(points) + 0.5) * _FINER - 0.5
 
     def in_view(self, left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Both ends (n, 2) of sections across a wide stripe, drawn in to where the camera's lens still sees them."""
+        """The end points (n, 2) of cross sections of a wide stripe, moved into the camera's field of view."""
         shares = np.linspace(0.0, 1.0, 17)[:, None, None]
         along = left + shares * (right - left)
         visible = self._visible(along)
@@ -179,28 +177,23 @@ class Canvas:
         return ends[0], ends[1]
 
     def _visible(self, points: FloatArray) -> NDArray[np.bool_]:
-        """Which ground points (..., 2) lie ahead of the camera, at most 85 deg off its line of sight."""
+        """Which ground points (..., 2) are within 85 deg of the camera's optical axis."""
         body = np.concatenate((points, np.zeros((*points.shape[:-1], 1))), axis=-1)
         cam = (body - self._camera.centre_m) @ self._camera.cam_from_body.T
         return np.asarray(cam[..., 2] > 0.09 * np.hypot(cam[..., 0], cam[..., 1]))
 
-    @property
-    def size(self) -> tuple[int, int]:
-        """Height and width of the layers [px]."""
-        return self._size
-
     def _layer(self, ink: Ink) -> Image:
         if ink not in self._layers:
-            self._layers[ink] = np.zeros(self._size, dtype=np.uint8)
+            self._layers[ink] = np.zeros(self.size, dtype=np.uint8)
         return self._layers[ink]
 
     def _reduced(self, layer: Image) -> Image:
-        size = (self._size[1] // _FINER, self._size[0] // _FINER)
+        size = (self.size[1] // _FINER, self.size[0] // _FINER)
         return np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 class _Drawn:
-    """A stripe in the layers' pixels: its middle and half-width vectors (n, 2), and its pieces' coverage (n - 1,)."""
+    """A stripe in layer pixels: centre line and half-width vectors (n, 2), and the coverage of its pieces (n - 1,)."""
 
     def __init__(self, middle: FloatArray, half: FloatArray, alpha: FloatArray, shown: FloatArray) -> None:
         ahead = np.diff(middle, axis=0)
@@ -209,13 +202,13 @@ class _Drawn:
         self._middle, self._half = middle, half
         self._normal = np.column_stack((-ahead[:, 1], ahead[:, 0]))
         self._normal *= np.where((half * self._normal).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
-        self._width = 2.0 * (half * self._normal).sum(axis=1)  # across the stripe as it is seen
+        self._width = 2.0 * (half * self._normal).sum(axis=1)  # the apparent width
         self.alpha = alpha * np.minimum(1.0, 0.5 * (self._width[1:] + self._width[:-1]))
         self.shown = shown
 
     @classmethod
     def of(cls, stripe: Stripe, canvas: Canvas) -> _Drawn | None:
-        """The stripe as seen; None when none of it is in the picture."""
+        """The stripe in layer pixels; None if it is outside the image."""
         points = stripe.points
         if len(points) < 2:
             return None
@@ -245,7 +238,7 @@ class _Drawn:
         return cls(middle, side, on, shown)
 
     def edges(self, least_px: float) -> FloatArray:
-        """Quads (n - 1, 4, 2), drawn as wide as the stripe looks but at least `least_px`; a drawn outline adds 1 px."""
+        """Quads (n - 1, 4, 2) with the apparent width, but at least `least_px`; drawing a polygon adds 1 px."""
         width = np.maximum(self._width, least_px)
         reach = np.where(self._width > _LABEL_PX, (width - 1.0) / np.maximum(self._width, 1e-6), 0.0)
         thin = 0.5 * np.maximum(width - 1.0, 0.0)[:, None] * self._normal
@@ -255,15 +248,15 @@ class _Drawn:
 
 
 def _pieces(stripe: Stripe, s: FloatArray, px: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where a stripe is cut, and of each piece how much is paint and whether its label is shown, (n,) each.
+    """The cuts of a stripe, and for each piece the share of paint and whether its label is shown, (n,) each.
 
-    Dashes that look shorter than a pixel are not drawn one by one: there the paint is spread over dashes and gaps.
+    Dashes that appear shorter than a pixel are not drawn separately: their paint is spread over dashes and gaps.
     """
     if not stripe.pattern:
         return s, np.ones(len(s)), np.ones(len(s))
     period = sum(stripe.pattern)
     share = sum(stripe.pattern[0::2]) / period
-    steps = np.hypot(*np.diff(px, axis=0).T) / np.maximum(np.diff(s), 1e-9)  # px a lane width
+    steps = np.hypot(*np.diff(px, axis=0).T) / np.maximum(np.diff(s), 1e-9)  # px per lane width
     steps = np.nan_to_num(np.append(steps, steps[-1]), nan=1e6)
     coarse = steps * period > 3.0 * len(stripe.pattern) / 2
     cuts = (np.cumsum((0.0, *stripe.pattern))[None, :-1] + period * np.arange(-1, s[-1] / period + 2)[:, None]).ravel()
@@ -281,9 +274,9 @@ def _pieces(stripe: Stripe, s: FloatArray, px: FloatArray) -> tuple[FloatArray, 
 
 
 def _thinned(middle: FloatArray, on: FloatArray, seen: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Which samples to draw: those where the paint begins or ends, and one every few pixels between."""
-    way = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.hypot(*np.diff(middle, axis=0).T), nan=_STEP_PX))))
-    marks = np.floor(way / _STEP_PX)
+    """The samples to draw: those where the paint starts or ends, and one every few pixels between."""
+    length = np.concatenate(([0.0], np.cumsum(np.nan_to_num(np.hypot(*np.diff(middle, axis=0).T), nan=_STEP_PX))))
+    marks = np.floor(length / _STEP_PX)
     change = np.zeros(len(on), dtype=bool)
     change[0] = change[-1] = True
     change[1:] |= (marks[1:] != marks[:-1]) | (on[1:] != on[:-1]) | (seen[1:] != seen[:-1])
@@ -296,7 +289,7 @@ def _fixed(px: FloatArray) -> NDArray[np.int32]:
 
 
 def _fill(layer: Image, quads: FloatArray, alpha: FloatArray) -> None:
-    """Fills quads (n, 4, 2) with their coverage (n,), leaving out those that cover nothing."""
+    """Fill quads (n, 4, 2) with their coverage (n,), without those of coverage 0."""
     values = np.round(255.0 * alpha).astype(int)
     for quad, value in zip(_fixed(quads), values.tolist(), strict=True):
         if value > 0:
@@ -304,9 +297,9 @@ def _fill(layer: Image, quads: FloatArray, alpha: FloatArray) -> None:
 
 
 def worn(noise: Image, lost: float, softness: float) -> Image:
-    """A tile (512, 512) of how much paint is left, 0..255, when the share `lost` of it has gone.
+    """A tile (512, 512) of the share of paint that is left, 0..255, after the share `lost` has worn off.
 
-    `noise` is a tile whose lowest places lose their paint first.
+    The paint is lost first where the tile `noise` is lowest.
     """
     histogram = np.cumsum(np.bincount(noise.ravel(), minlength=256)) / noise.size
     threshold = float(np.searchsorted(histogram, lost))

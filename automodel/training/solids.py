@@ -1,4 +1,4 @@
-"""Solid things built of flat faces: boxes, walls, cones, legs, cables. Lengths are in lane widths."""
+"""Solid objects of flat faces: boxes, walls, cones, people, cables, cars, lorries. Lengths are in lane widths."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ UPRIGHT = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Solid:
-    """Faces in the order in which they are painted.
+    """Faces in painting order.
 
-    `quads` (n, 4, 3) corners in the body frame, seen where they run counter-clockwise; `greys` (n,);
-    `footprint` (m, 2) is the ground that it darkens, empty for none; `two_sided` shows faces from behind too.
+    `quads` (n, 4, 3) are corners in the body frame, counter-clockwise from the visible side; `greys` (n,); `footprint`
+    (m, 2) is the ground that it darkens, or empty; `two_sided` faces are visible from both sides.
     """
 
     quads: FloatArray
@@ -32,7 +32,7 @@ class Solid:
 
 
 class Builder:
-    """Collects faces and boxes about one point of the ground, turned by `yaw_rad`."""
+    """Collects the faces of a solid at a ground point, rotated by `yaw_rad`."""
 
     def __init__(self, x: float, y: float, yaw_rad: float = 0.0) -> None:
         cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -40,10 +40,10 @@ class Builder:
         self._at = np.array([x, y, 0.0])
         self._quads: list[FloatArray] = []
         self._greys: list[float] = []
-        self._light = 0.35 * math.sin(3.0 * x + 2.0 * y)  # which side the light comes from
+        self._light = 0.35 * math.sin(3.0 * x + 2.0 * y)  # the side of the light
 
     def face(self, corners: ArrayLike, grey: float, part: tuple[float, ...] = WHOLE) -> None:
-        """A quad (4, 3), or only its part (u from, u to, v from, v to): u runs from corner 0 to 1, v from 0 to 3."""
+        """Add a quad (4, 3) or its part (u0, u1, v0, v1), with u from corner 0 to 1 and v from corner 0 to 3."""
         p, q, r, s = np.asarray(corners, dtype=np.float64)
         a, b, c, d = part
         if part != WHOLE:
@@ -54,17 +54,17 @@ class Builder:
         self._greys.append(grey)
 
     def upright(self, left: ArrayLike, right: ArrayLike, grey: float) -> None:
-        """A band between two edges that rise: `left` and `right` (2, 3) each from the bottom to the top."""
+        """Add a quad between two upright edges, `left` and `right` (2, 3), each from the bottom to the top."""
         (a, d), (b, c) = np.asarray(left, dtype=np.float64), np.asarray(right, dtype=np.float64)
         self.face((a, b, c, d), grey)
 
     def box(self, low: ArrayLike, high: ArrayLike, grey: float, inset: tuple[float, float, float] = UPRIGHT) -> None:
-        """A box between two corners, shaded as if lit from above and one side; `inset` as for `box_faces`."""
+        """Add a box between two corners, lit from above and one side; `inset` as for `box_faces`."""
         for name, corners in box_faces(low, high, inset).items():
             self.face(corners, grey * (_SHADES[name] + self._light * _SIDEWAYS[name]))
 
     def solid(self, footprint: ArrayLike = (), two_sided: bool = False) -> Solid:
-        """What was collected; `footprint` (m, 2) is in the builder's own frame."""
+        """The collected solid; `footprint` (m, 2) is in the builder's frame."""
         quads = np.array(self._quads) @ self._turn.T + self._at
         ground = np.asarray(footprint, dtype=np.float64).reshape(-1, 2) @ self._turn[:2, :2].T + self._at[:2]
         return Solid(quads=quads, greys=np.array(self._greys), footprint=ground, two_sided=two_sided)
@@ -79,9 +79,9 @@ def _corners(a: float, b: float, c: float, d: float) -> tuple[tuple[float, float
 
 
 def box_faces(low: ArrayLike, high: ArrayLike, inset: tuple[float, float, float] = UPRIGHT) -> dict[str, FloatArray]:
-    """The five upper faces (4, 3) of a box, seen counter-clockwise from outside; the rear is the one towards -x.
+    """The four walls and the top (4, 3) of a box, counter-clockwise from outside; the rear faces -x.
 
-    `inset` is how far the top's rear, front and side edges are drawn in.
+    `inset` is the inset of the rear, front and side edges of the top.
     """
     (x0, y0, z0), (x1, y1, z1) = (np.asarray(p, dtype=np.float64) for p in (low, high))
     rear, front, side = inset
@@ -115,7 +115,7 @@ def carton(rng: Rng, x: float, y: float, yaw_rad: float) -> Solid:
 
 
 def embankment(rng: Rng, x: float, y: float, yaw_rad: float, length: float) -> Solid:
-    """A slope beside the road that rises away from it, with a ragged upper edge."""
+    """A slope beside the road that rises away from it, with an irregular upper edge."""
     build = Builder(x, y, yaw_rad)
     side = math.copysign(1.0, y)
     wide, tall, grey = rng.uniform(0.5, 5.0), rng.uniform(0.2, 2.5), rng.uniform(30, 190)
@@ -130,7 +130,7 @@ def embankment(rng: Rng, x: float, y: float, yaw_rad: float, length: float) -> S
 
 
 def wall(rng: Rng, x: float, y: float, yaw_rad: float, length: float) -> Solid:
-    """A wall, kerb, barrier, skirting board or guard rail, in panels that grow with the distance."""
+    """A wall, kerb, barrier, skirting board or guard rail, in panels whose length grows with the distance."""
     build = Builder(x, y, yaw_rad)
     kind = rng.choice(5)
     tall = float(rng.choice((rng.uniform(0.02, 0.08), rng.uniform(0.1, 0.4), rng.uniform(0.4, 3.0))))
@@ -160,7 +160,7 @@ def wall(rng: Rng, x: float, y: float, yaw_rad: float, length: float) -> Solid:
 def _billboard(
     rng: Rng, at: FloatArray, eye: FloatArray, profile: list[tuple[float, float, float]], lean: float
 ) -> Solid:
-    """A round thing as the camera at `eye` (2,) sees it: `profile` rows of height, half width and grey above that."""
+    """A round object facing the camera at `eye` (2,): `profile` has rows of height, half width and grey above it."""
     build = Builder(float(at[0]), float(at[1]), math.atan2(*(at - eye)[::-1]))
     shade = rng.uniform(0.55, 1.0)
     for (z0, w0, grey), (z1, w1, _) in pairwise(profile):
@@ -191,7 +191,7 @@ def post(rng: Rng, at: FloatArray, eye: FloatArray) -> Solid:
 
 
 def legs(rng: Rng, at: FloatArray, eye: FloatArray) -> Solid:
-    """A person's feet and legs beside a small track, or a whole person beside a road."""
+    """The legs of a person beside a small track, or a whole person beside a road."""
     tall = rng.choice((rng.uniform(0.4, 0.55), rng.uniform(1.5, 5.0)))
     shoe, trousers, shirt = rng.uniform(0, 255), rng.uniform(0, 200), rng.uniform(0, 255)
     build = Builder(float(at[0]), float(at[1]), math.atan2(*(at - eye)[::-1]))
@@ -225,7 +225,7 @@ def table(rng: Rng, x: float, y: float, yaw_rad: float) -> Solid:
 
 
 def cable(rng: Rng, x: float, y: float) -> Solid:
-    """A cable or hose on the ground: a winding strip, bright on one flank and dark on the other."""
+    """A winding cable or hose on the ground, bright on one side and dark on the other."""
     count, step = int(rng.integers(8, 30)), rng.uniform(0.05, 0.25)
     heading = rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, rng.uniform(0.02, 0.35), count))
     path = np.array([x, y]) + np.cumsum(step * np.column_stack((np.cos(heading), np.sin(heading))), axis=0)
@@ -249,7 +249,7 @@ def _wheels(build: Builder, length: float, half: float, tall: float) -> None:
 
 
 def _flanks(build: Builder, length: float, half: float, tall: float) -> None:
-    """The wheels as they show on the sides: dark octagons with a lighter rim."""
+    """The wheels on the sides: dark octagons with a lighter rim."""
     angle = np.arange(4) * math.pi / 4 + math.pi / 8
     radius = tall / 2.0
     for x in (0.72 * length, 0.1 * length):

@@ -1,4 +1,4 @@
-"""Grounds of the training pictures: tileable grey pictures of floors, roads and what lies beside them."""
+"""Ground textures: tileable grey images of floors, roads and roadsides."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Rng = np.random.Generator
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tile:
-    """A square of ground that repeats without a visible edge.
+    """A square ground texture that repeats without a visible edge.
 
     `image` is (512, 512) uint8 grey; `size_lanes` is the length of its side in lane widths.
     """
@@ -27,13 +27,13 @@ class Tile:
 
 
 def floor_tile(rng: Rng) -> Tile:
-    """Something that lines are painted or taped on."""
+    """A random floor or road surface."""
     kinds, weights = zip(*_FLOORS, strict=True)
     return _finished(kinds[int(rng.choice(len(kinds), p=np.array(weights) / sum(weights)))](rng), rng)
 
 
 def roadside_tile(rng: Rng) -> Tile:
-    """What lies beside the road: grass, gravel, carpet, soil, or again a floor."""
+    """A random roadside: grass, gravel, carpet, bricks, soil or a floor."""
     if rng.random() < 0.35:
         return floor_tile(rng)
     kinds = (_grass, _grass, _gravel, _carpet, _brick, _soil)
@@ -41,7 +41,7 @@ def roadside_tile(rng: Rng) -> Tile:
 
 
 def _finished(tile: Tile, rng: Rng) -> Tile:
-    """Turn the tile by a random quarter, so that grain, planks and seams run both ways."""
+    """The tile, randomly transposed, so that grain, planks and seams run in both directions."""
     image = tile.image
     if rng.random() < 0.5:
         image = cv2.transpose(image).astype(np.uint8, copy=False)
@@ -86,7 +86,7 @@ def _joints(image: Image, rows: int, columns: int, width_px: int, change: float)
 
 
 def _wear(image: Image, rng: Rng, strength: float) -> None:
-    """Traces of use that any floor may show: stains, scuffs, dust."""
+    """Traces of use: stains, scuffs, dust."""
     if rng.random() < 0.5:
         noise.add_mask(image, noise.stains(noise.variant(rng)), strength * rng.normal(0.0, 30.0), rng)
     if rng.random() < 0.4:
@@ -97,7 +97,7 @@ def _wear(image: Image, rng: Rng, strength: float) -> None:
 
 
 def _patches(image: Image, rng: Rng, spread: float) -> None:
-    """Mended rectangles, with or without a sealed border."""
+    """Repaired rectangles, with or without a sealed border."""
     for _ in range(int(rng.integers(1, 4))):
         w, h = (int(v) for v in rng.integers(40, 330, 2))
         x, y = int(rng.integers(SIDE_PX - w)), int(rng.integers(SIDE_PX - h))
@@ -108,7 +108,7 @@ def _patches(image: Image, rng: Rng, spread: float) -> None:
 
 
 def _smooth_floor(rng: Rng) -> Tile:
-    """Plastic, painted floor, linoleum, cardboard: nearly even, with faint unevenness."""
+    """Plastic, painted floor, linoleum, cardboard: almost uniform."""
     dark = rng.random() < 0.45
     image = _plain(_log_uniform(rng, 8, 60) if dark else rng.uniform(60, 190))
     noise.add(image, noise.fractal(1.4, noise.variant(rng)), _log_uniform(rng, 0.8, 9), rng)
@@ -162,7 +162,7 @@ def _tiles(rng: Rng) -> Tile:
 
 
 def _carpet(rng: Rng) -> Tile:
-    """Pile: strong fine noise, sometimes with ribs or a pattern."""
+    """Carpet: strong fine noise, sometimes with ribs or a pattern."""
     image = _plain(rng.uniform(25, 170))
     noise.add(image, noise.band(220.0, 1.0, noise.variant(rng)), _log_uniform(rng, 4, 22), rng)
     noise.add(image, noise.band(64.0, 1.0, noise.variant(rng)), _log_uniform(rng, 1, 12), rng)
@@ -175,7 +175,7 @@ def _carpet(rng: Rng) -> Tile:
 
 
 def _concrete(rng: Rng) -> Tile:
-    """Slabs with seams, stains and patches; from a hall's floor to a motorway."""
+    """Concrete slabs with seams, stains and patches, from the floor of a hall to a motorway."""
     image = _plain(rng.uniform(70, 195))
     noise.add(image, noise.fractal(1.4, noise.variant(rng)), rng.uniform(3, 13), rng)
     noise.add(image, noise.band(128.0, 1.0, noise.variant(rng)), rng.uniform(1, 9), rng)
@@ -195,7 +195,7 @@ def _concrete(rng: Rng) -> Tile:
 
 
 def _asphalt(rng: Rng) -> Tile:
-    """From fine and new to coarse and old with cracks, tar seams and patches."""
+    """Asphalt, from new and fine to old and coarse with cracks, tar seams and patches."""
     image = _plain(rng.uniform(35, 140))
     noise.add(image, noise.band(220.0, 1.0, noise.variant(rng)), _log_uniform(rng, 2, 20), rng)
     noise.add(image, noise.band(64.0, 1.0, noise.variant(rng)), _log_uniform(rng, 1, 9), rng)

@@ -13,6 +13,7 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import TypeVar
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -21,25 +22,25 @@ from torch.nn import functional
 from automodel.config.toml_reader import ConfigError, positive
 from automodel.output_files import output_path
 from automodel.perception.markings.unet import open_session, run_network
-from automodel.training.metrics import Figures, measured
 from automodel.training.shapes import UNKNOWN
 from automodel.training.unet import MarkingNet, onnx_bytes
-from automodel.types import Image
+from automodel.types import Bools, Image
 
 T = TypeVar("T")
 
-FOCUS = (
-    1.5  # the loss of a pixel is weighted with its error to this power: the many easy ones do not drown the few hard
-)
+FOCUS = 1.5  # exponent of the error that weights a pixel's loss, so that the many easy pixels do not dominate
 EMA_DECAY = 0.998
 WARM_UP = 0.03  # share of the training in which the rate rises
-MOST_BAD = 10  # batches in a row without a finite gradient: short floating point overflows now and then
-CHECKS = 10  # times the network is measured and, when better, kept
+MAX_BAD = 10  # batches in a row without a finite gradient: bfloat16 overflows now and then
+CHECKS = 10  # how often the network is measured and, if better, kept
+HALF = 128  # probability and coverage of one half
+FAINT = 26  # coverage of a tenth: a mark near such a pixel is not false
+NEAR_PX = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainConfig:
-    """How to train: either for `steps` batches (the same result each time) or for `minutes`."""
+    """How to train: for `steps` batches (reproducible) or for `minutes`."""
 
     width_px: int = 512
     height_px: int = 256
@@ -57,35 +58,85 @@ class TrainConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Metrics:
+    """Shares of pixels, 0..1; 0 if there is nothing to count."""
+
+    precision: float  # of marked pixels, those that are labelled
+    recall: float  # of labelled pixels, those that are marked
+    iou: float
+    near_precision: float  # of marked pixels, those with a label (even a faint one) within NEAR_PX
+    near_recall: float  # of labelled pixels, those with a mark within NEAR_PX
+
+    @property
+    def score(self) -> float:
+        """The harmonic mean of `near_precision` and `near_recall`, for comparing networks."""
+        return _share(2.0 * self.near_precision * self.near_recall, self.near_precision + self.near_recall)
+
+
+def measured(network: Callable[[Image], Image], samples: Iterable[Image]) -> Metrics:
+    """The metrics of a network (grey image to mask) on samples (2, h, w) of grey image and true mask."""
+    counts = np.zeros(6)
+    for grey, truth in samples:
+        marked, labelled = (network(grey) >= HALF) & (truth != UNKNOWN), truth >= HALF
+        near_label = _widened(truth >= FAINT)
+        counts += (
+            np.count_nonzero(marked & labelled),
+            np.count_nonzero(marked),
+            np.count_nonzero(labelled),
+            np.count_nonzero(marked | labelled),
+            np.count_nonzero(marked & near_label),
+            np.count_nonzero(labelled & _widened(marked)),
+        )
+    both, marks, labels, either, near_marks, near_labels = counts.tolist()
+    return Metrics(
+        precision=_share(both, marks),
+        recall=_share(both, labels),
+        iou=_share(both, either),
+        near_precision=_share(near_marks, marks),
+        near_recall=_share(near_labels, labels),
+    )
+
+
+def _widened(pixels: Bools) -> Bools:
+    """The pixels within NEAR_PX (Euclidean) of those given."""
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * NEAR_PX + 1, 2 * NEAR_PX + 1))
+    return np.asarray(cv2.dilate(pixels.view(np.uint8), disc)) > 0
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Kept:
-    """A network worth keeping: its weights, its ONNX file, how good it is, and after how many steps."""
+    """The best network so far: its weights, ONNX file and metrics, and the number of steps."""
 
     weights: dict[str, Tensor]
     onnx: bytes
-    figures: Figures
+    metrics: Metrics
     steps: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """Where the training is: `share` of it done, the mean loss lately, and how fast it goes."""
+    """The progress of a training: the share that is done, the recent mean loss, and the speed."""
 
     share: float
     steps: int
     loss: float
-    pictures_per_s: float
+    samples_per_s: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watcher:
-    """Who is told: of progress (a hundred times), and of each network that is better than those before it."""
+    """Callbacks for progress (a hundred times) and for each network that is better than the previous ones."""
 
     progress: Callable[[Progress], None]
     better: Callable[[Kept], None]
 
 
 class Training:
-    """One training of `net`, which it changes. `clock_s` counts seconds; it decides only where minutes are given."""
+    """One training of `net`, in place; `clock_s` counts seconds."""
 
     def __init__(self, config: TrainConfig, net: MarkingNet, clock_s: Callable[[], float]) -> None:
         torch.set_num_threads(config.threads)
@@ -94,15 +145,15 @@ class Training:
         self._net = net.to(self.device, memory_format=torch.channels_last)
         self._average = copy.deepcopy(self._net).eval()
         self._optimizer = torch.optim.AdamW(_groups(self._net, config.weight_decay), lr=config.rate)
-        self._begin_s = clock_s()
+        self._start_s = clock_s()
         self._steps = self._bad = 0
         self.kept: Kept | None = None
         self.interrupted = False
 
     def run(self, batches: Iterable[Image], validation: Iterable[Image], watcher: Watcher) -> Kept:
-        """Train to the end and give the best network; KeyboardInterrupt ends it early (`interrupted`).
+        """Train and give the best network; KeyboardInterrupt ends the training early (`interrupted`).
 
-        `batches` are (n, 2, h, w) uint8, grey and mask; `validation` pictures (2, h, w). Raises ValueError when the
+        `batches` are (n, 2, h, w) uint8, grey and mask; `validation` samples are (2, h, w). Raises ValueError if the
         loss is no longer finite.
         """
         try:
@@ -115,7 +166,7 @@ class Training:
 
     def _learn(self, batches: Iterable[Image], validation: Iterable[Image], watcher: Watcher) -> None:
         losses: list[float] = []
-        pictures, told, checked = 0, 0.0, 0.0
+        count, reported, checked = 0, 0.0, 0.0
         with _ahead(batches) as coming:
             for batch in coming:
                 share = self._share_done()
@@ -123,10 +174,10 @@ class Training:
                     break
                 lately = self.step(batch, share)
                 losses += [lately] if math.isfinite(lately) else []
-                pictures += len(batch)
-                if share - told >= 0.01:
-                    told = share
-                    watcher.progress(self._progress(share, float(np.mean(losses or [math.nan])), pictures))
+                count += len(batch)
+                if share - reported >= 0.01:
+                    reported = share
+                    watcher.progress(self._progress(share, float(np.mean(losses or [math.nan])), count))
                     losses.clear()
                 if share - checked >= 1.0 / CHECKS:
                     checked = share
@@ -135,13 +186,13 @@ class Training:
     def step(self, batch: Image, share_done: float) -> float:
         """Learn from one batch (n, 2, h, w); gives its loss.
 
-        A batch that gives no finite gradient is passed over; raises ValueError when there are `MOST_BAD` in a row.
+        A batch without a finite gradient is skipped; raises ValueError after `MAX_BAD` in a row.
         """
         for group in self._optimizer.param_groups:
             group["lr"] = self.config.rate * rate_factor(share_done)
         self._net.train()
-        pictures = torch.from_numpy(batch).to(self.device, non_blocking=True)
-        image, mask = pictures[:, :1], pictures[:, 1:]
+        samples = torch.from_numpy(batch).to(self.device, non_blocking=True)
+        image, mask = samples[:, :1], samples[:, 1:]
         with torch.autocast(self.device.type, dtype=torch.bfloat16):
             logits = self._net(image)
         value = loss(logits.float(), mask.float() * (1.0 / 255.0))
@@ -153,39 +204,39 @@ class Training:
         if not self._bad:
             self._optimizer.step()
             _average_in(self._average, self._net, min(EMA_DECAY, (1.0 + self._steps) / (10.0 + self._steps)))
-        elif self._bad > MOST_BAD:
-            raise ValueError("the loss is no longer finite; begin with other weights or another seed")
+        elif self._bad > MAX_BAD:
+            raise ValueError("the loss is no longer finite; start with other weights or another seed")
         else:
             _restore_statistics(self._net, self._average)
         return float(value.item())
 
     def _check(self, validation: Iterable[Image], watcher: Watcher) -> None:
-        """Measure the averaged network as it will run, and keep it when it is the best so far."""
+        """Measure the averaged network as ONNX, and keep it if it is the best so far."""
         data = onnx_bytes(self._average, self.config.width_px, self.config.height_px, {})
         session = open_session(data, "cpu", self.config.threads)
-        figures = measured(lambda grey: run_network(session, grey), validation)
-        if self.kept is None or figures.score > self.kept.figures.score:
+        metrics = measured(lambda grey: run_network(session, grey), validation)
+        if self.kept is None or metrics.score > self.kept.metrics.score:
             weights = {name: value.detach().cpu().clone() for name, value in self._average.state_dict().items()}
-            self.kept = Kept(weights=weights, onnx=data, figures=figures, steps=self._steps)
+            self.kept = Kept(weights=weights, onnx=data, metrics=metrics, steps=self._steps)
             watcher.better(self.kept)
 
     def _share_done(self) -> float:
         if self.config.steps is not None:
             return self._steps / self.config.steps
-        return (self._clock_s() - self._begin_s) / (60.0 * (self.config.minutes or 1.0))
+        return (self._clock_s() - self._start_s) / (60.0 * (self.config.minutes or 1.0))
 
-    def _progress(self, share: float, mean_loss: float, pictures: int) -> Progress:
-        spent_s = max(self._clock_s() - self._begin_s, 1e-9)
-        return Progress(share=share, steps=self._steps, loss=mean_loss, pictures_per_s=pictures / spent_s)
+    def _progress(self, share: float, mean_loss: float, samples: int) -> Progress:
+        spent_s = max(self._clock_s() - self._start_s, 1e-9)
+        return Progress(share=share, steps=self._steps, loss=mean_loss, samples_per_s=samples / spent_s)
 
 
 def loss(logits: Tensor, coverage: Tensor) -> Tensor:
-    """How wrong logits (n, 1, h, w) are, given the share of each pixel that is marking (same shape).
+    """The loss of logits (n, 1, h, w), given the share of each pixel that is marking (same shape).
 
-    Cross-entropy weighted by the error (focal loss for soft labels: Li et al. 2020, eq. (4)), an amount per marked
-    pixel, plus the soft Dice loss of the batch, which looks at the marks as a whole (Milletari et al. 2016).
+    Cross-entropy weighted by the error (focal loss for soft labels: Li et al. 2020, eq. (4)) per marked pixel, plus the
+    soft Dice loss of the batch (Milletari et al. 2016).
     """
-    known = (255.0 * coverage - UNKNOWN).abs() > 0.5  # a marking that nobody can see: either answer is right
+    known = (255.0 * coverage - UNKNOWN).abs() > 0.5  # both answers are right for an invisible marking
     probability = torch.sigmoid(logits) * known
     entropy = known * functional.binary_cross_entropy_with_logits(logits, coverage, reduction="none")
     labelled = coverage.sum()
@@ -195,7 +246,7 @@ def loss(logits: Tensor, coverage: Tensor) -> Tensor:
 
 
 def rate_factor(share_done: float) -> float:
-    """The learning rate as a share of its peak: a straight rise, then half a cosine down to a hundredth."""
+    """The learning rate as a share of its peak: a linear rise, then half a cosine down to 0.01."""
     if share_done < WARM_UP:
         return max(share_done / WARM_UP, 0.01)
     along = min((share_done - WARM_UP) / (1.0 - WARM_UP), 1.0)
@@ -203,27 +254,27 @@ def rate_factor(share_done: float) -> float:
 
 
 def save_weights(path: Path, kept: Kept) -> None:
-    """Write a network's weights so that `load_weights` takes them."""
+    """Write a network's weights for `load_weights`."""
     with output_path(path) as part:
-        torch.save({"weights": kept.weights, "steps": kept.steps, "figures": asdict(kept.figures)}, part)
+        torch.save({"weights": kept.weights, "steps": kept.steps, "figures": asdict(kept.metrics)}, part)
 
 
 def load_weights(path: Path, net: MarkingNet) -> None:
-    """Put the weights of a file of `save_weights` into `net`; raises ConfigError when they do not fit."""
-    if path.is_file() and not zipfile.is_zipfile(path):  # torch would take older forms too, with errors of all kinds
-        raise ConfigError(f"{path}: is no file of this network's weights")
+    """Load weights from a file of `save_weights` into `net`; raises ConfigError if they do not fit."""
+    if path.is_file() and not zipfile.is_zipfile(path):  # torch also reads older formats, with errors of all kinds
+        raise ConfigError(f"{path}: is not a file of this network's weights")
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)  # False would run code from the file
+        found = torch.load(path, map_location="cpu", weights_only=True)  # False could run code from the file
         net.load_state_dict(found["weights"])
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, UnpicklingError) as error:
-        said = " ".join(str(error).split())[:120]
-        raise ConfigError(f"{path}: is no file of this network's weights ({type(error).__name__}: {said})") from None
+        text = " ".join(str(error).split())[:120]
+        raise ConfigError(f"{path}: is not a file of this network's weights ({type(error).__name__}: {text})") from None
 
 
 def _groups(net: nn.Module, weight_decay: float) -> list[dict[str, object]]:
-    """Kernels decay, biases and the scales of the normalisation do not."""
+    """Parameter groups: kernels with weight decay, biases and normalisation scales without."""
     kernels = [p for p in net.parameters() if p.ndim > 1]
     others = [p for p in net.parameters() if p.ndim <= 1]
     return [{"params": kernels, "weight_decay": weight_decay}, {"params": others, "weight_decay": 0.0}]
@@ -240,7 +291,7 @@ def _average_in(average: nn.Module, net: nn.Module, decay: float) -> None:
 
 
 def _restore_statistics(net: nn.Module, average: nn.Module) -> None:
-    """Give the normalisation its statistics back that a bad batch has spoilt."""
+    """Restore the statistics of the normalisation after a bad batch."""
     with torch.no_grad():
         for own, good in zip(net.buffers(), average.buffers(), strict=True):
             own.copy_(good)
@@ -248,7 +299,7 @@ def _restore_statistics(net: nn.Module, average: nn.Module) -> None:
 
 @contextlib.contextmanager
 def _ahead(items: Iterable[T]) -> Iterator[Iterator[T]]:
-    """The items, each made by another thread while the one before it is in use."""
+    """The items, each prepared in a thread while the previous one is in use."""
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
 
         def coming() -> Iterator[T]:

@@ -1,9 +1,9 @@
-"""The marking network: a U-Net of two levels on a picture packed to half size (after Cudrano et al. 2020).
+"""The marking network: a U-Net of two levels on an image packed to half size (after Cudrano et al. 2020).
 
-The paper reduces U-Net to two poolings so that it runs on a small computer. The same is done here, with three changes
-that buy accuracy at the same time a frame: a strided first layer and a pixel-shuffle last layer put the whole U-Net at
-half the picture's size; depth-wise separable residual blocks make each level cheap; dilated ones at the bottom see far
-enough (some 400 pixels) to tell a lane marking from a table's edge. Needs torch (the extra `train`).
+The paper reduces U-Net to two poolings for a small computer. Three changes improve the accuracy at the same run time: a
+strided first layer and a pixel-shuffle last layer run the whole U-Net at half the image size; the levels are depth-wise
+separable residual blocks; dilated blocks at the bottom have a receptive field of some 400 pixels, enough to tell a lane
+marking from the edge of a table. Needs torch (the extra `train`).
 
 A trained network as one ONNX file that `automodel.perception.markings.unet` takes.
 
@@ -23,9 +23,9 @@ from torch.nn import functional
 
 from automodel.perception.markings.onnx_check import INPUT, OPSET, OUTPUT
 
-CHANNELS = (16, 48, 96)  # at 1/2, 1/4 and 1/8 of the picture's size; multiples of 16 fill the vector registers
+CHANNELS = (16, 48, 96)  # at 1/2, 1/4 and 1/8 of the image size; multiples of 16 fill the vector registers
 DILATIONS = (1, 2, 4, 8, 4, 2)  # of the blocks at the bottom
-DARKEST_STD = 0.03  # of a picture's grey values in 0..1: what is flatter than this is not stretched any further
+DARKEST_STD = 0.03  # of grey values in 0..1: flatter images are not stretched further
 
 
 def _layer(inside: int, out: int, kernel: int, **options: int) -> list[nn.Module]:
@@ -33,10 +33,10 @@ def _layer(inside: int, out: int, kernel: int, **options: int) -> list[nn.Module
 
 
 class FullPrecision(nn.Conv2d):
-    """A convolution in 32 bits where the rest is in 16.
+    """A convolution in 32 bits under autocast.
 
-    For dilated depth-wise kernels, whose gradient in bfloat16 torch gets wrong on a CPU, now and then and by any amount
-    (oneDNN reads memory that it never wrote; seen with torch 2.13), and takes twice as long for.
+    For dilated depth-wise kernels: on a CPU, torch's bfloat16 gradient of them is sometimes wrong by any amount (oneDNN
+    reads uninitialised memory; seen with torch 2.13) and takes twice as long.
     """
 
     def forward(self, x: Tensor) -> Tensor:
@@ -64,14 +64,14 @@ class Block(nn.Module):
 
 
 class Down(nn.Sequential):
-    """A level down: 2x2 maximum, which keeps thin bright lines, then 1x1 to more channels."""
+    """A level down: 2x2 maximum pooling, which keeps thin bright lines, then 1x1 to more channels."""
 
     def __init__(self, inside: int, out: int) -> None:
         super().__init__(nn.MaxPool2d(2), *_layer(inside, out, 1), nn.ReLU())
 
 
 class Up(nn.Module):
-    """A level up: 1x1 to fewer channels, each pixel doubled, plus the encoder's features of that level."""
+    """A level up: 1x1 to fewer channels, upsampling by 2, plus the encoder's features of that level."""
 
     def __init__(self, inside: int, out: int) -> None:
         super().__init__()
@@ -85,10 +85,10 @@ class Up(nn.Module):
 
 
 class MarkingNet(nn.Module):
-    """Image pictures (n, 1, h, w) -> logits of "this pixel is lane marking", same shape; h and w are multiples of 8.
+    """Grey images (n, 1, h, w) to logits of "lane marking" (same shape); h and w are multiples of 8.
 
-    Image values are 0..255, uint8 or floating point. Each picture is brought to mean 0 and deviation 1 first, so that
-    exposure has little say.
+    Image values are 0..255, uint8 or floating point. Each image is normalised to mean 0 and standard deviation 1, to
+    reduce the effect of exposure.
     """
 
     def __init__(self, channels: tuple[int, int, int] = CHANNELS, dilations: tuple[int, ...] = DILATIONS) -> None:
@@ -115,7 +115,7 @@ class MarkingNet(nn.Module):
 
 
 def standardised(image: Tensor) -> Tensor:
-    """Pictures (n, 1, h, w) of grey values 0..255, each brought to mean 0 and deviation 1 (less where it is flat)."""
+    """Images (n, 1, h, w) of grey values 0..255, each normalised to mean 0 and deviation 1 (less if it is flat)."""
     grey = image.float() * (1.0 / 255.0)
     centred = grey - grey.mean((2, 3), keepdim=True)
     variance = (centred * centred).mean((2, 3), keepdim=True)
@@ -123,7 +123,7 @@ def standardised(image: Tensor) -> Tensor:
 
 
 class ProbabilityNet(nn.Module):
-    """What is exported: grey values (1, 1, h, w) uint8 in, probability of marking times 255 as uint8 out."""
+    """The exported network: grey image (1, 1, h, w) uint8 to probability of marking times 255, uint8."""
 
     def __init__(self, net: MarkingNet) -> None:
         super().__init__()
@@ -157,7 +157,7 @@ def onnx_bytes(net: MarkingNet, width_px: int, height_px: int, metadata: Mapping
 
 
 def with_metadata(data: bytes, metadata: Mapping[str, object]) -> bytes:
-    """The same network with other metadata inside."""
+    """The same network with other metadata."""
     import onnx
 
     model = onnx.load_from_string(data)

@@ -10,9 +10,9 @@ from automodel.training.backdrops import backdrop
 @pytest.mark.parametrize("share", [-0.5, 0.0, 0.01, 0.4, 1.0, 1.7])
 def test_any_size_and_any_horizon(width, height, share):
     for seed in range(12):
-        picture = backdrop(np.random.default_rng(seed), width, height, share * height)
-        assert picture.shape == (height, width)
-        assert picture.dtype == np.uint8
+        image = backdrop(np.random.default_rng(seed), width, height, share * height)
+        assert image.shape == (height, width)
+        assert image.dtype == np.uint8
 
 
 def test_one_seed_gives_one_picture():
@@ -33,7 +33,7 @@ def test_bright_thin_bars_stand_above_the_horizon_in_many():
 
 
 def test_backdrops_differ():
-    pictures = [backdrop(np.random.default_rng(seed), 512, 256, 120.0)[:120] for seed in range(60)]
-    means = np.array([p.mean() for p in pictures])
+    images = [backdrop(np.random.default_rng(seed), 512, 256, 120.0)[:120] for seed in range(60)]
+    means = np.array([p.mean() for p in images])
     assert means.min() < 50 < 180 < means.max()
-    assert np.median([p.std() for p in pictures]) > 25
+    assert np.median([p.std() for p in images]) > 25

@@ -1,4 +1,4 @@
-"""Training pictures on disk and batches of them, and the figures of masks."""
+"""Training samples on disk and batches of them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ import pytest
 
 from automodel.config.toml_reader import ConfigError
 from automodel.training import dataset
-from automodel.training.dataset import Batches, Pictures, Shard
-from automodel.training.metrics import measured
+from automodel.training.dataset import Batches, Samples, Shard
 
 H, W = dataset.HEIGHT_PX, dataset.WIDTH_PX
 
 
 def drawn(seed: int) -> SimpleNamespace:
-    """A picture whose grey values say which it is, and a mask that is the picture's bright part."""
+    """A sample whose grey values say which it is, and a mask that is the sample's bright part."""
     image = np.full((H, W), seed % 100 + 20, np.uint8)
     mask = np.zeros((H, W), np.uint8)
     left = 40 + 16 * (seed % 16)
@@ -27,13 +26,13 @@ def drawn(seed: int) -> SimpleNamespace:
 
 
 @pytest.fixture(scope="module")
-def pictures(tmp_path_factory: pytest.TempPathFactory) -> Pictures:
+def samples(tmp_path_factory: pytest.TempPathFactory) -> Samples:
     wanted = [
         Shard(path=tmp_path_factory.mktemp("data") / f"{first}.npy", first_seed=first, count=4) for first in (0, 4)
     ]
     for shard in wanted:
         dataset.write_shard(shard, drawn)
-    return Pictures(wanted)
+    return Samples(wanted)
 
 
 def test_shards_cover_each_seed_once() -> None:
@@ -43,13 +42,13 @@ def test_shards_cover_each_seed_once() -> None:
     assert len({shard.path for shard in found}) == len(found) == 3
 
 
-def test_pictures_come_back_as_they_were_drawn(pictures: Pictures) -> None:
-    assert len(pictures) == 8
+def test_images_come_back_as_they_were_drawn(samples: Samples) -> None:
+    assert len(samples) == 8
     for seed in range(8):
-        assert np.array_equal(pictures[seed], [drawn(seed).image, drawn(seed).mask])
+        assert np.array_equal(samples[seed], [drawn(seed).image, drawn(seed).mask])
     for index in (-1, 8):
         with pytest.raises(IndexError):
-            pictures[index]
+            samples[index]
 
 
 def test_only_whole_shards_count(tmp_path: Path) -> None:
@@ -62,9 +61,9 @@ def test_only_whole_shards_count(tmp_path: Path) -> None:
     longer = Shard(path=small.path, first_seed=3, count=3)
     assert dataset.missing([longer]) == [longer]
     with pytest.raises(ConfigError, match=r"small.npy: holds \(2, 2, 256, 512\) uint8; delete it"):
-        Pictures([longer])
+        Samples([longer])
     with pytest.raises(ConfigError, match="cannot be read"):
-        Pictures(shards)
+        Samples(shards)
 
 
 def test_the_data_version_is_of_what_is_drawn() -> None:
@@ -81,15 +80,15 @@ def test_a_folder_holds_one_version(tmp_path: Path) -> None:
     folder = tmp_path / "a" / "b"
     dataset.claim_folder(folder, "one")
     dataset.claim_folder(folder, "one")
-    with pytest.raises(ConfigError, match="data version one, now two"):
+    with pytest.raises(ConfigError, match="data version one, not two"):
         dataset.claim_folder(folder, "two")
     (folder / dataset.INDEX).write_text("{")
     with pytest.raises(ConfigError, match="cannot be read"):
         dataset.claim_folder(folder, "one")
 
 
-def test_batches_are_the_same_for_the_same_seed(pictures: Pictures) -> None:
-    first, second, other = (iter(Batches(pictures, W, H, 3, seed)) for seed in (1, 1, 2))
+def test_batches_are_the_same_for_the_same_seed(samples: Samples) -> None:
+    first, second, other = (iter(Batches(samples, W, H, 3, seed)) for seed in (1, 1, 2))
     for _ in range(4):
         batch = next(first)
         assert batch.shape == (3, 2, H, W)
@@ -98,9 +97,9 @@ def test_batches_are_the_same_for_the_same_seed(pictures: Pictures) -> None:
         assert not np.array_equal(batch, next(other))
 
 
-def test_picture_and_mask_change_together(pictures: Pictures) -> None:
+def test_picture_and_mask_change_together(samples: Samples) -> None:
     places = set()
-    for batch in itertools.islice(Batches(pictures, W, H, 4, 0), 8):
+    for batch in itertools.islice(Batches(samples, W, H, 4, 0), 8):
         for grey, mask in batch:
             if not (mask == 255).any():
                 continue  # the part enlarged holds no line
@@ -111,58 +110,23 @@ def test_picture_and_mask_change_together(pictures: Pictures) -> None:
     assert max(places) > 0.75 * W  # where none is drawn
 
 
-def test_each_picture_comes_once_a_round(pictures: Pictures, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches = Batches(pictures, W, H, 4, 5)
-    monkeypatch.setattr(batches, "_changed", lambda picture: picture)
+def test_each_picture_comes_once_a_round(samples: Samples, monkeypatch: pytest.MonkeyPatch) -> None:
+    batches = Batches(samples, W, H, 4, 5)
+    monkeypatch.setattr(batches, "_changed", lambda sample: sample)
     two_rounds = np.concatenate(list(itertools.islice(batches, 4)))
-    greys = [int(picture[0, 0, 0]) for picture in two_rounds]
+    greys = [int(sample[0, 0, 0]) for sample in two_rounds]
     assert sorted(greys[:8]) == sorted(greys[8:]) == list(range(20, 28))
     assert greys[:8] != greys[8:]
 
 
-def test_the_smaller_size_keeps_the_share_of_marking(pictures: Pictures) -> None:
-    small = dataset.resized(pictures[3], 256, 128)
+def test_the_smaller_size_keeps_the_share_of_marking(samples: Samples) -> None:
+    small = dataset.resized(samples[3], 256, 128)
     assert small.shape == (2, 128, 256)
-    assert small[1].mean() == pytest.approx(pictures[3][1].mean(), abs=0.5)
-    batch = next(iter(Batches(pictures, 256, 128, 5, 0)))
+    assert small[1].mean() == pytest.approx(samples[3][1].mean(), abs=0.5)
+    batch = next(iter(Batches(samples, 256, 128, 5, 0)))
     assert batch.shape == (5, 2, 128, 256)
 
 
 def test_nothing_to_learn_from_is_an_error() -> None:
-    with pytest.raises(ValueError, match="no pictures"):
-        Batches(Pictures([]), W, H, 1, 0)
-
-
-def columns(*places: int) -> np.ndarray:
-    mask = np.zeros((10, 40), np.uint8)
-    mask[:, list(places)] = 255
-    return mask
-
-
-@pytest.mark.parametrize(
-    ("marked", "figures"),
-    [
-        # two columns are labelled: 10 and 30
-        (columns(10, 30), (1.0, 1.0, 1.0, 1.0, 1.0)),
-        (columns(10), (1.0, 0.5, 0.5, 1.0, 0.5)),
-        (columns(13, 27), (0.0, 0.0, 0.0, 1.0, 1.0)),
-        (columns(14, 30), (0.5, 0.5, 1 / 3, 0.5, 0.5)),
-        (columns(), (0.0, 0.0, 0.0, 0.0, 0.0)),
-        (columns(*range(40)), (0.05, 1.0, 0.05, 14 / 40, 1.0)),
-    ],
-    ids=["all", "half", "3 px off", "4 px off", "none", "everywhere"],
-)
-def test_the_figures_of_known_masks(marked: np.ndarray, figures: tuple[float, ...]) -> None:
-    truth = np.stack((columns(), columns(10, 30)))
-    found = measured(lambda _: marked, [truth, truth])
-    got = (found.precision, found.recall, found.iou, found.near_precision, found.near_recall)
-    assert got == pytest.approx(figures)
-
-
-def test_a_mark_near_a_faint_label_is_not_false() -> None:
-    truth = np.stack((columns(), columns(10)))
-    truth[1, :, 20] = 30  # an eighth of the pixel is marking
-    found = measured(lambda _: columns(10, 20), [truth])
-    assert found.precision == 0.5
-    assert found.near_precision == 1.0
-    assert found.recall == found.near_recall == found.score == 1.0
+    with pytest.raises(ValueError, match="no samples"):
+        Batches(Samples([]), W, H, 1, 0)

@@ -13,7 +13,8 @@ onnx = pytest.importorskip("onnx")
 
 from automodel.perception.markings.onnx_check import OPSET, check_onnx
 from automodel.perception.markings.unet import SIZES, open_session, run_network
-from automodel.training.metrics import Figures, Origin, write_card, write_figures
+from automodel.training.session import Origin, write_card, write_metrics
+from automodel.training.train import Metrics
 from automodel.training.unet import MarkingNet, onnx_bytes, standardised, with_metadata
 
 
@@ -86,7 +87,7 @@ def test_exporting_leaves_the_network_as_it_was() -> None:
     assert all(torch.equal(before[name], weights) for name, weights in net.state_dict().items())
 
 
-def test_pictures_are_brought_to_mean_0_and_deviation_1() -> None:
+def test_images_are_brought_to_mean_0_and_deviation_1() -> None:
     picture = torch.from_numpy(np.random.default_rng(1).integers(0, 256, (2, 1, 16, 24)).astype(np.uint8))
     picture[1] = 100  # flat
     found = standardised(picture)
@@ -98,7 +99,7 @@ def test_pictures_are_brought_to_mean_0_and_deviation_1() -> None:
 
 
 def test_the_card_tells_of_all_networks_in_a_folder(tmp_path: Path) -> None:
-    figures = Figures(precision=0.5, recall=0.25, iou=0.2, near_precision=0.75, near_recall=0.5)
+    metrics = Metrics(precision=0.5, recall=0.25, iou=0.2, near_precision=0.75, near_recall=0.5)
     for size in SIZES:
         origin = Origin(
             size=size,
@@ -112,11 +113,11 @@ def test_the_card_tells_of_all_networks_in_a_folder(tmp_path: Path) -> None:
             resumed=False,
             command=f"automodel train --size {size}",
         )
-        write_figures(tmp_path / f"marking_{size}.json", origin, figures)
+        write_metrics(tmp_path / f"marking_{size}.json", origin, metrics)
     write_card(tmp_path)
     card = (tmp_path / "MODEL_CARD.md").read_text(encoding="utf-8")
     for said in ("## marking_512x256.onnx", "## marking_256x128.onnx", "`automodel train --size 256x128`"):
         assert said in card
     for row in ("| steps | 1234 |", "| data version | 0123456789ab |", "| near precision | 0.750 |"):
         assert card.count(row) == 2
-    assert figures.score == pytest.approx(0.6)
+    assert metrics.score == pytest.approx(0.6)

@@ -13,7 +13,7 @@ from automodel.training.unet import DILATIONS, Block, FullPrecision, MarkingNet
 
 
 @pytest.mark.parametrize("size", [(256, 512), (128, 256), (64, 96)])
-def test_the_mask_has_the_pictures_size(size: tuple[int, int]) -> None:
+def test_the_mask_has_the_images_size(size: tuple[int, int]) -> None:
     with torch.no_grad():
         assert MarkingNet().eval()(torch.zeros((2, 1, *size), dtype=torch.uint8)).shape == (2, 1, *size)
 
@@ -25,7 +25,7 @@ def test_the_network_is_small() -> None:
 def test_each_pixel_is_judged_by_its_surroundings() -> None:
     torch.manual_seed(0)
     net = MarkingNet().eval()
-    features = torch.randn((1, 96, 48, 64)).requires_grad_()  # at an eighth of the picture's size
+    features = torch.randn((1, 96, 48, 64)).requires_grad_()  # at an eighth of the image's size
     net.down2[1:](features)[0, :, 24, 32].sum().backward()
     seen = features.grad.abs().sum((0, 1))
     assert int((seen.sum(0) > 0).sum()) == 2 * sum(DILATIONS) + 1

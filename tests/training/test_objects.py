@@ -26,8 +26,8 @@ def test_a_box_hides_exactly_where_a_pinhole_sees_it():
     """A level camera sees a face at depth x as a rectangle: u = cx - f y / x, v = cy + f (height - z) / x."""
     build = solids.Builder(2.0, 0.3)
     build.box((0.0, -0.2, 0.0), (1.0, 0.2, 0.4), 200.0)
-    picture, mask = blank()
-    objects._paint(picture, mask, camera(), build.solid(), np.random.default_rng(0))
+    image, mask = blank()
+    objects._paint(image, mask, camera(), build.solid(), np.random.default_rng(0))
     left, right = 256 - FOCAL * 0.5 / 2.0, 256 - FOCAL * 0.1 / 2.0
     bottom, top = 128 + FOCAL * HEIGHT / 2.0, 128 + FOCAL * (HEIGHT - 0.4) / 2.0
     wall = np.zeros(mask.shape, dtype=bool)
@@ -46,9 +46,9 @@ def test_a_box_hides_exactly_where_a_pinhole_sees_it():
 def test_the_mask_is_cleared_exactly_where_the_box_is_painted():
     build = solids.Builder(2.5, -0.4, 0.5)
     build.box((0.0, -0.2, 0.0), (0.6, 0.2, 0.5), 240.0)
-    picture, mask = blank()
-    objects._paint(picture, mask, camera(k1=-0.25), build.solid(), np.random.default_rng(3))
-    changed = (picture != 120).astype(np.uint8)
+    image, mask = blank()
+    objects._paint(image, mask, camera(k1=-0.25), build.solid(), np.random.default_rng(3))
+    changed = (image != 120).astype(np.uint8)
     hidden = (mask == 0).astype(np.uint8)
     assert hidden.sum() > 1000
     kernel = np.ones((3, 3), np.uint8)
@@ -73,10 +73,10 @@ def test_faces_turned_away_are_not_painted():
     faces = solids.box_faces((0.0, -0.3, 0.0), (1.0, 0.3, 0.8))
     build.face(faces["rear"], 0.0)
     build.face(faces["front"], 255.0)  # painted last: it would cover the rear
-    picture, mask = blank()
-    objects._paint(picture, mask, camera(), build.solid(), np.random.default_rng(5))
+    image, mask = blank()
+    objects._paint(image, mask, camera(), build.solid(), np.random.default_rng(5))
     assert (mask == 0).any()
-    assert picture.max() <= 130
+    assert image.max() <= 130
 
 
 def test_a_part_of_a_face_lies_where_its_shares_say():
@@ -100,10 +100,10 @@ def test_things_stand_on_the_ground_at_their_place(make):
 def test_objects_only_take_mask_away_and_only_where_they_are(k1):
     kernel = np.ones((5, 5), np.uint8)
     for seed in range(60):
-        picture, mask = blank()
-        draw_objects(picture, mask, camera(0.2, k1), np.random.default_rng(seed), 12.0)
+        image, mask = blank()
+        draw_objects(image, mask, camera(0.2, k1), np.random.default_rng(seed), 12.0)
         assert set(np.unique(mask)) <= {0, 255}
-        brighter = cv2.erode((picture > 175).astype(np.uint8), kernel)  # shade only darkens, reflections are faint
+        brighter = cv2.erode((image > 175).astype(np.uint8), kernel)  # shade only darkens, reflections are faint
         assert (mask[brighter > 0] > 0).sum() <= 3, seed  # where two smoothed edges meet
 
 
@@ -116,12 +116,12 @@ def test_objects_repeat_for_one_seed():
         np.testing.assert_array_equal(first[1], second[1])
 
 
-def test_some_pictures_stay_empty_and_the_lane_mostly_free():
+def test_some_images_stay_empty_and_the_lane_mostly_free():
     empty, ahead = 0, []
     for seed in range(200):
-        picture, mask = blank()
-        draw_objects(picture, mask, camera(0.2), np.random.default_rng(seed), 10.0)
-        empty += int((picture == 120).all())
+        image, mask = blank()
+        draw_objects(image, mask, camera(0.2), np.random.default_rng(seed), 10.0)
+        empty += int((image == 120).all())
         u, v = np.rint(camera(0.2).ground_to_px([[1.5, 0.5], [1.5, -0.5], [3.0, 0.5], [3.0, -0.5]])).astype(int).T
         ahead.append((mask[v, u] == 0).mean())
     assert 20 < empty < 90
@@ -130,9 +130,9 @@ def test_some_pictures_stay_empty_and_the_lane_mostly_free():
 
 def test_walls_beside_the_camera_are_cut_where_it_stops_seeing():
     for seed in range(30):
-        picture, mask = blank()
+        image, mask = blank()
         wall = solids.wall(np.random.default_rng(seed), -3.0, 0.9, 0.0, 30.0)
-        objects._paint(picture, mask, camera(0.1), wall, np.random.default_rng(seed))
+        objects._paint(image, mask, camera(0.1), wall, np.random.default_rng(seed))
         assert (mask[:, 256:] == 255).all()  # all of it is to the left
 
 

@@ -12,7 +12,7 @@ from automodel.training import distractors as signs
 from automodel.training.cameras import Kind, WideLens, random_camera
 from automodel.training.layouts import random_road
 from automodel.training.roads import Road, edge_style, painted, random_ribbon
-from automodel.training.scenes import GroundView, Sample, atlas, lit_ground, make_sample, photographed
+from automodel.training.scenes import GroundView, Sample, atlas, augmented, lit_ground, make_sample
 from automodel.training.shapes import UNKNOWN, Canvas, Ink, Patch, Ribbon, Stripe, box, worn
 
 WIDTH, HEIGHT = 512, 256
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_picture_and_another_seed_another() -> None
 
 
 @pytest.mark.parametrize("size", [(512, 256), (256, 128)])
-def test_pictures_and_masks_are_grey_bytes_of_the_size_asked_for(size: tuple[int, int]) -> None:
+def test_images_and_masks_are_grey_bytes_of_the_size_asked_for(size: tuple[int, int]) -> None:
     sample = make_sample(3, *size)
     assert sample.image.shape == sample.mask.shape == size[::-1]
     assert sample.image.dtype == sample.mask.dtype == np.uint8
@@ -78,17 +78,17 @@ def samples() -> list[Sample]:
     return [make_sample(seed) for seed in range(100, 150)]
 
 
-def test_fifty_pictures_are_varied_and_have_sane_masks(samples: list[Sample]) -> None:
+def test_fifty_images_are_varied_and_have_sane_masks(samples: list[Sample]) -> None:
     marked = np.array([(s.mask > 127).mean() for s in samples])
     means = np.array([s.image.mean() for s in samples])
-    assert 0.0 < np.mean(marked < 1e-4) < 0.3  # some pictures have no line
+    assert 0.0 < np.mean(marked < 1e-4) < 0.3  # some images have no line
     assert 0.005 < np.median(marked) < 0.05
     assert marked.max() < 0.25
     assert means.std() > 20.0
     assert np.mean([s.image.std() > 5.0 for s in samples]) > 0.9
 
 
-def test_marking_is_brighter_than_what_is_beside_it_in_most_pictures(samples: list[Sample]) -> None:
+def test_marking_is_brighter_than_what_is_beside_it_in_most_images(samples: list[Sample]) -> None:
     brighter = []
     for sample in samples:
         core = sample.mask > 250
@@ -181,10 +181,10 @@ def test_worn_paint_keeps_its_label_and_paint_that_is_gone_loses_it(monkeypatch:
     def mask_with(kept: np.ndarray) -> np.ndarray:
         monkeypatch.setattr(scenes, "_wear", lambda _rng, _view: kept)
         monkeypatch.setattr(scenes, "light", lambda *_: None)
-        monkeypatch.setattr(scenes, "damage", lambda picture, *_: picture.copy())
+        monkeypatch.setattr(scenes, "augment", lambda image, *_: image.copy())
         monkeypatch.setattr(scenes, "_contrast", lambda *_: 90.0)
         ground = lit_ground(np.random.default_rng(5), level_camera(), straight_road(), [line(0.4), line(-0.4)])
-        return photographed((ground.picture, ground.mask, ground.seen, ground.whole), 1).mask
+        return augmented((ground.image, ground.mask, ground.seen, ground.whole), 1).mask
 
     spots = np.kron(np.random.default_rng(0).random((HEIGHT // 4, WIDTH // 4)) > 0.6, np.ones((4, 4)))
     whole = mask_with(np.ones((HEIGHT, WIDTH), np.float32))

@@ -43,10 +43,10 @@ def test_signed_noise_has_the_named_mean_and_spread():
 
 
 def test_adding_noise_gives_the_spread_asked_for():
-    picture = np.full((512, 512), 120, dtype=np.uint8)
-    noise.add(picture, noise.band(64.0), 12.0, np.random.default_rng(1))
-    assert picture.std() == pytest.approx(12.0, rel=0.05)
-    assert picture.mean() == pytest.approx(120.0, abs=1.0)
+    image = np.full((512, 512), 120, dtype=np.uint8)
+    noise.add(image, noise.band(64.0), 12.0, np.random.default_rng(1))
+    assert image.std() == pytest.approx(12.0, rel=0.05)
+    assert image.mean() == pytest.approx(120.0, abs=1.0)
 
 
 def test_band_noise_has_the_wavelength_asked_for():

@@ -21,7 +21,7 @@ pytest.importorskip("onnx")
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig, open_session, run_network
 from automodel.training import dataset, train
-from automodel.training.train import TrainConfig, Training, Watcher, rate_factor
+from automodel.training.train import TrainConfig, Training, Watcher, measured, rate_factor
 from automodel.training.unet import MarkingNet
 
 __all__ = ["cli"]
@@ -29,7 +29,7 @@ __all__ = ["cli"]
 W, H = 128, 64
 
 
-def pictures(seed: int, count: int = 2) -> np.ndarray:
+def drawn(seed: int, count: int = 2) -> np.ndarray:
     """Floors with two bright lines, at random places: (count, 2, H, W)."""
     rng = np.random.default_rng(seed)
     batch = np.zeros((count, 2, H, W), np.uint8)
@@ -41,7 +41,7 @@ def pictures(seed: int, count: int = 2) -> np.ndarray:
 
 
 def batches() -> Iterator[np.ndarray]:
-    return (pictures(seed) for seed in itertools.count())
+    return (drawn(seed) for seed in itertools.count())
 
 
 def training(clock: Iterator[float] | None = None, **keys: Any) -> Training:
@@ -58,16 +58,16 @@ def trained() -> tuple[Training, train.Kept, list[train.Progress], list[train.Ke
     one = training(steps=100)
     progress: list[train.Progress] = []
     better: list[train.Kept] = []
-    kept = one.run(batches(), pictures(10_000), Watcher(progress=progress.append, better=better.append))
+    kept = one.run(batches(), drawn(10_000), Watcher(progress=progress.append, better=better.append))
     return one, kept, progress, better
 
 
 def test_a_short_training_finds_lines(trained: tuple) -> None:
     _, kept, progress, better = trained
     assert np.mean([each.loss for each in progress[-5:]]) < 0.4 * np.mean([each.loss for each in progress[:3]])
-    assert kept.figures.score > 0.9
+    assert kept.metrics.score > 0.9
     assert kept is better[-1]
-    scores = [each.figures.score for each in better]
+    scores = [each.metrics.score for each in better]
     assert scores == sorted(scores)
     assert len(better) > 1
 
@@ -76,7 +76,7 @@ def test_what_is_kept_is_what_was_measured(trained: tuple) -> None:
     _, kept, _, _ = trained
     net = MarkingNet().eval()
     net.load_state_dict(kept.weights)
-    grey = pictures(77)[0, 0]
+    grey = drawn(77)[0, 0]
     with torch.no_grad():
         wanted = torch.sigmoid(net(torch.from_numpy(grey)[None, None]))[0, 0].numpy()
     found = run_network(open_session(kept.onnx, "cpu", 1), grey)
@@ -98,7 +98,7 @@ def test_a_saved_network_is_where_the_next_training_begins(trained: tuple, tmp_p
 def test_weights_that_cannot_be_read_are_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "net.pt"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"net\.pt: is no file of this network's weights"):
+    with pytest.raises(ConfigError, match=r"net\.pt: is not a file of this network's weights"):
         train.load_weights(path, MarkingNet())
     with pytest.raises(ConfigError, match="no such file"):
         train.load_weights(tmp_path / "missing.pt", MarkingNet())
@@ -109,7 +109,7 @@ def test_weights_that_cannot_be_read_are_refused(tmp_path: Path, content: bytes)
 )
 def test_weights_of_another_network_are_refused(tmp_path: Path, saved: object) -> None:
     torch.save(saved, tmp_path / "net.pt")
-    with pytest.raises(ConfigError, match="is no file of this network's weights"):
+    with pytest.raises(ConfigError, match="is not a file of this network's weights"):
         train.load_weights(tmp_path / "net.pt", MarkingNet())
 
 
@@ -169,7 +169,7 @@ def test_ctrl_c_keeps_the_best_so_far() -> None:
 
     one = training(steps=1000)
     better: list[train.Kept] = []
-    kept = one.run(until_someone_has_enough(), pictures(5), Watcher(progress=lambda _: None, better=better.append))
+    kept = one.run(until_someone_has_enough(), drawn(5), Watcher(progress=lambda _: None, better=better.append))
     assert one.interrupted
     assert better == [kept]
     assert kept.steps <= 3
@@ -177,19 +177,19 @@ def test_ctrl_c_keeps_the_best_so_far() -> None:
 
 def test_a_bad_batch_is_passed_over_and_many_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     one = training(steps=100)
-    one.step(pictures(0), 0.5)
+    one.step(drawn(0), 0.5)
     before = {name: value.clone() for name, value in one._net.state_dict().items() if "running" not in name}
     average = {name: value.clone() for name, value in one._average.state_dict().items()}
     real = train.loss
     monkeypatch.setattr(train, "loss", lambda *maps: real(*maps) * math.nan)
-    for _ in range(train.MOST_BAD):
-        assert math.isnan(one.step(pictures(1), 0.5))
+    for _ in range(train.MAX_BAD):
+        assert math.isnan(one.step(drawn(1), 0.5))
     now = one._net.state_dict()
     assert all(torch.equal(now[name], value) for name, value in before.items() if "num_batches" not in name)
     assert all(torch.equal(value, average[name]) for name, value in one._average.state_dict().items())
     assert torch.equal(now["stem.1.running_mean"], average["stem.1.running_mean"])
     with pytest.raises(ValueError, match="no longer finite"):
-        one.step(pictures(1), 0.5)
+        one.step(drawn(1), 0.5)
 
 
 @pytest.mark.parametrize("keys", [{}, {"steps": 3, "minutes": 1.0}, {"steps": 0}, {"minutes": -1.0}])
@@ -214,7 +214,7 @@ def test_the_command_draws_trains_and_exports(cli: Cli, tmp_path: Path, monkeypa
     out = tmp_path / "out"
     names = {path.name for path in out.iterdir()}
     assert names == {"data", "MODEL_CARD.md", *(f"marking_256x128.{kind}" for kind in ("onnx", "pt", "json"))}
-    assert "drawing 5 pictures" in said.err
+    assert "drawing 5 drawn" in said.err
     again = cli(*tiny(tmp_path, "--steps", 1, "--resume", out / "marking_256x128.pt"))
     assert again.code == 0, again.err
     assert "drawing" not in again.err
@@ -256,4 +256,39 @@ def test_without_torch_the_command_says_what_to_install(
 def test_the_seeds_of_training_and_validation_never_meet() -> None:
     for seed in (0, 1, 2000):
         first = dataset.FIRST_TRAINING_SEED * (seed + 1)
-        assert first >= 1_000_000 > 100_000  # the most pictures to measure with
+        assert first >= 1_000_000 > 100_000  # the most drawn to measure with
+
+
+def columns(*places: int) -> np.ndarray:
+    mask = np.zeros((10, 40), np.uint8)
+    mask[:, list(places)] = 255
+    return mask
+
+
+@pytest.mark.parametrize(
+    ("marked", "metrics"),
+    [
+        # two columns are labelled: 10 and 30
+        (columns(10, 30), (1.0, 1.0, 1.0, 1.0, 1.0)),
+        (columns(10), (1.0, 0.5, 0.5, 1.0, 0.5)),
+        (columns(13, 27), (0.0, 0.0, 0.0, 1.0, 1.0)),
+        (columns(14, 30), (0.5, 0.5, 1 / 3, 0.5, 0.5)),
+        (columns(), (0.0, 0.0, 0.0, 0.0, 0.0)),
+        (columns(*range(40)), (0.05, 1.0, 0.05, 14 / 40, 1.0)),
+    ],
+    ids=["all", "half", "3 px off", "4 px off", "none", "everywhere"],
+)
+def test_the_metrics_of_known_masks(marked: np.ndarray, metrics: tuple[float, ...]) -> None:
+    truth = np.stack((columns(), columns(10, 30)))
+    found = measured(lambda _: marked, [truth, truth])
+    got = (found.precision, found.recall, found.iou, found.near_precision, found.near_recall)
+    assert got == pytest.approx(metrics)
+
+
+def test_a_mark_near_a_faint_label_is_not_false() -> None:
+    truth = np.stack((columns(), columns(10)))
+    truth[1, :, 20] = 30  # an eighth of the pixel is marking
+    found = measured(lambda _: columns(10, 20), [truth])
+    assert found.precision == 0.5
+    assert found.near_precision == 1.0
+    assert found.recall == found.near_recall == found.score == 1.0
