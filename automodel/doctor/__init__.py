@@ -1,1 +1,1 @@
-"""What `automodel doctor` makes of what it measures: values in, findings out; the measuring is in `automodel.cli`."""
+"""`automodel doctor`: checks a car and its machine; each check gives one finding."""

@@ -1,11 +1,4 @@
-"""Looks through the car's camera for a second or two, and for a lane in its pictures.
-
-What a camera delivered in about a second, and whether that is what car.toml says.
-
-The lane's width as the camera sees it, against car.toml: what shows a wrong calibration of the ground at once.
-
-Exposure and sharpness of one picture.
-"""
+"""Checks the car's camera: size, rate, exposure and sharpness of about a second of frames, and the lane in them."""
 
 from __future__ import annotations
 
@@ -31,20 +24,46 @@ from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.images import with_channels
 from automodel.types import Image
 
-RATE_OK = 0.1  # share by which the rate may be off
-RATE_FAIL = 0.5  # share of it that may be missing
+RATE_OK = 0.1  # largest relative error of the rate
+RATE_FAIL = 0.5  # largest share of the rate that may be missing
+
+LEAST_POINTS = 3  # of each line
+LEAST_FRAMES = 5
+WIDTH_OK, WIDTH_FAIL = 0.08, 0.25  # relative error of the width; rendered lanes are measured within 0.02
+_ROUNDS = 5
+
+BLACK = 30  # grey level; an image that is nearly all below it shows nothing
+DARK = 70  # markings on a lit floor are far above it
+BURNT = 250
+BURNT_WARN, BURNT_FAIL = 0.15, 0.5  # share of saturated pixels: a white wall, a lamp; the road itself
+FLAT = 25  # grey levels between the darkest and the brightest hundredth: a cap, fog, a wall
+
+REACH_PX = 12  # distance from an edge within which its contrast is measured; blur beyond some 4 px is underestimated
+CONTRAST = 30  # grey levels; noise alone does not reach it
+EDGES = 50  # least number
+SHARPEST = 20  # percentile of the edges' blur that counts; the others may be out of focus or soft themselves
+BLUR_WARN_PX, BLUR_FAIL_PX = 1.9, 3.2
+_SMOOTHING_PX = 0.7
+
+FIRST_S = 6.0  # until the first frame; the camera of a Jetson takes two or three
+SETTLING_S = 0.5  # until exposure and rate are steady
+LOOKING_S = 1.0
+KEPT = 20  # frames for the lane
+_PATIENCE_S = 12.0
+_MOST = 1000  # frames, in case the stamps do not rise
+_LANE_S = 60.0
 
 
 @dataclass(slots=True, kw_only=True)
 class Capture:
-    """The stamps of all pictures after the first ones, and the newest few pictures themselves."""
+    """Time stamps of all frames after the first ones, and the newest frames; `repeated` counts identical ones."""
 
     stamps_ns: list[int] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
-    repeated: int = 0  # pictures that were the same as the one before, bit for bit
+    repeated: int = 0
 
     def add(self, frame: Frame, keep: int) -> None:
-        """One more picture; the newest `keep` are kept."""
+        """One more frame; the newest `keep` are kept."""
         if self.frames and (self.frames[-1].image.shape == frame.image.shape):
             self.repeated += int((self.frames[-1].image == frame.image).all())
         self.stamps_ns.append(frame.t_ns)
@@ -52,49 +71,49 @@ class Capture:
 
 
 def judge_resolution(capture: Capture, car: CarConfig) -> Finding:
-    """The pictures' size against car.toml."""
+    """The image size against car.toml."""
     name = "resolution"
     height, width = capture.frames[-1].image.shape[:2]
     wanted = car.camera.width_px, car.camera.height_px
     if (width, height) != wanted:
-        do = "set [camera] width_px and height_px to what the camera gives, and calibrate for it"
-        return fail(name, f"{width}x{height} pixels where car.toml says {wanted[0]}x{wanted[1]}", do)
+        do = "set [camera] width_px and height_px to the camera's size, and calibrate for it"
+        return fail(name, f"expected {wanted[0]}x{wanted[1]} pixels as in car.toml, got {width}x{height}", do)
     return okay(name, f"{width}x{height} pixels")
 
 
 def judge_stamps(capture: Capture) -> Finding:
-    """Whether time stamps rise and pictures change."""
+    """Whether time stamps rise and images change."""
     name = "time stamps"
     count = len(capture.stamps_ns)
     if count < 2:
-        return fail(name, f"{count} picture came", "look at the cable; try another program with this camera")
+        return fail(name, f"got {count} frame", "check the cable; try another program with this camera")
     back = sum(b <= a for a, b in itertools.pairwise(capture.stamps_ns))
     if back:
-        do = "another driver or kernel for this camera: the car holds on such frames"
+        do = "use another driver or kernel for this camera: the car holds on such frames"
         return fail(name, f"{back} of {count} are not later than the one before", do)
     if capture.repeated == count - 1:
-        do = "plug the camera in again: a live picture is never the same twice (a drawn one is)"
-        return warn(name, f"rise, but all {count} pictures are the same", do)
-    return okay(name, f"{count} rise, and the pictures change")
+        do = "plug the camera in again: two live images are never identical (rendered ones are)"
+        return warn(name, f"rise, but all {count} images are identical", do)
+    return okay(name, f"{count} rise, and the images change")
 
 
 def judge_rate(capture: Capture, car: CarConfig) -> Finding:
-    """The rate [Hz] by the stamps, and the longest gap against the time after which the car holds."""
+    """The rate [Hz] from the stamps, and the longest gap against [safety] frame_timeout_s."""
     name = "frame rate"
     steps = [(b - a) * 1e-9 for a, b in itertools.pairwise(capture.stamps_ns)]
     span_s = (capture.stamps_ns[-1] - capture.stamps_ns[0]) * 1e-9 if steps else 0.0
     if span_s <= 0.0:
-        return fail(name, "no rate: the time stamps do not rise", "see time stamps")
+        return fail(name, "no rate: the time stamps do not rise", "see the check of time stamps")
     rate, wanted = len(steps) / span_s, car.camera.rate_hz
     longest, timeout_s = max(steps), car.safety.frame_timeout_s
     what = f"{rate:.1f} Hz (car.toml: {wanted:g}), {statistics.median(steps) * 1e3:.1f} ms apart, {longest * 1e3:.0f} "
     what += "at most"
     if rate < (1.0 - RATE_FAIL) * wanted or statistics.median(steps) > timeout_s:
-        do = "more light, a smaller picture, another USB port; a camera that is as slow needs a smaller [camera] "
+        do = "more light, a smaller image, another USB port; such a slow camera needs a smaller [camera] "
         do += f"rate_hz, and a [safety] frame_timeout_s above {1.5 / rate:.3f}"
         return fail(name, what, do)
     if abs(rate - wanted) > RATE_OK * wanted:
-        do = f"more light, or [camera] rate_hz = {rate:.0f} (v4l2-ctl --list-formats-ext shows what the camera has)"
+        do = f"more light, or [camera] rate_hz = {rate:.0f} (v4l2-ctl --list-formats-ext lists the camera's rates)"
         return warn(name, what, do)
     if longest > timeout_s:
         do = f"close other programs; the car holds after {timeout_s * 1e3:.0f} ms without a frame"
@@ -102,17 +121,11 @@ def judge_rate(capture: Capture, car: CarConfig) -> Finding:
     return okay(name, what)
 
 
-LEAST_POINTS = 3  # of each line
-LEAST_FRAMES = 5
-WIDTH_OK, WIDTH_FAIL = 0.08, 0.25  # share of the width; drawn lanes are seen within 0.02
-_ROUNDS = 5
-
-
 def line_distance_m(left_m: NDArray[np.float64], right_m: NDArray[np.float64]) -> float | None:
-    """Distance [m] of two parallel lines by their points (n, 2), (m, 2) in the body frame, left first.
+    """The distance [m] of two parallel lines from their points (n, 2), (m, 2) in the body frame, left first.
 
-    Both follow y = a + b x + c x^2 with b and c in common; the difference of a, seen square to the lines. The weights
-    of points far off are reduced. None where there are too few points, or all at one place.
+    Both lines are y = a + b x + c x^2 with common b and c; the difference of a, perpendicular to the lines. Weights
+    reduce the influence of outliers. None for too few points, or points all at one place.
     """
     if min(len(left_m), len(right_m)) < LEAST_POINTS:
         return None
@@ -132,9 +145,9 @@ def line_distance_m(left_m: NDArray[np.float64], right_m: NDArray[np.float64]) -
 
 
 def seen_width_m(estimate: LaneEstimate) -> float | None:
-    """The lane's width [m] by this frame's points alone; None where not both lines are seen.
+    """The lane's width [m] from the points of this frame; None unless both lines are seen.
 
-    Not `estimate.pose.width_m`: a filter has that begin at car.toml's width, and lets it go slowly.
+    `estimate.pose.width_m` is filtered: it starts at the width of car.toml and changes slowly.
     """
     left, right = estimate.left, estimate.right
     if left is None or right is None or not (left.seen and right.seen):
@@ -146,55 +159,41 @@ def judge_width(widths_m: Sequence[float], car: CarConfig) -> Finding:
     """The widths [m] of the frames in which both lines were seen."""
     name, wanted = "lane width", car.lane.width_m
     if len(widths_m) < LEAST_FRAMES:
-        return skip(name, "no lane is seen", "put the car in the middle of a straight piece of the lane and run again")
+        return skip(name, "no lane is seen", "put the car in the middle of a straight part of the lane and run again")
     width = statistics.median(widths_m)
     off = width / wanted - 1.0
     what = f"{width:.3f} m seen, {wanted:.3f} m in car.toml ({off:+.0%})"
     if abs(off) <= WIDTH_OK:
         return okay(name, what)
-    do = "measure the lane and set [lane] width_m; if that is right: automodel calibrate ground"
+    do = "measure the lane and set [lane] width_m; if it is right: automodel calibrate ground"
     return (fail if abs(off) > WIDTH_FAIL else warn)(name, what, do)
 
 
-BLACK = 30  # grey level; a picture that is hardly anywhere above it shows nothing
-DARK = 70  # markings on a lit floor are far above it
-BURNT = 250
-BURNT_WARN, BURNT_FAIL = 0.15, 0.5  # share of burnt pixels: a white wall, a lamp; the road itself
-FLAT = 25  # grey levels between the darkest and the brightest hundredth: a cap, fog, a wall
-
-REACH_PX = 12  # about an edge, within which its contrast is measured; caps the blur that can be told at some 4 px
-CONTRAST = 30  # grey levels across an edge that is measured: noise alone does not reach it
-EDGES = 50  # fewer tell nothing
-SHARPEST = 20  # percent of the edges that tell of the lens; the others may lie out of its depth or be soft themselves
-BLUR_WARN_PX, BLUR_FAIL_PX = 1.9, 3.2
-_SMOOTHING_PX = 0.7
-
-
 def judge_exposure(grey: Image) -> Finding:
-    """Too dark, burnt out, without contrast, or right; `grey` is uint8 (h, w)."""
+    """Too dark, overexposed, without contrast, or right; `grey` is uint8 (h, w)."""
     name = "exposure"
     low, middle, bright, high = (float(v) for v in np.percentile(grey, (1, 50, 95, 99)))
     burnt = float((grey >= BURNT).mean())
     levels = f"grey levels {low:.0f} to {high:.0f}, median {middle:.0f}"
     if high < BLACK:
-        return fail(name, f"the picture is black: {levels}", "take the cap off the lens, switch a light on")
+        return fail(name, f"the image is black: {levels}", "take the cap off the lens, switch a light on")
     if burnt > BURNT_FAIL:
-        return fail(name, f"burnt out: {burnt:.0%} of the picture is white", "shade the camera, lower its exposure")
+        return fail(name, f"overexposed: {burnt:.0%} of the image is white", "shade the camera, lower its exposure")
     if high - low < FLAT:
-        return fail(name, f"nothing is seen: {levels}", "uncover and clean the lens, point the camera at the road")
+        return fail(name, f"nothing is visible: {levels}", "uncover and clean the lens, point the camera at the road")
     if bright < DARK:
         return warn(name, f"too dark: {levels}", "more light, or a longer exposure (v4l2-ctl --list-ctrls)")
     if burnt > BURNT_WARN:
-        return warn(name, f"{burnt:.0%} of the picture is burnt out", "turn lamps away, lower the camera's exposure")
+        return warn(name, f"{burnt:.0%} of the image is overexposed", "turn lamps away, lower the camera's exposure")
     return okay(name, levels)
 
 
 def blur_px(grey: Image) -> float | None:
-    """How blurred the sharpest edges are: standard deviation [px] of the blur; None where there are too few edges.
+    """The blur of the sharpest edges, as a standard deviation [px]; None for too few edges.
 
-    An edge of contrast c that a Gaussian of standard deviation s blurs has the slope c / (s sqrt(2 pi)) at its middle,
-    so s comes from contrast and steepest slope, whatever the contrast is. Rows and columns are looked at alike. A
-    picture that is sharp to the pixel has about 1, since the pixels themselves and the smoothing against noise blur.
+    An edge of contrast c, blurred by a Gaussian of standard deviation s, has the slope c / (s sqrt(2 pi)) at its
+    middle, so contrast and steepest slope give s, on rows and on columns. A sharp image has about 1, from the pixels
+    themselves and the smoothing against noise.
     """
     smooth = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING_PX).astype(np.float32)
     window = np.ones((1, 2 * REACH_PX + 1), np.uint8)
@@ -217,34 +216,25 @@ def judge_sharpness(grey: Image) -> Finding:
     name = "sharpness"
     blur = blur_px(grey)
     if blur is None:
-        return skip(name, "the picture has too few edges to tell", "point the camera at the track and run again")
+        return skip(name, "the image has too few edges", "point the camera at the track and run again")
     what = f"edges are blurred by {blur:.1f} px"
     if blur > BLUR_FAIL_PX:
-        return fail(name, what, "focus the lens (turn it in its thread), clean it, take its foil off")
+        return fail(name, what, "focus the lens (turn it in its thread), clean it, remove its foil")
     if blur > BLUR_WARN_PX:
-        return warn(name, what, "focus the lens at 1 m while looking at this figure; 1 is sharp")
+        return warn(name, what, "focus the lens at 1 m until this number is smallest; 1 is sharp")
     return okay(name, what)
 
 
-FIRST_S = 6.0  # until the first picture; a Jetson's camera takes two or three
-SETTLING_S = 0.5  # of stamps that are not counted: exposure and rate settle
-LOOKING_S = 1.0
-KEPT = 20  # pictures for the lane
-_PATIENCE_S = 12.0
-_MOST = 1000  # pictures, where stamps do not rise
-_LANE_S = 60.0
-
-
 def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: list[Frame]) -> Iterator[Finding]:
-    """What the camera gives; its newest pictures are put into `frames`."""
+    """Everything about the camera; its newest frames are put into `frames`."""
     looked = bounded("camera", lambda: _look(open_camera), _PATIENCE_S, _what_to_do(car))
     if isinstance(looked, Finding):
         yield looked
-        yield skip("pictures", "not looked at: there are none")
+        yield skip("images", "not checked: there are none")
         return
     capture, first_s = looked
     frames += capture.frames
-    yield okay("camera", f"{_name(car)} opens, first picture after {first_s:.1f} s")
+    yield okay("camera", f"{_name(car)} opens, first frame after {first_s:.1f} s")
     yield judge_resolution(capture, car)
     yield judge_stamps(capture)
     yield judge_rate(capture, car)
@@ -254,10 +244,10 @@ def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: l
 
 
 def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
-    """The lane's width in the pictures of a car that stands."""
+    """The lane's width in the frames of a car at standstill."""
 
     def look() -> Finding:
-        # The processor finds the same lines as what drives, and is ready at once.
+        # the processor finds the same lines as an accelerator, without its start-up time
         options = dataclasses.replace(car.pipeline.centerline, providers=("cpu",))
         pipeline = make_pipeline(
             car.pipeline.name,
@@ -275,14 +265,14 @@ def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
 
 
 def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
-    """What the camera gave once it had settled, and the time to its first picture [s]; raises SourceError."""
-    begin = time.perf_counter()
+    """The frames after settling, and the time to the first frame [s]; raises SourceError."""
+    start = time.perf_counter()
     source = open_camera()
     try:
-        first = _first(source, begin)
-        first_s = time.perf_counter() - begin
+        first = _first(source, start)
+        first_s = time.perf_counter() - start
         capture = Capture()
-        while time.perf_counter() - begin < FIRST_S + SETTLING_S + 2.0 * LOOKING_S:
+        while time.perf_counter() - start < FIRST_S + SETTLING_S + 2.0 * LOOKING_S:
             frame = _next(source)
             if frame is None:
                 break
@@ -297,17 +287,17 @@ def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
         source.close()
 
 
-def _first(source: Source, begin: float) -> Frame:
-    while time.perf_counter() - begin < FIRST_S:
+def _first(source: Source, start: float) -> Frame:
+    while time.perf_counter() - start < FIRST_S:
         frame = _next(source)
         if frame is None:
             break
         return frame
-    raise SourceError(f"no picture within {FIRST_S:g} s")
+    raise SourceError(f"no frame within {FIRST_S:g} s")
 
 
 def _next(source: Source) -> Frame | None:
-    """The next picture, None at the end and when none comes; the left one of a pair."""
+    """The next frame, the left one of a pair; None at the end and on a timeout."""
     try:
         frame = source.read(FIRST_S)
     except EndOfSource:
@@ -328,5 +318,5 @@ def _what_to_do(car: CarConfig) -> str:
         there = ", ".join(sorted(str(path) for path in Path("/dev").glob("video*"))) or "none"
         return f"here are: {there}; plug the camera in, set [camera] device, add the user to the group video"
     if car.camera.source == "csi":
-        return "look at the ribbon cable (off, pins towards the board), then: sudo systemctl restart nvargus-daemon"
+        return "check the ribbon cable (off, contacts towards the board), then: sudo systemctl restart nvargus-daemon"
     return 'set [camera] source to "csi" or "usb"'

@@ -1,7 +1,4 @@
-"""A finding: one line of the doctor's report.
-
-Runs one measurement of the doctor: it ends in time, and what goes wrong in it is a finding.
-"""
+"""A finding is one line of the doctor's report; a check that hangs or fails becomes one, too."""
 
 from __future__ import annotations
 
@@ -18,12 +15,12 @@ class Verdict(enum.Enum):
     OK = "OK"
     WARN = "WARN"  # the car drives, but not as well as it could, or not as safely
     FAIL = "FAIL"  # the car does not drive
-    SKIP = "SKIP"  # not looked at, or nothing to look at
+    SKIP = "SKIP"  # not checked, or nothing to check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """`what` was found by the check `name`, and what to `do` about it; a WARN or a FAIL always says that."""
+    """`what` the check `name` found, and what to `do` about it; raises ValueError for a WARN or FAIL without `do`."""
 
     name: str
     verdict: Verdict
@@ -32,16 +29,16 @@ class Finding:
 
     def __post_init__(self) -> None:
         if self.verdict in (Verdict.WARN, Verdict.FAIL) and not self.do:
-            raise ValueError(f"do: {self.name} says {self.verdict.value} and not what to do")
+            raise ValueError(f"do: {self.name} says {self.verdict.value}, but not what to do")
 
 
 def okay(name: str, what: str) -> Finding:
-    """All is well."""
+    """The check passed."""
     return Finding(name=name, verdict=Verdict.OK, what=what)
 
 
 def warn(name: str, what: str, do: str) -> Finding:
-    """The car drives, but."""
+    """The car drives, with a restriction."""
     return Finding(name=name, verdict=Verdict.WARN, what=what, do=do)
 
 
@@ -51,12 +48,12 @@ def fail(name: str, what: str, do: str) -> Finding:
 
 
 def skip(name: str, what: str, do: str = "") -> Finding:
-    """Nothing was looked at."""
+    """Nothing was checked."""
     return Finding(name=name, verdict=Verdict.SKIP, what=what, do=do)
 
 
 def failed(findings: Iterable[Finding]) -> bool:
-    """Whether any of them says FAIL."""
+    """Whether any finding says FAIL."""
     return any(finding.verdict is Verdict.FAIL for finding in findings)
 
 
@@ -71,11 +68,11 @@ T = TypeVar("T")
 
 
 def bounded(name: str, work: Callable[[], T], timeout_s: float, do: str) -> T | Finding:
-    """What `work` gives, or a FAIL under `name` that says why there is nothing, and what to `do`.
+    """The result of `work`, or a FAIL under `name` with the reason and what to `do`.
 
-    An OSError, ValueError or ImportError is told in one line: ours say what, and after a semicolon what to do. A work
-    that hangs is left behind in its thread, which does not keep the program from ending. Anything else that it raises
-    is an error of this program: Python writes its traceback to stderr, and the other checks go on.
+    The text of an OSError, ValueError or ImportError is reported in one line; ours say after a semicolon what to do.
+    Work that hangs is left in its daemon thread, which does not keep the program from ending. Any other exception is an
+    error of this program: Python writes its traceback to stderr, and the other checks go on.
     """
     values: list[T] = []
     errors: list[Exception] = []
@@ -96,4 +93,4 @@ def bounded(name: str, work: Callable[[], T], timeout_s: float, do: str) -> T | 
         return fail(name, what, f"{own}; {do}" if own else do)
     if thread.is_alive():
         return fail(name, f"no answer within {timeout_s:g} s", do)
-    return fail(name, "the check itself broke off", "report it, with the traceback on stderr")
+    return fail(name, "the check itself failed", "report it, with the traceback on stderr")

@@ -1,7 +1,4 @@
-"""The machine itself: packages, OpenCV's build, disk, clock.
-
-Looks at the machine: Python, packages, OpenCV, GStreamer, the network and what runs it, clocks, the disk.
-"""
+"""Checks the machine: Python, packages, OpenCV, GStreamer, the network and its provider, clocks, disk."""
 
 from __future__ import annotations
 
@@ -29,35 +26,35 @@ from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetCo
 from automodel.recording.codec import ImageCodec
 from automodel.types import Image
 
-LITTLE_MIN, SCARCE_MIN = 2.0, 15.0  # minutes of recording that the disk has room for
-SPARE = 2.0  # times the recording's bytes a second that the disk should take
-MONOTONIC_STEP_S = 1e-3  # of the clock, at most
+LITTLE_MIN, SCARCE_MIN = 2.0, 15.0  # free space in minutes of recording: FAIL, WARN
+SPARE = 2.0  # ratio of the disk's speed to the recording's
+MONOTONIC_STEP_S = 1e-3  # coarsest resolution of the clock
 _CHIEF = ("numpy", "opencv-python-headless", "onnxruntime", "pyserial")
-_PICTURE_SHARE = {"png": 0.6, "jpeg": 0.15}  # of its pixels' bytes, where no picture was there to measure
+_IMAGE_SHARE = {"png": 0.6, "jpeg": 0.15}  # compressed size over raw size, without a measured image
 
 
 def wanted_packages(requirements: Sequence[str]) -> dict[str, str]:
-    """Name -> least version, of the requirements that hold on every machine: those without a condition."""
+    """Name -> least version of the requirements without a condition, which hold on every machine."""
     plain = (re.fullmatch(r"\s*([\w.-]+)\s*>=\s*([\d.]+)\s*", line) for line in requirements)
     return {match[1]: match[2] for match in plain if match}
 
 
 def judge_packages(wanted: Mapping[str, str], installed: Mapping[str, str | None]) -> Finding:
-    """Python packages: name -> least version, and name -> the version that is there, None where there is none."""
+    """Python packages: name -> least version, and name -> installed version, None where it is missing."""
     name = "packages"
     missing = [package for package in wanted if installed.get(package) is None]
     if missing:
         return fail(name, f"missing: {', '.join(missing)}", f"pip install {' '.join(missing)}")
     old = [p for p, least in wanted.items() if _numbers(installed[p] or "") < _numbers(least)]
     if old:
-        told = ", ".join(f"{package} {installed[package]} (wanted: {wanted[package]})" for package in old)
-        return fail(name, f"too old: {told}", f"pip install --upgrade {' '.join(old)}")
+        versions = ", ".join(f"{package} {installed[package]} (at least {wanted[package]})" for package in old)
+        return fail(name, f"too old: {versions}", f"pip install --upgrade {' '.join(old)}")
     chief = ", ".join(f"{package} {installed[package]}" for package in _CHIEF if package in installed)
-    return okay(name, f"all {len(wanted)} are there: {chief}")
+    return okay(name, f"all {len(wanted)} are installed: {chief}")
 
 
 def _numbers(version: str) -> tuple[int, ...]:
-    """The leading numbers of a version, zeros at their end left out: 1.26.0 is as old as 1.26."""
+    """The leading numbers of a version without trailing zeros: 1.26.0 is 1.26."""
     match = re.match(r"\d+(\.\d+)*", version)
     numbers = [int(part) for part in match[0].split(".")] if match else []
     while numbers and numbers[-1] == 0:
@@ -66,7 +63,7 @@ def _numbers(version: str) -> tuple[int, ...]:
 
 
 def judge_opencv(version: str, build: str, source: str) -> Finding:
-    """What OpenCV was built with (`cv2.getBuildInformation()`), for the camera `source` of car.toml."""
+    """The features of OpenCV (`cv2.getBuildInformation()`) for the camera `source` of car.toml."""
     name = "opencv"
     parts = {part: _built_with(build, part) for part in ("v4l/v4l2", "FFMPEG")}
     what = f"{version}; " + ", ".join(f"{part} {'yes' if there else 'no'}" for part, there in parts.items())
@@ -83,7 +80,7 @@ def _built_with(build: str, part: str) -> bool:
 
 
 def judge_gstreamer(launcher: bool, jetson_source: bool, source: str) -> Finding:
-    """`launcher`: gst-launch-1.0 is there; `jetson_source`: nvarguscamerasrc is; `source` is car.toml's camera."""
+    """`launcher`: gst-launch-1.0 is installed; `jetson_source`: nvarguscamerasrc is; `source` is car.toml's camera."""
     name = "gstreamer"
     said = f"gst-launch-1.0 {'yes' if launcher else 'no'}, nvarguscamerasrc {'yes' if jetson_source else 'no'}"
     if source != "csi":
@@ -91,46 +88,46 @@ def judge_gstreamer(launcher: bool, jetson_source: bool, source: str) -> Finding
     if not launcher:
         return fail(name, said, "apt-get install gstreamer1.0-tools")
     if not jetson_source:
-        return fail(name, said, "a CSI camera needs a Jetson with NVIDIA's own system (JetPack); use a USB camera")
+        return fail(name, said, "a CSI camera needs a Jetson with NVIDIA's system (JetPack); use a USB camera")
     return okay(name, said)
 
 
 def judge_clock(wall: datetime.date, built: datetime.date, step_s: float, backwards: int) -> Finding:
-    """The clocks: wall time [date] against the day when the program came here, and the monotonic one as sampled."""
+    """The calendar against the day of installation, and samples of the monotonic clock."""
     name = "clock"
     if backwards or step_s > MONOTONIC_STEP_S:
-        what = f"the monotonic clock went back {backwards} times, its steps are {step_s * 1e3:g} ms"
-        return fail(name, what, "update the kernel; without a clock nothing is safe")
+        what = f"the monotonic clock went back {backwards} times, its resolution is {step_s * 1e3:g} ms"
+        return fail(name, what, "update the kernel: all timeouts depend on this clock")
     if wall < built:
-        do = "let it find the network once (timedatectl set-ntp true), or set it by hand (date -s)"
+        do = "connect to a network once (timedatectl set-ntp true), or set the clock by hand (date -s)"
         return warn(name, f"the calendar says {wall}, before this program was installed ({built})", do)
-    return okay(name, f"{wall}; the monotonic clock rises in steps of {step_s * 1e9:g} ns")
+    return okay(name, f"{wall}; resolution of the monotonic clock {step_s * 1e9:g} ns")
 
 
-def recording_bytes_per_s(camera: CameraConfig, recording: RecordingConfig, picture_bytes: int | None) -> float:
-    """What a run writes [byte/s]; `picture_bytes` of one compressed picture, None where none was measured."""
-    if picture_bytes is None:
+def recording_bytes_per_s(camera: CameraConfig, recording: RecordingConfig, image_bytes: int | None) -> float:
+    """The rate of a recording [byte/s]; `image_bytes` of one compressed image, None where it was not measured."""
+    if image_bytes is None:
         raw = camera.width_px * camera.height_px * (3 if camera.colour else 1)
-        picture_bytes = round(raw * _PICTURE_SHARE[recording.image])
-    return picture_bytes * camera.rate_hz
+        image_bytes = round(raw * _IMAGE_SHARE[recording.image])
+    return image_bytes * camera.rate_hz
 
 
 def judge_disk(folder: str, free_bytes: int, written_bytes_per_s: float, needed_bytes_per_s: float) -> Finding:
-    """Room and speed [byte/s] of the disk that recordings go to."""
+    """Free space and speed [byte/s] of the disk for recordings."""
     name = "disk"
     minutes = free_bytes / needed_bytes_per_s / 60.0
     speed, needed = written_bytes_per_s * 1e-6, needed_bytes_per_s * 1e-6
     what = f"{folder}: {free_bytes * 1e-9:.1f} GB free, {_time(minutes)} of recording at {needed:.1f} MB/s; "
     what += f"writes {speed:.0f} MB/s"
     if minutes < LITTLE_MIN:
-        return fail(name, what, "make room: a full disk ends the recording (old recordings, apt-get clean)")
+        return fail(name, what, "free space: a full disk ends the recording (old recordings, apt-get clean)")
     if speed < needed:
-        do = 'recordings lose frames: another disk, or [recording] image = "jpeg"'
+        do = 'recordings lose frames: use another disk, or [recording] image = "jpeg"'
         return fail(name, what, do)
     if minutes < SCARCE_MIN:
-        return warn(name, what, "make room, or set [recording] directory to another disk")
+        return warn(name, what, "free space, or set [recording] directory to another disk")
     if speed < SPARE * needed:
-        return warn(name, what, 'little to spare: another disk, or [recording] image = "jpeg"')
+        return warn(name, what, 'hardly fast enough: use another disk, or [recording] image = "jpeg"')
     return okay(name, what)
 
 
@@ -139,33 +136,35 @@ def _time(minutes: float) -> str:
 
 
 _OTHER_OPENCV = ("opencv-python", "opencv-contrib-python", "opencv-contrib-python-headless")
-_PICTURES = 7  # through the network, for its time
+_IMAGES = 7  # through the network, for its median time
 _NETWORK_S = 120.0  # TensorRT compiles for minutes
 _DISK_BYTES = 8_000_000
 _JETSON = Path("/etc/nv_tegra_release")
 
 
 def machine_findings(car: CarConfig) -> Iterator[Finding]:
-    """What does not need the car."""
+    """All checks that need no car."""
     source = car.camera.source
     yield okay("python", f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores")
     yield bounded("packages", _packages, 10.0, "make a new virtual environment: python3 -m venv, pip install")
     yield judge_opencv(cv2.__version__, cv2.getBuildInformation(), source)
-    yield bounded("gstreamer", lambda: _gstreamer(source), 20.0, "gst-inspect-1.0 nvarguscamerasrc hangs: restart")
+    yield bounded(
+        "gstreamer", lambda: _gstreamer(source), 20.0, "gst-inspect-1.0 nvarguscamerasrc hangs: restart the machine"
+    )
     yield from _network_findings(car)
     yield _clock()
 
 
-def disk_finding(car: CarConfig, picture: Image | None) -> Finding:
-    """Room and speed of the disk for recordings; `picture` is one of the camera's, None where there is none."""
+def disk_finding(car: CarConfig, image: Image | None) -> Finding:
+    """The disk for recordings; `image` is one of the camera's, None where there is none."""
 
     def look() -> Finding:
-        folder = _standing_folder(Path(car.recording.directory))
-        size = None if picture is None else len(ImageCodec(car.recording).encode(0, picture))
+        folder = _existing_folder(Path(car.recording.directory))
+        size = None if image is None else len(ImageCodec(car.recording).encode(0, image))
         needed = recording_bytes_per_s(car.camera, car.recording, size)
         return judge_disk(str(folder), shutil.disk_usage(folder).free, _written_per_s(folder), needed)
 
-    return bounded("disk", look, 20.0, "make [recording] directory a folder that can be written")
+    return bounded("disk", look, 20.0, "set [recording] directory to a folder that can be written")
 
 
 def _packages() -> Finding:
@@ -200,19 +199,19 @@ def _gstreamer(source: str) -> Finding:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Tried:
-    """The network as it ran."""
+    """The result of running the network: providers offered, the one used and its notice, times [s]."""
 
     offered: tuple[str, ...]
     provider: str
-    told: str
+    notice: str
     started_s: float
-    picture_s: float
+    image_s: float
 
 
 def _network_findings(car: CarConfig) -> Iterator[Finding]:
     options = car.pipeline.centerline
     if car.pipeline.name != "centerline" or options.markings != "unet":
-        yield skip("network", f"pipeline {car.pipeline.name} as set needs none")
+        yield skip("network", f"pipeline {car.pipeline.name} uses none as configured")
         return
     config = UnetConfig(model=options.model, size=options.network, providers=options.providers, threads=options.threads)
     do = "see [pipeline.centerline] model and providers; TensorRT compiles for minutes: leave it out of providers"
@@ -222,20 +221,20 @@ def _network_findings(car: CarConfig) -> Iterator[Finding]:
         return
     yield _provider_finding(tried, options.providers)
     what = f"{options.network}, self-test passed, ready in {tried.started_s:.2f} s, "
-    what += f"{tried.picture_s * 1e3:.1f} ms a picture"
-    if tried.picture_s * car.camera.rate_hz > 1.0:
-        do = f'[pipeline.centerline] network = "256x128": frames come each {1e3 / car.camera.rate_hz:.1f} ms'
+    what += f"{tried.image_s * 1e3:.1f} ms an image"
+    if tried.image_s * car.camera.rate_hz > 1.0:
+        do = f'set [pipeline.centerline] network = "256x128": a frame comes every {1e3 / car.camera.rate_hz:.1f} ms'
         yield warn("network", what, do)
     else:
         yield okay("network", what)
 
 
 def _provider_finding(tried: _Tried, asked: tuple[str, ...]) -> Finding:
-    what = f"onnxruntime offers {', '.join(tried.offered)}; {tried.told}"
+    what = f"onnxruntime offers {', '.join(tried.offered)}; {tried.notice}"
     before = tried.offered[: tried.offered.index(tried.provider)] if tried.provider in tried.offered else ()
     if any(provider in asked for provider in before):
         return warn(
-            "providers", what, "mend what it says, or leave that provider out of [pipeline.centerline] providers"
+            "providers", what, "correct what it reports, or leave that provider out of [pipeline.centerline] providers"
         )
     if tried.provider == "cpu" and _JETSON.exists():
         return warn("providers", what, "install NVIDIA's onnxruntime for this JetPack: its GPU is several times faster")
@@ -248,19 +247,19 @@ def _try_network(config: UnetConfig) -> _Tried:
     start = time.perf_counter()
     network = MarkingNetwork(config)
     ready = time.perf_counter()
-    picture, _ = drawn_lines(network.width_px, network.height_px)
+    image, _ = drawn_lines(network.width_px, network.height_px)
     times = []
-    for _ in range(_PICTURES):
-        begin = time.perf_counter()
-        network.step(picture)
-        times.append(time.perf_counter() - begin)
+    for _ in range(_IMAGES):
+        before = time.perf_counter()
+        network.step(image)
+        times.append(time.perf_counter() - before)
     there = onnxruntime.get_available_providers()
     return _Tried(
         offered=tuple(name for name, provider in PROVIDERS.items() if provider in there),
         provider=network.provider,
-        told=network.notice,
+        notice=network.notice,
         started_s=ready - start,
-        picture_s=statistics.median(times),
+        image_s=statistics.median(times),
     )
 
 
@@ -272,8 +271,8 @@ def _clock() -> Finding:
     return judge_clock(datetime.date.today(), installed, step_s, backwards)
 
 
-def _standing_folder(folder: Path) -> Path:
-    """The folder, or the one above it that is there: the doctor makes none."""
+def _existing_folder(folder: Path) -> Path:
+    """The folder, or the nearest one above it that exists: the doctor creates none."""
     folder = folder.absolute()
     while not folder.is_dir() and folder != folder.parent:
         folder = folder.parent
@@ -281,11 +280,11 @@ def _standing_folder(folder: Path) -> Path:
 
 
 def _written_per_s(folder: Path) -> float:
-    """Bytes a second that reach the disk; nothing stays behind."""
+    """The speed [byte/s] of a synced write to a temporary file."""
     data = os.urandom(_DISK_BYTES)
     with tempfile.TemporaryFile(dir=folder) as file:
-        begin = time.perf_counter()
+        start = time.perf_counter()
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
-        return _DISK_BYTES / max(time.perf_counter() - begin, 1e-9)
+        return _DISK_BYTES / max(time.perf_counter() - start, 1e-9)

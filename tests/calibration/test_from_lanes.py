@@ -140,7 +140,7 @@ def test_what_nothing_can_be_concluded_from_is_refused_in_a_line() -> None:
 def test_a_road_that_bends_is_refused() -> None:
     camera = mounted()
     bends = [draw(camera, road(0.1 * k), 0.0, 1.0 / 40.0, seed=k) for k in range(4)]
-    assert "4 of 4 show a curve" in refusal(bends)
+    assert "0 of 4 show lines that meet" in refusal(bends)
 
 
 def test_pitch_yaw_and_roll_come_back_from_the_direction_of_travel() -> None:

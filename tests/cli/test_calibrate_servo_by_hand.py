@@ -37,10 +37,7 @@ def test_circles_become_a_table(car: Path, tmp_path: Path, cli) -> None:
     ("circles", "told"),
     [
         (("1100,1.2,left", "1300,1.0,left", "1900,1.3,right"), "contradict the other circles"),
-        (
-            ("1100,1.2,left", "1900,1.3"),
-            "--circle 1900,1.3: expected pulse_us,diameter_m,side (1200,1.35,left), got 2 values",
-        ),
+        (("1100,1.2,left", "1900,1.3"), "--circle 1900,1.3: expected pulse_us,diameter_m,side, for example 1200"),
         (("1100,wide,left",), "--circle 1100,wide,left: pulse and diameter must be numbers"),
         (("1100,1.2,up",), "expected one of left, right, straight, got 'up'"),
     ],

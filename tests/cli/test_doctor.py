@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
-from automodel.assembly import parts
 from automodel.cli import doctor
 from automodel.doctor import board as doctor_board
 from automodel.doctor import camera as doctor_camera
+from automodel.doctor import examination
 from automodel.signals import BoardSensors, Frame
 from automodel.sources import cameras as csi
 from firmware_link import arduino
@@ -84,7 +84,7 @@ class Terminal(io.StringIO):
 
 
 def show(monkeypatch: pytest.MonkeyPatch, image: np.ndarray, **how: int) -> None:
-    monkeypatch.setattr(parts, "make_camera", lambda car: LiveCamera(image, **how))
+    monkeypatch.setattr(examination, "make_camera", lambda car: LiveCamera(image, **how))
 
 
 def by_name(said: Said) -> dict[str, dict[str, object]]:
@@ -162,7 +162,7 @@ def test_who_is_asked_decides(
 ) -> None:
     show(monkeypatch, road())
     given = iter(answers or [])
-    monkeypatch.setattr(doctor, "_asked", lambda question: next(given))
+    monkeypatch.setattr(doctor, "_ask", lambda question: next(given))
     monkeypatch.setattr("sys.stdin", None if answers is None else Terminal())
     said = cli("doctor", "--car", car_toml(tmp_path, port.path), "--move", "--json")
     assert of(said, "servo") == [verdict]
@@ -210,7 +210,7 @@ def test_no_device_at_all(cli, tmp_path: Path) -> None:
     assert "/dev/video0: cannot be opened" in str(rows["camera"]["what"])
     assert "here are: " in str(rows["camera"]["do"])
     assert of(said, "serial port", "camera") == ["FAIL", "FAIL"]
-    assert of(said, "board", "servo", "pictures") == ["SKIP"] * 3
+    assert of(said, "board", "servo", "images") == ["SKIP"] * 3
 
 
 @pytest.mark.realtime

@@ -42,7 +42,7 @@ def test_a_measurement_ends_in_time_and_its_errors_are_findings() -> None:
 def test_an_error_of_this_program_ends_one_check_only() -> None:
     broken = bounded("x", lambda: vars(Finding)["nothing"], 5.0, "look")
     assert isinstance(broken, Finding)
-    assert (broken.verdict, broken.what) == (Verdict.FAIL, "the check itself broke off")
+    assert (broken.verdict, broken.what) == (Verdict.FAIL, "the check itself failed")
 
 
 def test_can_interfaces_are_named(tmp_path: Path) -> None:
@@ -57,7 +57,7 @@ def test_can_interfaces_are_named(tmp_path: Path) -> None:
 
 def test_providers_that_were_passed_over_are_told() -> None:
     def found(offered: tuple[str, ...], provider: str) -> Finding:
-        tried = doctor_machine._Tried(offered=offered, provider=provider, told="why", started_s=0.1, picture_s=0.01)
+        tried = doctor_machine._Tried(offered=offered, provider=provider, notice="why", started_s=0.1, image_s=0.01)
         return doctor_machine._provider_finding(tried, ("tensorrt", "cuda", "cpu"))
 
     assert found(("cuda", "cpu"), "cuda").verdict is Verdict.OK

@@ -22,7 +22,6 @@ from automodel.config import (
 from automodel.doctor import board as board_health
 from automodel.doctor import machine
 from automodel.doctor.board import Listened
-from automodel.doctor.calibrations import judge_lens, judge_records, judge_steering
 from automodel.doctor.camera import (
     Capture,
     blur_px,
@@ -34,6 +33,7 @@ from automodel.doctor.camera import (
     judge_width,
     line_distance_m,
 )
+from automodel.doctor.examination import judge_lens, judge_records, judge_steering
 from automodel.doctor.findings import Finding, Verdict, failed, summary
 from automodel.signals import Frame, VehicleState
 from tests.support.fake_cars import road
@@ -50,7 +50,7 @@ def flat(level: float, noise: float = 2.0) -> np.ndarray:
 
 
 def test_a_warning_says_what_to_do() -> None:
-    with pytest.raises(ValueError, match="x says WARN and not what to do"):
+    with pytest.raises(ValueError, match="x says WARN, but not what to do"):
         Finding(name="x", verdict=WARN, what="y")
     found = [Finding(name="x", verdict=v, what="y", do="z") for v in (OK, OK, WARN, SKIP)]
     assert summary(found) == "4 checks: 2 OK, 1 WARN, 1 SKIP"
@@ -63,10 +63,10 @@ def test_a_warning_says_what_to_do() -> None:
     [
         (ROAD, OK, "grey levels"),
         (flat(4), FAIL, "black"),
-        (flat(128), FAIL, "nothing is seen"),
+        (flat(128), FAIL, "nothing is visible"),
         ((ROAD * 0.25).astype(np.uint8), WARN, "too dark"),
-        (np.where(np.arange(360)[:, None] < 100, 255, ROAD).astype(np.uint8), WARN, "burnt"),
-        (np.where(np.arange(360)[:, None] < 200, 255, ROAD).astype(np.uint8), FAIL, "burnt out: 5"),
+        (np.where(np.arange(360)[:, None] < 100, 255, ROAD).astype(np.uint8), WARN, "overexposed"),
+        (np.where(np.arange(360)[:, None] < 200, 255, ROAD).astype(np.uint8), FAIL, "overexposed: 5"),
     ],
 )
 def test_exposure(grey: np.ndarray, verdict: Verdict, said: str) -> None:
@@ -137,7 +137,7 @@ def test_stamps_and_pictures() -> None:
 def test_resolution() -> None:
     assert judge_resolution(captured([16.7]), CAR).verdict is OK
     found = judge_resolution(captured([16.7], [ROAD[:, :320]]), CAR)
-    assert (found.verdict, found.what) == (FAIL, "320x360 pixels where car.toml says 640x360")
+    assert (found.verdict, found.what) == (FAIL, "expected 640x360 pixels as in car.toml, got 320x360")
 
 
 @pytest.mark.parametrize("curvature_per_m", [0.0, 0.8])

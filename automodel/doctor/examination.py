@@ -1,0 +1,147 @@
+"""The doctor's examination of a car, check by check: machine, board, camera, lane, disk, car.toml."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import math
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
+
+from automodel.assembly.parts import is_live_camera, make_camera, make_link
+from automodel.assembly.simulated_car import Simulation, board_of, lock_step
+from automodel.config import CalibrationRecord, CarConfig, Intrinsics
+from automodel.doctor.board import Board, Consent, board_findings, can_finding, servo_finding
+from automodel.doctor.camera import camera_findings, lane_finding
+from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.doctor.machine import disk_finding, machine_findings
+from automodel.interfaces import Source, VehicleLink
+from automodel.runtime.clocks import MonotonicClock, SleepingClock
+from automodel.signals import Frame
+
+FRESH_DAYS = 180
+COMMANDS = {  # calibration record -> (the command that makes it, what is wrong without it)
+    "camera": ("automodel calibrate camera", "angles and distances are wrong towards the image borders"),
+    "ground": ("automodel calibrate ground", "all distances are wrong"),
+    "servo": ("automodel calibrate servo", "the car steers at another angle than commanded"),
+    "odometry": ("automodel calibrate odometry", "speed and distance are wrong"),
+}
+NARROW_RAD, WIDE_RAD = math.radians(25.0), math.radians(150.0)  # fields of view of cameras that see lanes
+CENTRE_OFF = 0.12  # share of the image size by which the principal point may be off the middle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Devices:
+    """How to open the car's camera, its link, and the clock of both."""
+
+    open_camera: Callable[[], Source]
+    link: VehicleLink
+    clock: SleepingClock
+
+
+def examine(car: CarConfig, consent: Consent | None) -> Generator[Finding, None, None]:
+    """All findings, in order, as they come; without `consent` nothing moves."""
+    yield from machine_findings(car)
+    frames: list[Frame] = []
+    yield from _device_findings(car, consent, frames)
+    yield disk_finding(car, frames[-1].image if frames else None)
+    yield judge_lens(car)
+    yield judge_steering(car)
+    yield from judge_records(car, datetime.date.today())
+
+
+def _device_findings(car: CarConfig, consent: Consent | None, frames: list[Frame]) -> Iterator[Finding]:
+    """Board, camera and lane; the newest frames of the camera are put into `frames`.
+
+    The board comes first: nobody listens to it during the camera's checks, which it would report as a fault.
+    """
+    source, port = car.camera.source, car.link.port
+    if (source == "sim") != (port == "sim"):
+        what = f'[camera] source is "{source}" and [link] port "{port}"'
+        yield fail("car.toml", what, 'set both to "sim", or neither')
+        return
+    if source != "sim" and not is_live_camera(car):
+        do = '"csi" or "usb" drives; for a recording see automodel replay'
+        yield warn("car.toml", f'[camera] source "{source}" is not a camera', do)
+    with contextlib.ExitStack() as leaving:
+        devices = _devices(car, leaving)
+        link = devices.link
+        if isinstance(link, Board):
+            answers = yield from board_findings(car, link, devices.clock)
+            if consent is None:
+                yield skip("servo", "not moved", "--move turns it, and asks first")
+            elif answers:
+                yield servo_finding(car, link, devices.clock, consent)
+            else:
+                yield skip("servo", "not moved: the board does not answer")
+        else:
+            yield skip("board", f'not checked: no checks are known for [link] kind = "{car.link.kind}"')
+        yield can_finding()
+        link.close()
+        yield from camera_findings(car, devices.open_camera, frames)
+        if frames:
+            yield lane_finding(car, frames)
+
+
+def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> Devices:
+    """The car's own devices, or those of the simulated car in virtual time; `leaving` closes them."""
+    if car.link.port == "sim":
+        simulated = lock_step(car, Simulation(link=board_of(car)), lambda scene: None)
+        leaving.callback(simulated.close)
+        devices = Devices(open_camera=lambda: simulated.source, link=simulated.link, clock=simulated.clock)
+    else:
+        devices = Devices(open_camera=lambda: make_camera(car), link=make_link(car), clock=MonotonicClock())
+    leaving.callback(devices.link.close)
+    return devices
+
+
+def judge_records(car: CarConfig, today: datetime.date) -> list[Finding]:
+    """One finding for each calibration: whether it was done, and when."""
+    if car.camera.source == "sim":
+        return [skip("calibration", "the simulated car is exactly as in car.toml")]
+    return [_record(what, getattr(car.calibration, what), today) for what in COMMANDS]
+
+
+def _record(what: str, record: CalibrationRecord | None, today: datetime.date) -> Finding:
+    name = f"{what} calibration"
+    command, wrong = COMMANDS[what]
+    if record is None:
+        return warn(name, f"never calibrated: {wrong}", command)
+    days = (today - record.date).days
+    done = f"{record.date} by {record.method}: {record.residual}"
+    if days < 0:
+        return warn(name, f"{done}; that day is in the future", "set this machine's clock, or calibrate again")
+    if days > FRESH_DAYS:
+        return warn(name, f"{done}; {days} days ago", f"{command}, or drive on if nothing was touched since")
+    return okay(name, done)
+
+
+def judge_lens(car: CarConfig) -> Finding:
+    """Whether the intrinsics are plausible for images of this size."""
+    name, camera, lens = "lens", car.camera, car.camera.intrinsics
+    if camera.source != "sim" and lens == Intrinsics():
+        return warn(name, "[camera.intrinsics] are still the simulated camera's", COMMANDS["camera"][0])
+    view = 2.0 * math.atan(0.5 * camera.width_px / lens.fx_px)
+    off_u = abs(lens.cx_px - 0.5 * (camera.width_px - 1)) / camera.width_px
+    off_v = abs(lens.cy_px - 0.5 * (camera.height_px - 1)) / camera.height_px
+    do = f"calibrate at {camera.width_px}x{camera.height_px}: {COMMANDS['camera'][0]}"
+    if max(off_u, off_v) > CENTRE_OFF:
+        where = f"{lens.cx_px:.0f}, {lens.cy_px:.0f}"
+        return warn(name, f"its centre {where} is far off the middle: calibrated at another image size?", do)
+    if not NARROW_RAD < view < WIDE_RAD:
+        return warn(name, f"field of view {math.degrees(view):.0f} deg: calibrated at another image size?", do)
+    if not 0.9 < lens.fx_px / lens.fy_px < 1.1:
+        return warn(name, f"fx {lens.fx_px:.0f} and fy {lens.fy_px:.0f} px differ: pixels are square", do)
+    return okay(name, f"field of view {math.degrees(view):.0f} deg, centre {lens.cx_px:.0f}, {lens.cy_px:.0f}")
+
+
+def judge_steering(car: CarConfig) -> Finding:
+    """Whether the servo's table reaches the steering limit."""
+    name, servo = "servo table", car.link.servo
+    left, right = max(servo.steering_rad), -min(servo.steering_rad)
+    what = f"{left:.2f} rad left to {right:.2f} right, {servo.pulse_us[0]:g} to {servo.pulse_us[-1]:g} us"
+    limit = car.safety.steering_max_rad
+    if min(left, right) < 0.98 * limit:
+        do = f"set [safety] steering_max_rad to {min(left, right):.2f}: the controller relies on the angles it commands"
+        return warn(name, f"{what}; the limits allow {limit:.2f}", do)
+    return okay(name, what)
