@@ -41,7 +41,18 @@ class Cable(MemoryTransport):
 
 def test_the_car_stops_reconnects_and_stays_disarmed(tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulated, "MemoryTransport", Cable)
-    said = cli("run", "--pipeline", "contour", "--track", "oval", "--duration", "5", "--truth", tmp_path / "truth.csv", "--json")
+    said = cli(
+        "run",
+        "--pipeline",
+        "contour",
+        "--track",
+        "oval",
+        "--duration",
+        "5",
+        "--truth",
+        tmp_path / "truth.csv",
+        "--json",
+    )
     assert said.code == 1
     assert said.rows[0]["stops"] == 1
     told = {kind: float(t) for t, kind in re.findall(r"^([0-9.]+) s: ([a-z-]+):", said.err, re.MULTILINE)}

@@ -20,6 +20,7 @@ from automodel.sim.track_files import load_track
 RUN_KEYS = [
     "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane", "stops", "latency_p50_ms", "latency_p99_ms"
 ]  # fmt: skip
+RUN = ("run", "--pipeline", "windows", "--track", "oval")  # the cheapest of the pipelines
 TRUTH_COLUMNS = "t_s,frame,offset_m,heading_rad,curvature_per_m,width_m,x_m,y_m,yaw_rad"
 
 
@@ -119,7 +120,7 @@ def test_a_car_that_loses_the_lane_stops_says_so_and_fails(tmp_path: Path, cli) 
         'name = "short"\nclosed = false\n[floor]\nx0_m = -1.0\ny0_m = -2.0\nx1_m = 20.0\ny1_m = 2.0\n'
         '[[pieces]]\nkind = "line"\nlength_m = 15.0\n[[gaps]]\nfrom_m = 2.0\nto_m = 15.0\n'
     )
-    said = cli("run", "--track", track, "--duration", "8", "--style", "clean", "--json")
+    said = cli("run", "--pipeline", "windows", "--track", track, "--duration", "8", "--style", "clean", "--json")
     assert said.code == 1
     assert said.rows[0]["stops"] == 1
     lines = said.err.splitlines()
@@ -139,7 +140,7 @@ def test_a_stage_that_fails_is_told_with_its_traceback(cli, monkeypatch: pytest.
         return step(self, estimate, motion, state, t_ns)
 
     monkeypatch.setattr(LaneController, "step", failing)
-    said = cli("run", "--track", "oval", "--duration", "2")
+    said = cli(*RUN, "--duration", "2")
     assert said.code == 1
     assert "fault: ArithmeticError: no root at test_run.py" in said.err
     assert "stop: " in said.err
@@ -153,7 +154,7 @@ def test_a_recorder_that_fails_is_told_and_the_car_drives_on(tmp_path: Path, cli
         raise OSError("no space left")
 
     monkeypatch.setattr(McapRecorder, "estimate", full)
-    said = cli("run", "--track", "oval", "--duration", "1", "--record", tmp_path / "run.mcap", "--json")
+    said = cli(*RUN, "--duration", "1", "--record", tmp_path / "run.mcap", "--json")
     assert (said.code, said.rows[0]["stops"]) == (0, 0)
     told, summary, _ = said.err.splitlines()
     assert told.endswith(" s: recorder-failed: recording has ended: no space left")
