@@ -31,8 +31,7 @@ from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 
 STYLES = ("clean", "competition", "varied")
-BOARDS = ("emulated", "avr", "autonomos")
-_SPOKEN = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos"}  # board -> [link] kind
+BOARDS = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos"}  # simulated board -> its [link] kind
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
 
 
@@ -63,7 +62,7 @@ class SimulatedCar:
 
 def board_of(car: CarConfig) -> str:
     """The simulated board for car.toml's [link] kind; raises ConfigError where there is none."""
-    for board, kind in _SPOKEN.items():
+    for board, kind in BOARDS.items():
         if kind == car.link.kind:
             return board
     raise ConfigError(f"[link] kind {car.link.kind!r}: there is no simulated board for it; give a real [link] port")
@@ -169,5 +168,5 @@ def _board(
 
 
 def _link(car: CarConfig, simulation: Simulation, transport: Transport) -> VehicleLink:
-    link: VehicleLink = make_part(LINKS, _SPOKEN[simulation.link], car, transport)
+    link: VehicleLink = make_part(LINKS, BOARDS[simulation.link], car, transport)
     return link

@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from automodel.assembly.parts import car_of
-from automodel.cli.options import ABOVE_ZERO, FILE, check_outputs, finite
+from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, ConfigError
 from automodel.console.tables import show, show_tables
 from automodel.sim.trajectory import STYLES
@@ -23,9 +23,7 @@ REFUSED = {  # by --table: the options that would choose other drives
 }
 
 CAR = click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
-SEVERAL = click.option(
-    "--pipeline", "pipelines", multiple=True, type=click.Choice(PIPELINE_NAMES), help="Default: all."
-)
+SEVERAL = click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="Default: all.")
 JOBS = click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 JSON = click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
 FIRST_SEED = click.option(
@@ -115,7 +113,7 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 
 @command.command("latency")
 @CAR
-@click.option("--pipeline", type=click.Choice(PIPELINE_NAMES), help="Which paper's pipeline finds the lane.")
+@click.option("--pipeline", type=PIPELINE, help="Which paper's pipeline finds the lane.")
 @click.option("--link", type=click.Choice(["emulated", "avr"]), default="emulated", show_default=True,
               help="The board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr).")  # fmt: skip
 @click.option("--frames", type=click.IntRange(10), default=300, show_default=True)
@@ -123,10 +121,11 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 @JSON
 def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int, commands: int, as_json: bool) -> int:
     """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse."""
+    from automodel.assembly.simulated_car import has_our_firmware
     from automodel.bench.latency import COLUMNS, measure
 
     car = car_of(car_file, pipeline)
-    if car.link.kind != "arduino":
+    if not has_our_firmware(car):
         raise ConfigError(f"{car_file}: [link] kind {car.link.kind!r}: only a board with our firmware can be measured")
     show("bench latency", measure(car, link, frames, commands), as_json, COLUMNS)
     return 0
