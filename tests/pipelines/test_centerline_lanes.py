@@ -9,7 +9,7 @@ import pytest
 
 from automodel.signals import LaneStatus
 from automodel.sim.track_files import load_track
-from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled, swing
+from tests.support.masked_drives import MaskedDrive, arc, clothoid, errors, line, road, scaled, sine
 from tests.support.rendered_drives import CAR, Seen, camera, with_camera
 from tests.support.slow_lane import rest_slow
 
@@ -71,8 +71,8 @@ def test_shipped_tracks(name: str, direction: str) -> None:
     """Bends of radius 1 m and more, dashed lines; the chicane down to 0.6 m."""
     drive = MaskedDrive(track=load_track(name), direction=direction, speed_mps=1.2)
     lap_m = drive.lane.centerline.length_m
-    begin, way = (1.0, 6.0) if name == "oval" else (0.42 * lap_m, 0.25 * lap_m)
-    found = errors(drive.run(begin, begin + way), skip=10)
+    start, length = (1.0, 6.0) if name == "oval" else (0.42 * lap_m, 0.25 * lap_m)
+    found = errors(drive.run(start, start + length), skip=10)
     assert found.available == 1.0
     assert found.offset_mean_m < 0.004
     assert found.heading_mean_deg < 0.9
@@ -97,7 +97,7 @@ def test_a_lap_of_the_chicane(direction: str) -> None:
 def test_steep_headings(amplitude: float, wave_lanes: float, steepest_deg: float, bend: int) -> None:
     """In the bend the camera is one that keeps a line in sight."""
     ahead, car = (line(1.5) + arc(1.2, 3.0 * bend), WIDE) if bend else (STRAIGHT, CAR)
-    seen = MaskedDrive(track=road(ahead), car=car, offset=swing(amplitude, wave_lanes)).run(0.7, 3.5)
+    seen = MaskedDrive(track=road(ahead), car=car, offset=sine(amplitude, wave_lanes)).run(0.7, 3.5)
     found = errors(seen, skip=10)
     assert max(abs(s.truth.heading_rad) for s in seen) > math.radians(steepest_deg)
     assert found.available == 1.0
@@ -109,7 +109,7 @@ def test_steep_headings(amplitude: float, wave_lanes: float, steepest_deg: float
 def test_headings_of_forty_degrees_in_a_lane_of_ten_metres() -> None:
     car = scaled(CAR, 10.0, 1.35, 0.15)
     track = road(line(200.0), width_m=10.0, marking_m=0.15)
-    seen = MaskedDrive(track=track, car=car, speed_mps=8.0, offset=swing(0.32, 2.4)).run(8.0, 56.0)
+    seen = MaskedDrive(track=track, car=car, speed_mps=8.0, offset=sine(0.32, 2.4)).run(8.0, 56.0)
     found = errors(seen, skip=10)
     assert max(abs(s.truth.heading_rad) for s in seen) > math.radians(39.5)
     assert found.available == 1.0
@@ -129,7 +129,7 @@ NARROWING = {"wider": (0.4, 0.52, 1.2), "narrower": (0.4, 0.28, 1.2), "funnel": 
 @pytest.mark.parametrize("change", NARROWING)
 @pytest.mark.parametrize("bend", rest_slow((False, True), True))
 def test_lanes_whose_lines_are_not_parallel(change: str, bend: bool) -> None:
-    """The width changes by 30 % over two or three lane widths of way."""
+    """The width changes by 30 % over two or three lane widths of distance."""
     before, after, over_m = NARROWING[change]
     road_ahead = line(1.5) + clothoid(0.0, 0.6, 0.5) + arc(1.0 / 0.6, 3.0) if bend else STRAIGHT
     track = road(road_ahead, widths=((2.0, before), (2.0 + over_m, after)))
@@ -153,7 +153,7 @@ def test_a_lane_that_swells_and_shrinks() -> None:
 
 @pytest.mark.parametrize("lanes", [0.3, -0.3])
 def test_a_car_near_one_line(lanes: float) -> None:
-    drive = MaskedDrive(track=road(line(1.5), arc(1.5, 2.0)), offset=lambda way: lanes)
+    drive = MaskedDrive(track=road(line(1.5), arc(1.5, 2.0)), offset=lambda s: lanes)
     found = errors(drive.run(0.5, 3.5), skip=10)
     assert found.available == 1.0
     assert found.offset_max_m < 0.025

@@ -180,7 +180,7 @@ def test_a_car_that_stands_keeps_its_lane(both: list[Shown]) -> None:
 
 def test_a_car_that_was_carried_to_one_side_finds_its_lane(both: list[Shown]) -> None:
     """While the camera was covered, 6 cm to the left, which the odometry does not know of."""
-    drive = MaskedDrive(track=road(line(6.0)), offset=lambda way: 0.15)
+    drive = MaskedDrive(track=road(line(6.0)), offset=lambda s: 0.15)
     moved = shown(drive, 0.8, 2.4)
     car = Car()
     car.replay(both)
@@ -275,9 +275,9 @@ def test_masks_of_nothing_are_lost_and_coasted_over(both: list[Shown], kind: str
 @pytest.mark.parametrize("size", [(128, 256), (256, 512), (720, 1280)])
 def test_masks_of_any_size_are_the_whole_image(both: list[Shown], size: tuple[int, int]) -> None:
     car = Car()
-    way = cv2.INTER_AREA
+    method = cv2.INTER_AREA
     reported = car.replay(
-        [replace(s, mask=np.asarray(cv2.resize(s.mask, size[::-1], interpolation=way))) for s in both[:20]]
+        [replace(s, mask=np.asarray(cv2.resize(s.mask, size[::-1], interpolation=method))) for s in both[:20]]
     )
     assert set(statuses(reported)) == {LaneStatus.TRACKING}
     assert reported[-1].pose is not None

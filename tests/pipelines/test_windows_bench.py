@@ -37,15 +37,15 @@ def drive(
 ) -> tuple[AccuracyMeter, set]:
     """Metrics and statuses from `from_m` to `to_m`; the drive starts a little before."""
     statuses: set[LaneStatus] = set()
-    way = Drive(lane=LANE, style=style, speed_mps=speed_mps, car_width_m=CAR.vehicle.width_m, seed=seed)
+    drive = Drive(lane=LANE, style=style, speed_mps=speed_mps, car_width_m=CAR.vehicle.width_m, seed=seed)
     eye = renderer(TMR, CAR, Appearance.random(seed, "competition"))
     pipeline, follower = Windows(CAR), TruthFollower(LANE, CAR.vehicle.reference_x_m)
     odometer, meter = Odometer(seed), AccuracyMeter()
     for index in range(round((from_m - WARM_UP_M) / speed_mps * rate_hz), round(to_m / speed_mps * rate_hz)):
         t_ns = round(index / rate_hz * 1e9)
-        pose = way.pose(index / rate_hz)
+        pose = drive.pose(index / rate_hz)
         image = eye.render(pose.x_m, pose.y_m, pose.yaw_rad, pose.speed_mps, pose.yaw_rate_radps, index)
-        motion = odometer.motion(way.pose((index - 0.5) / rate_hz), t_ns)
+        motion = odometer.motion(drive.pose((index - 0.5) / rate_hz), t_ns)
         estimate = pipeline.step(Frame(t_ns=t_ns, index=index, image=image), motion)
         check_sound(estimate, t_ns)
         truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
@@ -85,13 +85,13 @@ def test_a_crossing_is_reported_on_the_way_to_the_zebra() -> None:
     assert 0.3 < crossing_m - edge_m < 1.2
     eye, pipeline = renderer(TMR, CAR), Windows(CAR)
     follower, odometer = TruthFollower(LANE, CAR.vehicle.reference_x_m), Odometer(0)
-    way = Drive(lane=LANE, style="centred", speed_mps=1.0, car_width_m=0.2)
+    drive = Drive(lane=LANE, style="centred", speed_mps=1.0, car_width_m=0.2)
     errors, skews = [], []
     for index in range(round((edge_m - 1.8) * 30), round((edge_m - 0.5) * 30)):
-        pose, t_ns = way.pose(index / 30.0), round(index / 30.0 * 1e9)
+        pose, t_ns = drive.pose(index / 30.0), round(index / 30.0 * 1e9)
         truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
         frame = Frame(t_ns=t_ns, index=index, image=eye.render(pose.x_m, pose.y_m, pose.yaw_rad))
-        estimate = pipeline.step(frame, odometer.motion(way.pose((index - 0.5) / 30.0), t_ns))
+        estimate = pipeline.step(frame, odometer.motion(drive.pose((index - 0.5) / 30.0), t_ns))
         if estimate.crossing is not None and edge_m - truth.s_m < 0.9:
             errors.append(estimate.crossing.distance_m - (edge_m - truth.s_m))
             square = 0.5 * math.pi + float(line.heading(edge_m)) - pose.yaw_rad

@@ -100,9 +100,9 @@ def test_a_dark_picture_is_coasted_over_for_a_while(seen: list[Seen]) -> None:
     assert last.pose is not None
     moved = coasting[5].pose
     assert moved is not None
-    way = 6 * PERIOD_NS * 1e-9
+    distance = 6 * PERIOD_NS * 1e-9
     assert moved.heading_rad == pytest.approx(last.pose.heading_rad, abs=0.02)  # no turn on a straight road
-    assert moved.offset_m == pytest.approx(last.pose.offset_m + way * np.sin(last.pose.heading_rad), abs=0.004)
+    assert moved.offset_m == pytest.approx(last.pose.offset_m + distance * np.sin(last.pose.heading_rad), abs=0.004)
 
 
 def test_coasting_is_bounded_in_time_where_the_car_stands(seen: list[Seen]) -> None:

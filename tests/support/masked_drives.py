@@ -78,9 +78,9 @@ class GivenMarkings:
         return self.mask
 
 
-def swing(amplitude: float, wave_lanes: float) -> Callable[[float], float]:
-    """An offset [lane widths] over the way [lane widths]: a sine."""
-    return lambda way: amplitude * math.sin(math.tau * way / wave_lanes)
+def sine(amplitude: float, wave_lanes: float) -> Callable[[float], float]:
+    """An offset [lane widths] over the distance [lane widths]: a sine."""
+    return lambda s: amplitude * math.sin(math.tau * s / wave_lanes)
 
 
 @dataclass(kw_only=True)
@@ -96,7 +96,7 @@ class MaskedDrive:
     direction: str = "forward"
     rate_hz: float = 30.0
     speed_mps: float = 1.0
-    offset: Callable[[float], float] = field(default_factory=lambda: swing(0.08, 4.0 * math.pi))
+    offset: Callable[[float], float] = field(default_factory=lambda: sine(0.08, 4.0 * math.pi))
     source: MotionSource = MotionSource.MEASURED
     speed_factor: float = 1.0
     yaw_bias_radps: float = 0.0
@@ -127,11 +127,11 @@ class MaskedDrive:
             s_m = from_m + index * period_s * self.speed_mps
             pose, before = self.pose(s_m), self.pose(s_m - period_s * self.speed_mps)
             turn = math.remainder(pose.yaw_rad - before.yaw_rad, math.tau)
-            way = math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m) / float(np.sinc(turn / math.tau))
+            distance = math.hypot(pose.x_m - before.x_m, pose.y_m - before.y_m) / float(np.sinc(turn / math.tau))
             t_ns = t0_ns + round(index * period_s * 1e9)
             motion = Motion(
                 t_ns=t_ns,
-                speed_mps=self.speed_factor * way / period_s if known else 0.0,
+                speed_mps=self.speed_factor * distance / period_s if known else 0.0,
                 yaw_rate_radps=turn / period_s + self.yaw_bias_radps if known else 0.0,
                 source=self.source,
             )

@@ -76,7 +76,7 @@ def test_forgetting_begins_anew() -> None:
 def test_what_was_out_of_sight_passes() -> None:
     check = TemporalPaintCheck(VIEW, MASK, LANE_M, MARKING_M)
     drive(check, 0.8, mirrored=False)
-    # the car sees 0.4 m further than it did a lane's width of way ago: a mark there may be new
+    # the car sees 0.4 m further than it did a lane width earlier: a mark there may be new
     far = binary(VIEW, disc(1.5, 0.0, 0.03))
     assert far.any()
     np.testing.assert_array_equal(check.step(far) > 0, far > 0)
@@ -88,7 +88,7 @@ def test_a_turn_on_the_spot_turns_the_views() -> None:
     check = TemporalPaintCheck(VIEW, EVERYWHERE, LANE_M, MARKING_M)
     check.remember(binary(VIEW, *PAINT))
     motion = SE2(0.0, 0.0, math.radians(12.0))
-    check.move(motion, 1.1 * LANE_M)  # wheels that slip: the way counts, the place stays
+    check.move(motion, 1.1 * LANE_M)  # wheels that slip: the distance counts, the place stays
     here = binary(VIEW, *(seen_from(shape, motion) for shape in PAINT))
     assert (check.step(here)[here > 0] > 0).mean() > 0.98
     wrong = binary(VIEW, *(seen_from(shape, motion.inverse()) for shape in PAINT))

@@ -33,10 +33,10 @@ def start(picture: np.ndarray, config: LaneSearchConfig = HIGHWAY, camera=None) 
     return RowHough(camera or mounted(), config, Brightness("grey", False)).step(picture)
 
 
-def off_m(guess: InitialLane, x_m: float, heading: float, curvature: float, offset: float = 0.0) -> float:
+def off_m(found: InitialLane, x_m: float, heading: float, curvature: float, offset: float = 0.0) -> float:
     """How far the lane's middle is misplaced at body x."""
-    way = x_m - HIGHWAY.reference_x_m
-    y = -guess.offset_m + guess.heading_rad * way + 0.5 * guess.curvature_per_m * way * way
+    ahead = x_m - HIGHWAY.reference_x_m
+    y = -found.offset_m + found.heading_rad * ahead + 0.5 * found.curvature_per_m * ahead * ahead
     return y - (heading * x_m + 0.5 * curvature * x_m * x_m - offset)
 
 
@@ -53,36 +53,36 @@ def test_dashes_and_dots_make_a_lane(patterns, offset: float, heading: float, cu
         *lane(offset, patterns[0], patterns[1], phase_m=3.1),
         *[dataclasses.replace(n, offset_m=n.offset_m - offset) for n in NEXT],
     ]
-    guess = start(draw(mounted(), lines, heading, curvature, seed=4))
-    assert guess is not None
-    assert guess.pair
-    assert guess.fitted
-    assert guess.width_m == pytest.approx(LANE_M, abs=0.12)
-    assert guess.offset_m == pytest.approx(offset - heading * 1.4, abs=0.1)
-    assert abs(off_m(guess, 10.0, heading, curvature, offset)) < 0.08
-    assert abs(off_m(guess, 20.0, heading, curvature, offset)) < 0.3
+    found = start(draw(mounted(), lines, heading, curvature, seed=4))
+    assert found is not None
+    assert found.pair
+    assert found.fitted
+    assert found.width_m == pytest.approx(LANE_M, abs=0.12)
+    assert found.offset_m == pytest.approx(offset - heading * 1.4, abs=0.1)
+    assert abs(off_m(found, 10.0, heading, curvature, offset)) < 0.08
+    assert abs(off_m(found, 20.0, heading, curvature, offset)) < 0.3
 
 
 def test_dark_joints_beside_dots_are_no_lines() -> None:
-    guess = start(draw(mounted(), [*lane(0.2, DOTS, DOTS, 0.4), *CRACKS], 0.01, seed=2))
-    assert guess is not None
-    assert guess.offset_m == pytest.approx(0.2 - 0.014, abs=0.08)
-    assert guess.width_m == pytest.approx(LANE_M, abs=0.12)
+    found = start(draw(mounted(), [*lane(0.2, DOTS, DOTS, 0.4), *CRACKS], 0.01, seed=2))
+    assert found is not None
+    assert found.offset_m == pytest.approx(0.2 - 0.014, abs=0.08)
+    assert found.width_m == pytest.approx(LANE_M, abs=0.12)
 
 
 def test_a_lane_of_another_width() -> None:
     for width in (3.2, 4.2):
         lines = [Line(0.5 * width, DASHES, 1.0), Line(-0.5 * width)]
-        guess = start(draw(mounted(), lines, 0.0, seed=1))
-        assert guess is not None
-        assert guess.width_m == pytest.approx(width, abs=0.1)
-        assert guess.offset_m == pytest.approx(0.0, abs=0.06)
+        found = start(draw(mounted(), lines, 0.0, seed=1))
+        assert found is not None
+        assert found.width_m == pytest.approx(width, abs=0.1)
+        assert found.offset_m == pytest.approx(0.0, abs=0.06)
 
 
 def test_faint_paint_is_enough_where_the_road_is_even() -> None:
-    guess = start(draw(mounted(), lane(0.1, DASHES, DASHES, 2.0, grey=22.0), seed=3))
-    assert guess is not None
-    assert guess.offset_m == pytest.approx(0.1, abs=0.08)
+    found = start(draw(mounted(), lane(0.1, DASHES, DASHES, 2.0, grey=22.0), seed=3))
+    assert found is not None
+    assert found.offset_m == pytest.approx(0.1, abs=0.08)
 
 
 def test_a_bare_road_has_no_lane() -> None:
@@ -95,10 +95,10 @@ def test_a_bare_road_has_no_lane() -> None:
 
 def test_one_line_is_not_taken_for_two() -> None:
     for seed in range(3):
-        guess = start(draw(mounted(), [Line(-0.5 * LANE_M)], seed=seed))
-        assert guess is not None
-        assert not guess.fitted
-        assert guess.offset_m == pytest.approx(0.0, abs=0.4)  # the car keeps about a lane's middle
+        found = start(draw(mounted(), [Line(-0.5 * LANE_M)], seed=seed))
+        assert found is not None
+        assert not found.fitted
+        assert found.offset_m == pytest.approx(0.0, abs=0.4)  # the car keeps about a lane's middle
 
 
 def test_the_start_reads_less_than_12_percent() -> None:
@@ -129,13 +129,13 @@ def test_tight_bends_have_no_line_sums() -> None:
 def test_a_scale_car_s_bend(curvature: float, offset: float) -> None:
     camera = mounted(camera_model(640, 360, 480.0), z_m=0.18, pitch_rad=0.26, x_m=0.2)
     lines = [Line(0.2 - offset, width_m=0.03), Line(-0.2 - offset, width_m=0.03)]
-    guess = start(draw(camera, lines, 0.0, curvature), SCALE, camera)
-    assert guess is not None
-    assert guess.pair
-    assert not guess.fitted
-    way = guess.sure_m
-    y = -guess.offset_m + guess.heading_rad * way + 0.5 * guess.curvature_per_m * way * way
-    x = way + SCALE.reference_x_m
+    found = start(draw(camera, lines, 0.0, curvature), SCALE, camera)
+    assert found is not None
+    assert found.pair
+    assert not found.fitted
+    ahead = found.sure_m
+    y = -found.offset_m + found.heading_rad * ahead + 0.5 * found.curvature_per_m * ahead * ahead
+    x = ahead + SCALE.reference_x_m
     assert y == pytest.approx(0.5 * curvature * x * x - offset, abs=0.035)
 
 
@@ -146,7 +146,7 @@ def test_a_camera_that_looks_over_the_road_is_refused() -> None:
 
 def test_dark_lines_on_a_bright_floor() -> None:
     picture = 255 - draw(mounted(), lane(0.3), seed=1)
-    guess = RowHough(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)
-    assert guess is not None
-    assert guess.offset_m == pytest.approx(0.3, abs=0.06)
-    assert math.isfinite(guess.edge)
+    found = RowHough(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)
+    assert found is not None
+    assert found.offset_m == pytest.approx(0.3, abs=0.06)
+    assert math.isfinite(found.edge)

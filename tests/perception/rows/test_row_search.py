@@ -50,10 +50,10 @@ def from_the_centerline(points: FloatArray, offset: float, curvature: float) -> 
 @functools.cache
 def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: int = 110) -> Image:
     """A grey image of markings at `lines` [lane widths] beside an arc through the reference point."""
-    aside = from_the_centerline(ground(lens), 0.0, ROADS[road])
-    seen = np.zeros(aside.shape)
+    lateral = from_the_centerline(ground(lens), 0.0, ROADS[road])
+    seen = np.zeros(lateral.shape)
     for line in lines:
-        seen += np.abs(aside - line * LANE) < 0.5 * MARKING
+        seen += np.abs(lateral - line * LANE) < 0.5 * MARKING
     shares = seen.reshape(HEIGHT, WIDTH, FINE).mean(axis=2)
     return np.rint(120.0 + paint * shares).astype(np.uint8)
 
@@ -126,8 +126,8 @@ def test_one_line_alone_is_found_and_the_other_is_not_made_up() -> None:
 def test_nothing_is_found_on_bare_ground_and_at_the_edge_of_a_shadow() -> None:
     bare = np.full((HEIGHT, WIDTH), 120, np.uint8)
     assert not seen(search().look(bare, shaped("straight"), LANE)).any()
-    aside = from_the_centerline(ground("none"), 0.0, 0.0)[:, 1::FINE]
-    shadow = np.where(aside > 0.5 * LANE, 60, 150).astype(np.uint8)  # along the left line
+    lateral = from_the_centerline(ground("none"), 0.0, 0.0)[:, 1::FINE]
+    shadow = np.where(lateral > 0.5 * LANE, 60, 150).astype(np.uint8)  # along the left line
     assert not seen(search().look(shadow, shaped("straight"), LANE)).any()
 
 
@@ -145,8 +145,8 @@ def test_a_gap_leaves_its_nodes_empty() -> None:
 def test_a_piece_that_is_twice_as_broad_is_no_line_though_its_neighbours_are() -> None:
     points = ground("none")
     left = np.abs(from_the_centerline(points, 0.0, 0.0) - 0.5 * LANE)
-    broad = np.abs(points[..., 0] - REFERENCE - NODES[5]) < 0.035
-    shares = (left < np.where(broad, MARKING, 0.5 * MARKING)).reshape(HEIGHT, WIDTH, FINE).mean(axis=2)
+    wide = np.abs(points[..., 0] - REFERENCE - NODES[5]) < 0.035
+    shares = (left < np.where(wide, MARKING, 0.5 * MARKING)).reshape(HEIGHT, WIDTH, FINE).mean(axis=2)
     picture = np.rint(120.0 + 110.0 * shares).astype(np.uint8)
     found = seen(search().look(picture, shaped("straight"), LANE))
     assert found[[2, 3, 7, 8]].all()
@@ -162,8 +162,8 @@ def test_what_crosses_the_line_is_not_the_line() -> None:
 
 
 def test_nodes_outside_the_picture_are_not_looked_for() -> None:
-    aside = shaped("straight", offset=-1.2)  # the lane is far to the left of the car
-    assert len(search().look(drawn("none", "straight"), aside, LANE).nodes) < COUNT
+    away = shaped("straight", offset=-1.2)  # the lane is far to the left of the car
+    assert len(search().look(drawn("none", "straight"), away, LANE).nodes) < COUNT
     away = shaped("straight", heading=np.pi)  # behind the car
     measured = search().look(drawn("none", "straight"), away, LANE)
     assert len(measured.nodes) == 0
@@ -221,9 +221,9 @@ def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
     along = np.concatenate([shape.along, shape.along])
-    for point, way in zip(np.concatenate(edges), along, strict=True):
+    for point, tangent in zip(np.concatenate(edges), along, strict=True):
         # Every pixel belongs to a node: take away those that do, as far as half a marking and two rows reach.
-        ends = [point + k * MARKING * way for k in (0.5, -0.5)]
+        ends = [point + k * MARKING * tangent for k in (0.5, -0.5)]
         high, low = camera("none").ground_to_px([(e.real, e.imag) for e in ends])[:, 1]
         rows = noted.pixels // WIDTH
         noted.pixels = noted.pixels[(rows < high - 2.0) | (rows > low + 2.0)]

@@ -174,8 +174,8 @@ class TestGaps:
         wlf, expected = following(), STRAIGHT.expected(HALF)
         found = wlf.follow(features, None, expected, 0.08)
         check_on(found, STRAIGHT, HALF + shift_m, VIEW, least=20)
-        doubtful = wlf.follow(features, None, expected, 0.0).points_m[:, 0]  # the doubt grows on the way
-        assert (doubtful > 0.36 + 0.4).all()
+        tolerant = wlf.follow(features, None, expected, 0.0).points_m[:, 0]  # the tolerance grows with the distance
+        assert (tolerant > 0.36 + 0.4).all()
 
     def test_a_long_gap_is_crossed_with_an_expectation_only(self) -> None:
         features = draw(within(STRAIGHT.line(HALF), 0.0, 0.8), within(STRAIGHT.line(HALF), 1.6, 9.0))
