@@ -95,11 +95,12 @@ class ClaimMeter:
 
     def include(self, other: ClaimMeter) -> None:
         """Add the frames of another drive."""
-        for name in ("frames", "lost", "searched", "false", "coasting", "losses"):
+        counts, values = (
+            ("frames", "lost", "searched", "false", "coasting", "losses"),
+            ("offset_m", "heading_rad", "iterations"),
+        )
+        for name in counts + values:
             setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.offset_m += other.offset_m
-        self.heading_rad += other.heading_rad
-        self.iterations += other.iterations
 
     def row(self) -> Row:
         """The metrics; None where no frame gives one."""

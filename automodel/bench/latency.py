@@ -143,9 +143,9 @@ class Line:
         self._send(angle)
         self._wait(wait_ms)
         self._link.poll(self._now_ns)
-        wanted_us = self._servo.pulse_us(angle)
+        commanded_us = self._servo.pulse_us(angle)
         for t_ns, servo_us, _ in self._peripherals.pulses:
-            if t_ns > written_ns and servo_us == wanted_us:
+            if t_ns > written_ns and servo_us == commanded_us:
                 return t_ns - written_ns + (0 if self._pulses_end else round(servo_us * 1000))
         raise LinkError("a command never became a pulse")
 

@@ -9,12 +9,12 @@ not measure the error of the lane's middle; `centre_error_pct` does.
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -82,10 +82,8 @@ def parse_labels(text: str, file: str) -> list[Label]:
 
     Lanes without any point are left out. All labels must have the same number of rows as their lanes.
     """
-    labels = []
-    for number, line in enumerate(text.splitlines(), 1):
-        if line.strip():
-            labels.append(_label(line, f"{file}:{number}"))
+    lines = enumerate(text.splitlines(), 1)
+    labels = [_label(line, f"{file}:{number}") for number, line in lines if line.strip()]
     if not labels:
         raise ConfigError(f"{file}: expected a JSON object on each line, got no labels")
     names = [label.raw_file for label in labels]
@@ -159,19 +157,15 @@ def ego_lines(lanes: FloatArray, rows: FloatArray, middle_px: float) -> tuple[Fl
 
     Lanes that end above it are extrapolated straight, by the lower half of their points.
     """
-    left: tuple[float, FloatArray | None] = (-np.inf, None)
-    right: tuple[float, FloatArray | None] = (np.inf, None)
+    starts = []
     for lane in lanes:
         known = np.flatnonzero(~np.isnan(lane))
-        if len(known) < 2:
-            continue
-        lower = known[min(len(known) // 2, len(known) - 2) :]
-        start = float(np.polyfit(rows[lower] - rows[-1], lane[lower], 1)[1])
-        if left[0] < start < middle_px:
-            left = start, lane
-        if middle_px <= start < right[0]:
-            right = start, lane
-    return left[1], right[1]
+        if len(known) >= 2:
+            lower = known[min(len(known) // 2, len(known) - 2) :]
+            starts.append((float(np.polyfit(rows[lower] - rows[-1], lane[lower], 1)[1]), lane))
+    _, left = max((s for s in starts if s[0] < middle_px), key=itemgetter(0), default=(0.0, None))
+    _, right = min((s for s in starts if s[0] >= middle_px), key=itemgetter(0), default=(0.0, None))
+    return left, right
 
 
 def centre_error_pct(predicted: Sequence[FloatArray], label: Sequence[FloatArray]) -> float | None:
@@ -273,17 +267,18 @@ def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
     Says on stderr what was found and what was assumed.
     """
     step = -(-len(labels) // ENOUGH_FOR_CAMERA)
-    pictures = [read_image(root / label.raw_file, False) for label in labels[::step]]
-    height, width = pictures[0].shape
+    images = [read_image(root / label.raw_file, False) for label in labels[::step]]
+    height, width = images[0].shape
     focal = round(0.5 * width / np.tan(np.radians(0.5 * VIEW_DEG)), 2)
     intrinsics = Intrinsics(fx_px=focal, fy_px=focal, cx_px=0.5 * (width - 1), cy_px=0.5 * (height - 1))
-    least = min(3, len(pictures))
-    same = [picture for picture in pictures if picture.shape == (height, width)]
+    least = min(3, len(images))
+    same = [image for image in images if image.shape == (height, width)]
     try:
         found = camera_from_lanes(same, CameraModel(intrinsics, width, height), LANE_M, STANDARD, least)
         extrinsics = found.extrinsics
+        errors = ", ".join(f"{error:.2f} m at {at:.0f} m" for at, error in found.ground_error_m.items())
         how = f"from the lines of {found.frames_used} of {found.frames_seen} images"
-        how += f" (residual {found.residual_px:.1f} px, {_errors(found.ground_error_m)})"
+        how += f" (residual {found.residual_px:.1f} px, error on the ground {errors})"
     except ValueError as error:
         extrinsics, how = STANDARD, f"a usual one, as it was not found in the images ({error})"
     say(
@@ -297,23 +292,15 @@ def assumed_car(root: Path, labels: Sequence[Label]) -> CarConfig:
 def highway_car(camera: CameraConfig) -> CarConfig:
     """A full-size car on a highway with that camera."""
     car = CarConfig()
-    looks = car.pipeline
-    return dataclasses.replace(
-        car,
-        camera=camera,
-        vehicle=dataclasses.replace(car.vehicle, wheelbase_m=2.8, reference_x_m=1.4, width_m=1.8),
-        lane=dataclasses.replace(car.lane, width_m=LANE_M, marking_width_m=MARKING_M),
-        pipeline=dataclasses.replace(
-            looks,
-            centerline=dataclasses.replace(looks.centerline, view_ahead_lanes=AHEAD_LANES),
-            contour=dataclasses.replace(looks.contour, look_ahead_lanes=AHEAD_LANES, radius_lanes=RADIUS_LANES),
-            windows=dataclasses.replace(looks.windows, view_ahead_lanes=AHEAD_LANES, marking_px=4.0),
-        ),
+    pipeline = replace(
+        car.pipeline,
+        centerline=replace(car.pipeline.centerline, view_ahead_lanes=AHEAD_LANES),
+        contour=replace(car.pipeline.contour, look_ahead_lanes=AHEAD_LANES, radius_lanes=RADIUS_LANES),
+        windows=replace(car.pipeline.windows, view_ahead_lanes=AHEAD_LANES, marking_px=4.0),
     )
-
-
-def _errors(error_m: dict[float, float]) -> str:
-    return "error on the ground " + ", ".join(f"{error:.2f} m at {at:.0f} m" for at, error in error_m.items())
+    vehicle = replace(car.vehicle, wheelbase_m=2.8, reference_x_m=1.4, width_m=1.8)
+    lane = replace(car.lane, width_m=LANE_M, marking_width_m=MARKING_M)
+    return replace(car, camera=camera, vehicle=vehicle, lane=lane, pipeline=pipeline)
 
 
 def _run(root: Path, labels: Sequence[Label], car: CarConfig, name: str) -> Iterator[Result]:

@@ -23,7 +23,7 @@ COMMANDS = {
     "calibrate": "Camera, ground, servo, odometry: measured, with the error, into car.toml.",
     "init": "Write a commented car.toml for a kit.",
     "doctor": "Look at machine, camera, board and calibration, and say what to do.",
-    "bench": "Measure: accuracy against the simulator's truth, and speed.",
+    "bench": "Measure accuracy, speed, latency and the reaction to faults.",
     "export": "A recording as CSV and video.",
     "recover": "Make a recording readable that was cut by a power loss.",
     "train": "Train the network that finds lane markings.",
@@ -78,43 +78,44 @@ def run(arguments: list[str]) -> int:
     try:
         code = cli.main(args=arguments, prog_name="automodel", standalone_mode=False)
     except (click.Abort, KeyboardInterrupt):
-        return _told("automodel: interrupted", 1)
+        return _error("automodel: interrupted", 1)
     except click.exceptions.NoArgsIsHelpError as error:
-        return _told(error.format_message(), 2)
+        return _error(error.format_message(), 2)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "automodel"
-        return _told(f"{path}: {error.format_message()} (see {path} --help)", 2)
+        return _error(f"{path}: {error.format_message()} (see {path} --help)", 2)
     except click.ClickException as error:
-        return _told(f"automodel: {error.format_message()}", error.exit_code)
+        return _error(f"automodel: {error.format_message()}", error.exit_code)
     except SystemExit as error:  # how click ends when the reader of a pipe goes away
         return error.code if isinstance(error.code, int) else 1
     except (ValueError, OSError) as error:
-        return _told(f"automodel: {_one_line(error)}", 2)
+        return _error(f"automodel: {_one_line(error)}", 2)
     return code if isinstance(code, int) else 0
 
 
-def _told(line: str, code: int) -> int:
-    with contextlib.suppress(OSError, ValueError):  # nobody listens any more
+def _error(line: str, code: int) -> int:
+    """Print the line and return the code."""
+    with contextlib.suppress(OSError, ValueError):  # stderr is closed
         print(line, file=sys.stderr)
     return code
 
 
 def _flushed(code: int) -> int:
-    """Write out what waits for stdout while an error can still be told; Python itself would be loud about it."""
+    """Flush the streams while an error can still be reported in one line; Python would print a traceback."""
     for stream in (sys.stdout, sys.stderr):
-        if stream is None:  # closed by whoever started us
+        if stream is None:  # closed by the parent process
             continue
         try:
             stream.flush()
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-            if not isinstance(error, BrokenPipeError):  # a reader that has seen enough is nothing wrong
-                _told(f"automodel: the output cannot be written: {error.strerror}", 1)
+            if not isinstance(error, BrokenPipeError):  # a reader that stops early is no error
+                _error(f"automodel: the output cannot be written: {error.strerror}", 1)
             code = code or 1
     return code
 
 
 def _one_line(error: Exception) -> str:
-    if isinstance(error, OSError) and error.strerror:  # the system's own; ours are a text only
+    if isinstance(error, OSError) and error.strerror:  # the operating system's; ours have a text only
         return f"{error.filename or 'the output cannot be written'}: {error.strerror}"
     return " ".join(str(error).split()) or type(error).__name__

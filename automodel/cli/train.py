@@ -1,4 +1,4 @@
-"""`automodel train`: draw pictures, train the marking network on them, export it, and say how good it is."""
+"""`automodel train`: draw samples, train the marking network on them, export it, and say how good it is."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ MINUTES = 60.0
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("trained"), show_default=True,
               help="Folder for the network, its metrics and its model card.")  # fmt: skip
 @click.option("--data", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the drawn pictures, 262 kB each, kept for next time.  [default: OUT/data]")  # fmt: skip
+              help="Folder for the drawn samples, 262 kB each, kept for next time.  [default: OUT/data]")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 10_000_000), default=12_000, show_default=True,
-              help="Drawn pictures to learn from.")  # fmt: skip
+              help="Drawn samples to learn from.")  # fmt: skip
 @click.option("--validation", type=click.IntRange(1, 100_000), default=256, show_default=True,
-              help="Drawn pictures to measure with, of other seeds.")  # fmt: skip
+              help="Drawn samples to measure with, of other seeds.")  # fmt: skip
 @click.option("--minutes", type=ABOVE_ZERO, callback=finite, default=None,
-              help=f"Train for so long, once the pictures are drawn.  [default: {MINUTES:.0f}]")  # fmt: skip
+              help=f"Train for so long, once the samples are drawn.  [default: {MINUTES:.0f}]")  # fmt: skip
 @click.option("--steps", type=click.IntRange(1), default=None, help=f"Train for so many batches of {BATCH} instead.")
 @click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
-              help="The network's picture.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, 2000), default=0, show_default=True, help="Of pictures and training.")
+              help="The network's input.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2000), default=0, show_default=True, help="Of samples and training.")
 @click.option("--resume", type=click.Path(path_type=Path), default=None,
               help="Start with the weights of this .pt file, of either size.")  # fmt: skip
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes and threads.  [default: all cores]")
@@ -49,7 +49,7 @@ def command(
     as_json: bool,
     **rest: Any,
 ) -> int:
-    """Train the network that finds lane markings, from pictures that are drawn for it.
+    """Train the network that finds lane markings, from samples that are drawn for it.
 
     Ctrl-C ends the training early and keeps the best network so far. Needs torch: pip install 'automodel[train]'.
     """

@@ -175,7 +175,7 @@ def broken(folder: Path, what: str) -> None:
         ("missing picture", "b.png: there is no such image under"),
         ("outside", "a.png/b.png: there is no such image under"),
         ("unequal rows", f"lane 1 has {len(ROWS)} points for {len(ROWS) - 1} h_samples"),
-        ("no picture", "a.png: not a picture"),
+        ("no picture", "a.png: not an image"),
         ("other size", "b.png: expected 512x288 pixels, as the camera has, got 200x100"),
     ],
 )

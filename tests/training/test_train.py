@@ -214,7 +214,7 @@ def test_the_command_draws_trains_and_exports(cli: Cli, tmp_path: Path, monkeypa
     out = tmp_path / "out"
     names = {path.name for path in out.iterdir()}
     assert names == {"data", "MODEL_CARD.md", *(f"marking_256x128.{kind}" for kind in ("onnx", "pt", "json"))}
-    assert "drawing 5 drawn" in said.err
+    assert "drawing 5 samples" in said.err
     again = cli(*tiny(tmp_path, "--steps", 1, "--resume", out / "marking_256x128.pt"))
     assert again.code == 0, again.err
     assert "drawing" not in again.err

@@ -233,7 +233,7 @@ RECORDING = (
 )  # fmt: skip
 
 
-def _either_way(random: Random, hook: WireHook) -> Hooks:
+def _either_direction(random: Random, hook: WireHook) -> Hooks:
     return Hooks(to_board=hook) if random.random() < 0.5 else Hooks(from_board=hook)
 
 
@@ -265,13 +265,13 @@ SERIAL = (
           text="nothing comes from the board", hooks=lambda random, end_ns: Hooks(from_board=hooks.silent)),
     Fault(name="serial-backlog", kind=Kind.STUCK, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
           host_notices=False, text="nothing is read at one end; later all that has waited arrives at once",
-          hooks=lambda random, end_ns: _either_way(random, hooks.held_back(end_ns))),
+          hooks=lambda random, end_ns: _either_direction(random, hooks.held_back(end_ns))),
     Fault(name="serial-noise", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=(0.3, 1.0),
           text="up to 60 random bytes ahead of each frame to the board",
           hooks=lambda random, end_ns: Hooks(to_board=hooks.noise_before(random, 60))),
     Fault(name="serial-random", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
           host_notices=False, text="nothing but random bytes",
-          hooks=lambda random, end_ns: _either_way(random, hooks.random_bytes(random))),
+          hooks=lambda random, end_ns: _either_direction(random, hooks.random_bytes(random))),
     Fault(name="serial-cut", kind=Kind.GARBAGE, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
           host_notices=False, text="every frame to the board is cut",
           hooks=lambda random, end_ns: Hooks(to_board=hooks.cut(random))),
@@ -281,21 +281,21 @@ SERIAL = (
           text="frames to the board come in another order",
           hooks=lambda random, end_ns: Hooks(to_board=hooks.swapped())),
     Fault(name="serial-delayed", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.3, 0.6), recovery_s=1.2,
-          host_notices=False, text="everything comes 0.12 to 0.5 s later, one way",
-          hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(0.12e9, 0.5e9))))),
+          host_notices=False, text="everything comes 0.12 to 0.5 s later, in one direction",
+          hooks=lambda random, end_ns: _either_direction(random, hooks.delayed(round(random.uniform(0.12e9, 0.5e9))))),
     Fault(name="serial-falls-behind", kind=Kind.DELAYED, must=Must.STOP, duration_s=(0.5, 0.5), within_s=0.35,
           recovery_s=1.3, host_notices=False,
           text="frames to the board come later and later, by 1 to 2 s a second: a stop within 0.35 s",
           hooks=_falling_behind),
     Fault(name="serial-late", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=(0.3, 1.0),
-          text="everything comes 20 to 50 ms later, one way",
-          hooks=lambda random, end_ns: _either_way(random, hooks.delayed(round(random.uniform(20e6, 50e6))))),
+          text="everything comes 20 to 50 ms later, in one direction",
+          hooks=lambda random, end_ns: _either_direction(random, hooks.delayed(round(random.uniform(20e6, 50e6))))),
     Fault(name="serial-crc", kind=Kind.GARBAGE, must=Must.STOP, duration_s=(0.1, 0.1), recovery_s=HEARD_S,
           host_notices=False, text="wrong bits in every frame to the board for 100 ms",
           hooks=lambda random, end_ns: Hooks(to_board=hooks.corrupt(random))),
     Fault(name="serial-byte", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
           text="one wrong byte, or one frame cut",
-          hooks=lambda random, end_ns: _either_way(
+          hooks=lambda random, end_ns: _either_direction(
               random, random.choice((hooks.one_byte(random), hooks.once(hooks.cut(random)))))),
 )  # fmt: skip
 
@@ -311,12 +311,12 @@ def chosen(names: Iterable[str]) -> tuple[Fault, ...]:
     Raises ConfigError for an unknown name, with similar ones.
     """
     known = {fault.name: fault for fault in (*FAULTS, NOMINAL)}
-    wanted = set(names)
-    for name in sorted(wanted - set(known)):
+    asked = set(names)
+    for name in sorted(asked - set(known)):
         close = difflib.get_close_matches(name, known, 3, 0.5) or [k for k in known if name in k][:3]
         hint = f"near: {', '.join(close)}" if close else "see --list"
         raise ConfigError(f"--only {name!r}: no such fault; {hint}")
-    return tuple(fault for fault in known.values() if fault.name in wanted) if wanted else FAULTS
+    return tuple(fault for fault in known.values() if fault.name in asked) if asked else FAULTS
 
 
 def listing(names: Iterable[str]) -> list[dict[str, object]]:
