@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
 from automodel.cli.options import FILE, check_outputs
 from automodel.config import ConfigError, parse_car
+from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.recording.export import export_csv, export_video
 from automodel.recording.reader import Recording
@@ -27,7 +27,7 @@ def command(recording: Path, csv_file: Path | None, video: Path | None) -> int:
     if csv_file is not None:
         with progress("export csv", run.counts.get("frames")) as bar:
             rows = export_csv(run, csv_file, lambda _: bar())
-        print(f"{csv_file}: {rows} rows", file=sys.stderr)
+        say(f"{csv_file}: {rows} rows")
     if video is not None:
         try:
             car = parse_car(run.car_text, f"{recording} (car.toml)")
@@ -35,5 +35,5 @@ def command(recording: Path, csv_file: Path | None, video: Path | None) -> int:
             raise ConfigError(f"{error}; the recording was made by another version") from None
         with progress("export video", run.counts.get("frames")) as bar:
             frames = export_video(run, video, car, lambda _: bar())
-        print(f"{video}: {frames} frames", file=sys.stderr)
+        say(f"{video}: {frames} frames")
     return 0

@@ -95,8 +95,9 @@ def run(arguments: list[str]) -> int:
 
 def _error(line: str, code: int) -> int:
     """Print the line and return the code."""
-    with contextlib.suppress(OSError, ValueError):  # stderr is closed
-        print(line, file=sys.stderr)
+    if sys.stderr is not None:  # print would take stdout instead
+        with contextlib.suppress(OSError, ValueError):  # it is closed
+            print(line, file=sys.stderr)
     return code
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import click
 
 from automodel.cli.options import FILE
+from automodel.console.messages import say
 from automodel.recording.recover import recover
 
 
@@ -18,5 +18,5 @@ from automodel.recording.recover import recover
 def command(recording: Path, output: Path | None, force: bool) -> int:
     """Save what is whole in a RECORDING that was cut (power loss, full disk) into a new file."""
     saved = recover(recording, output, force)
-    print(f"{saved.path}: {saved.messages} messages, {saved.frames} frames, {saved.duration_s:.2f} s", file=sys.stderr)
+    say(f"{saved.path}: {saved.messages} messages, {saved.frames} frames, {saved.duration_s:.2f} s")
     return 0

@@ -11,8 +11,9 @@ from automodel.signals import Event
 
 def say(line: str) -> None:
     """A line on stderr; a terminal that is gone is no reason to stop a car."""
-    with contextlib.suppress(OSError, ValueError):  # ValueError: stderr is closed
-        print(line, file=sys.stderr)
+    if sys.stderr is not None:  # None: closed by the parent process; print would take stdout
+        with contextlib.suppress(OSError, ValueError):  # ValueError: it is closed
+            print(line, file=sys.stderr)
 
 
 class EventTeller:
