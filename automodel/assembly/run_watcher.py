@@ -102,6 +102,8 @@ class Watcher:
             return "; ".join(wrong)
         if not self.scenes:
             return f"{result.frames} frames, no stop"
+        if self._driving_from is None:
+            return f"the car did not drive: {self._reason or 'it was not armed yet'}"
         laps = self.scenes[-1].truth.lap
         driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{self.scenes[-1].car.distance_m:.1f} m"
         return f"drove {driven} and stayed in its lane"
