@@ -46,7 +46,7 @@ def test_a_lap_of_the_oval_in_lock_step(direction: str, cli) -> None:
 def test_the_table_is_for_people_and_json_for_programs(cli) -> None:
     said = cli("run", "--track", "oval", "--duration", "0.1")
     assert said.out.split()[: len(RUN_KEYS)] == RUN_KEYS
-    assert said.line() == "the car did not drive: it was not armed yet"
+    assert said.line() == "the car did not drive: the vehicle has not said hello"
     assert list(cli("run", "--track", "oval", "--duration", "0.1", "--json").rows[0]) == RUN_KEYS
 
 
