@@ -81,10 +81,10 @@ def _clipped(value: float, limit: float, reason: str, reasons: list[str]) -> flo
 
 
 def _steering(
-    wanted: float, speed: float, before: Before, safety: SafetyConfig, vehicle: VehicleConfig, reasons: list[str]
+    requested: float, speed: float, before: Before, safety: SafetyConfig, vehicle: VehicleConfig, reasons: list[str]
 ) -> float:
     wheelbase = vehicle.wheelbase_m
-    steering = _clipped(wanted, safety.steering_max_rad, STEERING, reasons)
+    steering = _clipped(requested, safety.steering_max_rad, STEERING, reasons)
     squared = speed * speed
     if speed > _STILL_MPS:
         steepest = steering_rad(safety.lateral_accel_max_mps2 / squared, wheelbase)

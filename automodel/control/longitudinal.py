@@ -80,7 +80,7 @@ class SpeedPlanner:
 
     def step(self, lane: LanePath, s_m: float, status: LaneStatus, speed_mps: float, t_ns: int) -> float:
         """Requested speed [m/s] of a car at arc length `s_m` that drives at `speed_mps`."""
-        wanted = min(
+        requested = min(
             self._speed_mps * self._shares.get(status, 1.0),
             self._for_bends(lane, s_m, speed_mps),
             self._for_obstacle(speed_mps),
@@ -89,7 +89,7 @@ class SpeedPlanner:
             start, dt = max(speed_mps, 0.0), 0.0
         else:
             start, dt = self._requested[1], min(max((t_ns - self._requested[0]) * 1e-9, 0.0), _MAX_STEP_S)
-        ramped = min(max(wanted, start - self._control.decel_mps2 * dt), start + self._control.accel_mps2 * dt)
+        ramped = min(max(requested, start - self._control.decel_mps2 * dt), start + self._control.accel_mps2 * dt)
         ramped = 0.0 if self._guard.blocked else min(ramped, self._speed_mps)
         self._requested = (t_ns, ramped)
         return ramped

@@ -44,7 +44,7 @@ class JoinedCurve(Curve):
 
     def breaks_m(self) -> FloatArray:
         """Arc lengths (n,) of the joints, and of what jumps inside the pieces."""
-        inside = [begin + p.breaks_m() for begin, p in zip(self._starts, self.pieces, strict=True)]
+        inside = [start + p.breaks_m() for start, p in zip(self._starts, self.pieces, strict=True)]
         return np.unique(np.concatenate((self._starts[1:], *inside)))
 
     def _sample_step(self) -> float:

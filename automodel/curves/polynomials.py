@@ -35,7 +35,7 @@ class ThetaCurve(Curve):
         if not self.length_m > 0 or not math.isfinite(self.length_m):
             raise ValueError(f"length_m: expected a positive number, got {length_m}")
         self.coefficients.flags.writeable = False
-        self._slope = polyder(self.coefficients)
+        self._slope = polyder(self.coefficients) + 0.0  # without negative zeros
         ends = self.curvature(np.linspace(0.0, self.length_m, 9))
         steps = math.ceil(float(np.abs(ends).max()) * self.length_m / _MAX_TURN_PER_STEP_RAD)
         self._knots = np.linspace(0.0, self.length_m, min(max(steps, 1), 4096) + 1)
@@ -94,8 +94,8 @@ class GraphCurve(Curve):
             raise ValueError(f"x1_m: expected more than x0_m = {x0_m}, got {x1_m}")
         self.coefficients.flags.writeable = False
         self.x0_m, self.x1_m = float(x0_m), float(x1_m)
-        self._slope = polyder(self.coefficients)
-        self._bend = polyder(self._slope)
+        self._slope = polyder(self.coefficients) + 0.0  # without negative zeros
+        self._bend = polyder(self._slope) + 0.0
 
     @cached_property
     def _table(self) -> tuple[FloatArray, FloatArray]:

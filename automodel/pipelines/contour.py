@@ -150,7 +150,9 @@ class Contour:
         """Compile everything that a step calls, so that no step waits for it."""
         nothing = np.zeros(self._size, np.uint8)
         self._lane_search.step(nothing)
-        straight = ArcLane(offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, sure_m=self._unit)
+        straight = ArcLane(
+            offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, measured_at_m=self._unit
+        )
         self._tracker.start(straight)
         self._tracker.move(0.0, 0.0, 0.0, True)
         self._tracker.pose()

@@ -59,14 +59,14 @@ class TrackerConfig:
 class ArcLane:
     """A lane that is an arc, to start a tracker with: offset [m] and the lane's heading [rad] at the reference point.
 
-    It was measured at the distance `sure_m` ahead; `share` scales the usual start sigmas of place and heading there.
+    It was measured at the distance `measured_at_m` ahead; `share` scales the start sigmas of place and heading there.
     """
 
     offset_m: float
     heading_rad: float
     width_m: float
     curvature_per_m: float
-    sure_m: float
+    measured_at_m: float
     share: float = 1.0
 
 
@@ -88,16 +88,16 @@ def advance(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_
     share = place - j
     station, after = CURVATURE + j, CURVATURE + j + 1
     kappa = (1.0 - share) * x[station] + share * x[after]
-    way, x[OFFSET] = _foot_on_circle(ahead, left, kappa)
-    x[HEADING] += kappa * way
-    this, that = (1.0 - share) * way, share * way
+    distance, x[OFFSET] = _foot_on_circle(ahead, left, kappa)
+    x[HEADING] += kappa * distance
+    here, beyond = (1.0 - share) * distance, share * distance
     for k in range(len(x)):  # P <- F P: the derivatives of offset and heading
         p[OFFSET, k] -= ahead * p[HEADING, k]
-        p[HEADING, k] += this * p[station, k] + that * p[after, k]
+        p[HEADING, k] += here * p[station, k] + beyond * p[after, k]
     for k in range(len(x)):  # P <- P F^T
         p[k, OFFSET] -= ahead * p[k, HEADING]
-        p[k, HEADING] += this * p[k, station] + that * p[k, after]
-    return float(way)
+        p[k, HEADING] += here * p[k, station] + beyond * p[k, after]
+    return float(distance)
 
 
 @compiled
@@ -160,32 +160,32 @@ class ClothoidTracker:
         self.phase_m = self.blind_m = self.advance_m = self.moved_m = 0.0
         self.iterations = 0
 
-    def start(self, rough: ArcLane) -> None:
-        """Start with a lane that was measured at `rough.sure_m`; little is known up to there."""
+    def start(self, lane: ArcLane) -> None:
+        """Start with a lane that was measured at `lane.measured_at_m`; little is known up to there."""
         self.forget()
         config, unit, n = self.config, self.config.lane_width_m, self.pair.count
-        guess = np.full(len(self._one), rough.curvature_per_m, self.pair.dtype)
-        guess[:CURVATURE] = rough.offset_m, rough.heading_rad, rough.width_m
+        guess = np.full(len(self._one), lane.curvature_per_m, self.pair.dtype)
+        guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m
         mean, covariance = guess.copy(), np.zeros_like(self._one)
         mean[CURVATURE:] = 0.0
         for parameter, sigma in ((OFFSET, unit), (HEADING, 1.0), (WIDTH, config.start_width * unit)):
             covariance[parameter, parameter] = sigma**2
         covariance[CURVATURE:, CURVATURE:] = self._road
-        node = self._node(rough.sure_m)
+        node = self._node(lane.measured_at_m)
         rows = self.pair.shape(guess, 0.0).jacobian[[node, node + n, node + 2 * n]]
         precision = np.array((config.start_offset * unit, config.start_offset * unit, config.start_heading_rad)) ** -2.0
-        weighted = (rows * (precision / rough.share**2)[:, None].astype(guess.dtype)).T
+        weighted = (rows * (precision / lane.share**2)[:, None].astype(guess.dtype)).T
         self.covariance = posterior(weighted @ rows, covariance)
         self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
         self._prior = self.parameters, self.covariance
 
-    def difference(self, rough: ArcLane) -> tuple[float, float]:
+    def difference(self, lane: ArcLane) -> tuple[float, float]:
         """Lateral distance [m] and angle [rad] from this lane to another, left positive, where that was measured."""
-        shape, node, s = self.shape(), self._node(rough.sure_m), rough.sure_m
+        shape, node, s = self.shape(), self._node(lane.measured_at_m), lane.measured_at_m
         place = complex(shape.place[node])
         here = SE2(place.real, place.imag, cmath.phase(shape.along[node]))
-        foot = SE2(self.pair.reference_x_m, 0.0, rough.heading_rad) @ SE2(0.0, -rough.offset_m)
-        off = here.inverse() @ foot @ SE2.arc(s, rough.curvature_per_m * s)
+        foot = SE2(self.pair.reference_x_m, 0.0, lane.heading_rad) @ SE2(0.0, -lane.offset_m)
+        off = here.inverse() @ foot @ SE2.arc(s, lane.curvature_per_m * s)
         return off.y_m, wrap_angle(off.yaw_rad)
 
     def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
@@ -200,14 +200,14 @@ class ClothoidTracker:
         blind = self.blind_m > 0.0
         self.blind_m += abs(distance_m)
         unit, config = self.config.lane_width_m, self.config
-        way, offset_m, heading_rad = self.advance_m / unit, config.blind_offset * unit, config.blind_heading_rad
+        distance, offset_m, heading_rad = self.advance_m / unit, config.blind_offset * unit, config.blind_heading_rad
         add_process_noise(
             p,
             self._walk,
             self._floor,
-            way,
-            offset_m**2 * way if blind else 0.0,
-            (heading_rad**2 * way if blind else 0.0) + (config.yaw_rate_sigma_radps * dt_s) ** 2,
+            distance,
+            offset_m**2 * distance if blind else 0.0,
+            (heading_rad**2 * distance if blind else 0.0) + (config.yaw_rate_sigma_radps * dt_s) ** 2,
         )
         if not known:
             p[OFFSET, OFFSET] += (config.unknown_offset * unit) ** 2
@@ -222,9 +222,9 @@ class ClothoidTracker:
         rear = SE2.arc(distance_m, turn_rad)
         dx = rear.x_m + reference * (math.cos(turn_rad) - 1.0)
         dy = rear.y_m + reference * math.sin(turn_rad)
-        way = advance(x, p, dx, dy, self.phase_m, h)
-        self.advance_m = abs(way)
-        self.phase_m += way
+        distance = advance(x, p, dx, dy, self.phase_m, h)
+        self.advance_m = abs(distance)
+        self.phase_m += distance
         while self.phase_m >= h:
             self._roll(x, p, +1)
         while self.phase_m < 0.0:

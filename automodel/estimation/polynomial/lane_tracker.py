@@ -179,7 +179,7 @@ class LaneTracker:
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
         mean, sigma = parameters.copy(), self._loose_sigma.copy()
-        if self._motion_known:  # a random walk over the way
+        if self._motion_known:  # a random walk over the distance
             sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
         sigma[0] += self.BLIND_OFFSET * self.blind_m
         sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit

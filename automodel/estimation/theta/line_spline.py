@@ -112,12 +112,12 @@ def _chord_lengths(points: FloatArray, knot_m: float) -> FloatArray:
     if wide == 0 or count <= 2 * wide:
         t[1:] = lengths
     else:
-        ways = np.empty_like(steps)
-        ways[wide:-wide] = points[2 * wide + 1 :] - points[: -2 * wide - 1]
-        ways[:wide] = ways[wide]
-        ways[-wide:] = ways[-wide - 1]
-        length = np.maximum(np.hypot(ways[:, 0], ways[:, 1]), 1e-12)
-        np.maximum(np.einsum("ij,ij->i", steps, ways) / length, 0.0, out=t[1:])
+        chords = np.empty_like(steps)
+        chords[wide:-wide] = points[2 * wide + 1 :] - points[: -2 * wide - 1]
+        chords[:wide] = chords[wide]
+        chords[-wide:] = chords[-wide - 1]
+        length = np.maximum(np.hypot(chords[:, 0], chords[:, 1]), 1e-12)
+        np.maximum(np.einsum("ij,ij->i", steps, chords) / length, 0.0, out=t[1:])
     return t.cumsum()
 
 

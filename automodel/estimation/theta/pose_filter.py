@@ -163,9 +163,9 @@ class PoseUpdate:
 
 
 class LanePoseFilter:
-    """Heading, offset and width over time; on the centerline until `begin`.
+    """Heading, offset and width over time; on the centerline until `start`.
 
-    `rejected` counts the measurements that failed their gate since `begin`.
+    `rejected` counts the measurements that failed their gate since `start`.
     """
 
     _CURVATURE_LIMIT = 0.9  # share of 1 / half width that bounds the curvature

@@ -155,7 +155,7 @@ class ThetaRls:
     def take(self, sampled: SampledLine) -> None:
         """Add one frame's line: its directions update the shape, its points near the car the distance.
 
-        Starts with it where there is no line yet, or where what was known is as good as forgotten.
+        Starts with it where there is no line yet, or where its information has decayed.
         """
         if self._kept < FORGOTTEN:
             self.forget()

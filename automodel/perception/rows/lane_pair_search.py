@@ -268,7 +268,7 @@ class LanePairFit:
             heading_rad=heading + kappa * dx,
             width_m=float(x[3] + self._unit * x[4]),
             curvature_per_m=kappa,
-            sure_m=self._unit - dx,
+            measured_at_m=self._unit - dx,
             share=self.SHARE if both else 1.0,
             pair=both,
             edge=float(np.median(edge[seen])),

@@ -275,7 +275,7 @@ class RowHough:
             heading_rad=float(self._theta[h]) + kappa * s,
             width_m=width_m,
             curvature_per_m=kappa / (1.0 - kappa * (float(self._d[c, h]) - offset_m)),
-            sure_m=abs(s),
+            measured_at_m=abs(s),
             pair=pair,
             edge=self._edge,
         )

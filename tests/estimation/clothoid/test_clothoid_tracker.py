@@ -28,7 +28,7 @@ def tracker(
     config = TrackerConfig(lane_width_m=WIDTH, solver=solver)
     made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
     offset, heading, curvature = lane
-    rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, sure_m=0.6)
+    rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, measured_at_m=0.6)
     made.start(rough)
     x = np.full(FIRST + made.pair.stations, curvature)
     x[:FIRST] = offset, heading, WIDTH
@@ -314,7 +314,7 @@ def test_a_lane_apart_is_measured_where_it_is_sure() -> None:
     s = float(NODES[6])
 
     def rough(offset: float, heading: float) -> ArcLane:
-        return ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, sure_m=s)
+        return ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=0.6, measured_at_m=s)
 
     assert made.difference(rough(0.03, -0.1)) == pytest.approx((0.0, 0.0), abs=2e-3)
     left, turned = made.difference(rough(-0.02, -0.1))  # the car is further right of that lane: it lies further left
@@ -327,7 +327,7 @@ def test_a_lane_apart_is_measured_where_it_is_sure() -> None:
 
 def test_a_start_lies_near_the_rough_lane_and_is_sure_there() -> None:
     made = tracker()
-    rough = ArcLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, sure_m=0.6)
+    rough = ArcLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, measured_at_m=0.6)
     made.start(rough)
     away, turned = made.difference(rough)
     assert abs(away) < 0.02

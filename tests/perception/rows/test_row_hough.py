@@ -133,7 +133,7 @@ def test_a_scale_car_s_bend(curvature: float, offset: float) -> None:
     assert found is not None
     assert found.pair
     assert not found.fitted
-    ahead = found.sure_m
+    ahead = found.measured_at_m
     y = -found.offset_m + found.heading_rad * ahead + 0.5 * found.curvature_per_m * ahead * ahead
     x = ahead + SCALE.reference_x_m
     assert y == pytest.approx(0.5 * curvature * x * x - offset, abs=0.035)
