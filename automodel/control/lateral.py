@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
 
 from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.path import LanePath
@@ -22,13 +21,6 @@ from automodel.geometry.se2 import SE2, wrap_angle
 FEED_FORWARD_WINDOW_S = 0.2
 _MIN_WINDOW_WHEELBASES = 0.4
 _MIN_STRETCH = 0.3
-
-
-class LateralController(Protocol):
-    """A lateral control law."""
-
-    def steer(self, lane: LanePath, car: SE2, speed_mps: float) -> float:
-        """Road-wheel angle [rad] for the rear axle at `car`, a pose in the frame of `lane`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +115,6 @@ class Stanley:
         return -heading_rad - math.atan(self._control.stanley_gain_per_s * offset_m / softened)
 
 
-def lateral_controller(control: ControlConfig, vehicle: VehicleConfig) -> LateralController:
+def lateral_controller(control: ControlConfig, vehicle: VehicleConfig) -> PurePursuit | Stanley:
     """The controller named by `control.controller`."""
     return Stanley(control, vehicle) if control.controller == "stanley" else PurePursuit(control, vehicle)

@@ -66,16 +66,16 @@ class Pins:
 
     def __init__(self, plant: Plant, servo_frames: bool) -> None:
         self.plant, self.servo_frames = plant, servo_frames
-        self.told, self.next_ns = NEUTRAL, 0
+        self.command, self.next_ns = NEUTRAL, 0
 
     def send(self, command: Command) -> None:
-        self.told = command
+        self.command = command
         if not self.servo_frames:
             self._set(command.t_ns)
 
     def advance(self, t_ns: int) -> None:
         while self.servo_frames and self.next_ns <= t_ns:
-            if self.next_ns >= self.told.t_ns:
+            if self.next_ns >= self.command.t_ns:
                 self._set(self.next_ns)
             self.next_ns += SERVO_FRAME_NS
         self.plant.advance(t_ns)
@@ -84,8 +84,8 @@ class Pins:
         servo, motor = CAR.link.servo, CAR.link.motor
         self.plant.set_pulses(
             t_ns,
-            float(np.interp(-self.told.steering_rad, [-angle for angle in servo.steering_rad], servo.pulse_us)),
-            float(np.interp(self.told.speed_mps, motor.speed_mps, motor.pulse_us)),
+            float(np.interp(-self.command.steering_rad, [-angle for angle in servo.steering_rad], servo.pulse_us)),
+            float(np.interp(self.command.speed_mps, motor.speed_mps, motor.pulse_us)),
         )
 
 
@@ -109,11 +109,11 @@ def drive(
         estimate = perfect_estimate(world, SE2(car.x_m, car.y_m, car.yaw_rad), way_m, behind_m, t)
         way_m = car.distance_m + CAR.vehicle.reference_x_m
         motion = Motion(t_ns=t, speed_mps=car.speed_mps, yaw_rate_radps=car.yaw_rate_radps)
-        told = VehicleState(t_ns=t, speed_mps=car.speed_mps, steering_rad=pins.told.steering_rad)
-        wanted = controller.step(estimate, motion, told, t + LATENCY_NS)
-        pins.send(limits.step(wanted, motion, t + LATENCY_NS).command)
+        state = VehicleState(t_ns=t, speed_mps=car.speed_mps, steering_rad=pins.command.steering_rad)
+        requested = controller.step(estimate, motion, state, t + LATENCY_NS)
+        pins.send(limits.step(requested, motion, t + LATENCY_NS).command)
         assert estimate.pose is not None
-        rows.append((t * 1e-9, estimate.pose.offset_m, car.speed_mps, pins.told.steering_rad))
+        rows.append((t * 1e-9, estimate.pose.offset_m, car.speed_mps, pins.command.steering_rad))
     t_s, offset_m, speed_mps, sent_rad = np.array(rows).T
     return Drive(t_s=t_s, offset_m=offset_m, speed_mps=speed_mps, sent_rad=sent_rad)
 

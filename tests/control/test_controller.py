@@ -27,7 +27,7 @@ def lost(t_ns: int) -> LaneEstimate:
     return LaneEstimate(t_ns=t_ns, status=LaneStatus.LOST)
 
 
-def told(t_ns: int, steering: float = 0.0, centre_m: float | None = None) -> VehicleState:
+def state(t_ns: int, steering: float = 0.0, centre_m: float | None = None) -> VehicleState:
     return VehicleState(t_ns=t_ns, speed_mps=1.0, steering_rad=steering, ranges_m=(None, centre_m, None))
 
 
@@ -50,10 +50,10 @@ def test_a_lost_lane_holds_the_steering_and_asks_for_speed_zero() -> None:
     assert again.speed_mps == pytest.approx(1.0)  # found again: on from the speed that the car has
 
 
-def test_lost_from_the_start_holds_what_the_vehicle_was_told() -> None:
-    command = LaneController(CAR).step(lost(0), MOVING, told(0, 0.2), 0)
+def test_lost_from_the_start_holds_the_steering_of_the_vehicle() -> None:
+    command = LaneController(CAR).step(lost(0), MOVING, state(0, 0.2), 0)
     assert (command.steering_rad, command.speed_mps) == (0.2, 0.0)
-    old = LaneController(CAR).step(lost(0), MOVING, told(-(10**10), 0.2), 0)
+    old = LaneController(CAR).step(lost(0), MOVING, state(-(10**10), 0.2), 0)
     assert old.steering_rad == 0.0
 
 
@@ -67,7 +67,7 @@ def test_the_configured_law_steers_left_in_a_left_bend(name: str) -> None:
 def test_prediction_counts_the_steering_that_is_under_way() -> None:
     def step(steering: float, delay_s: float) -> float:
         car = replace(CAR, control=ControlConfig(actuator_delay_s=delay_s))
-        return LaneController(car).step(seen(0, line(-0.3, 0.0, 0.0, 2.0)), MOVING, told(0, steering), 0).steering_rad
+        return LaneController(car).step(seen(0, line(-0.3, 0.0, 0.0, 2.0)), MOVING, state(0, steering), 0).steering_rad
 
     assert step(0.3, 0.0) == pytest.approx(0.0, abs=1e-9)
     # 80 ms at 1 m/s on the arc of 0.3 rad: the car will point left, and stand left
@@ -86,7 +86,7 @@ def test_without_a_known_motion_the_commanded_speed_is_taken() -> None:
 def test_an_obstacle_stops_the_car() -> None:
     controller = LaneController(CAR)
     commands = [
-        controller.step(seen(k * FRAME_NS), MOVING, told(k * FRAME_NS, 0.1, 0.2 if k > 4 else None), k * FRAME_NS)
+        controller.step(seen(k * FRAME_NS), MOVING, state(k * FRAME_NS, 0.1, 0.2 if k > 4 else None), k * FRAME_NS)
         for k in range(10)
     ]
     assert commands[4].speed_mps > 0.9
@@ -98,7 +98,7 @@ def test_reset_makes_it_new() -> None:
     controller = LaneController(CAR)
     first = controller.step(seen(0), MOVING, None, 0)
     for k in range(5):
-        controller.step(seen(k * FRAME_NS, line(0.0, 0.1, 0.2, 1.0)), MOVING, told(0, 0.3, 0.1), k * FRAME_NS)
+        controller.step(seen(k * FRAME_NS, line(0.0, 0.1, 0.2, 1.0)), MOVING, state(0, 0.3, 0.1), k * FRAME_NS)
     controller.reset()
     assert controller.step(seen(0), MOVING, None, 0) == first
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from automodel.config import ControlConfig, VehicleConfig
-from automodel.control.lateral import LateralController, PurePursuit, Stanley, lane_error, lateral_controller
+from automodel.control.lateral import PurePursuit, Stanley, lane_error, lateral_controller
 from automodel.control.path import LanePath
 from automodel.control.vehicle_model import arc_motion, rear_offset_m
 from automodel.curves import arc, line
@@ -75,8 +75,8 @@ def test_pure_pursuit_steers_the_arc_through_its_target(feed_forward: bool, y: f
     steering = PurePursuit(config, CAR).steer(STRAIGHT, SE2(0.0, y, yaw), 1.0)
     # drive that arc until the distance from the start is the lookahead: that is on the line, ahead
     kappa = math.tan(steering) / L
-    way = 2.0 * math.asin(0.5 * kappa * config.lookahead_s) / kappa
-    end = SE2(0.0, y, yaw) @ arc_motion(1.0, steering, L, way)
+    length = 2.0 * math.asin(0.5 * kappa * config.lookahead_s) / kappa
+    end = SE2(0.0, y, yaw) @ arc_motion(1.0, steering, L, length)
     assert end.y_m == pytest.approx(0.0, abs=1e-4)
     assert math.hypot(end.x_m, end.y_m - y) == pytest.approx(config.lookahead_s, abs=1e-9)
 
@@ -103,7 +103,7 @@ def test_stanley_law() -> None:
 )
 @pytest.mark.parametrize("speed", [0.5, 1.5])
 def test_an_ideal_car_converges_to_the_line(config: ControlConfig, speed: float) -> None:
-    controller: LateralController = lateral_controller(config, REAR)
+    controller = lateral_controller(config, REAR)
     lane = LanePath(line(-1.0, 0.0, 0.0, 20.0))
     car, crossings, side = SE2(0.0, 0.1, 0.0), 0, 1.0
     for _ in range(600):

@@ -20,10 +20,10 @@ def heard(t_ns: int, *ranges_m: float | None) -> VehicleState:
 
 
 def settle(planner: SpeedPlanner, lane: LanePath, speed: float, status: LaneStatus = TRACKING, t_ns: int = 0) -> float:
-    wanted = speed
+    requested = speed
     for k in range(200):
-        wanted = planner.step(lane, 0.3, status, speed, t_ns + k * 20 * MS)
-    return wanted
+        requested = planner.step(lane, 0.3, status, speed, t_ns + k * 20 * MS)
+    return requested
 
 
 def ahead(way_m: float, kappa: float) -> LanePath:
@@ -62,13 +62,13 @@ def test_slows_down_early_enough_for_a_bend() -> None:
     config = ControlConfig(speed_mps=2.0, lateral_accel_mps2=1.5)
     bend_mps = math.sqrt(1.5 * 0.6)
     # a car whose speed follows with the reaction time and brakes at the limit arrives no faster than the bend allows
-    way, speed, t_ns, wanted = 1.4, 2.0, 0, [2.0] * 15
+    distance, speed, t_ns, requested = 1.4, 2.0, 0, [2.0] * 15
     planner = SpeedPlanner(config, 2.0)
-    while way > 0:
+    while distance > 0:
         t_ns += 10 * MS
-        wanted.append(planner.step(ahead(way, 1 / 0.6), 0.3, TRACKING, speed, t_ns))
-        speed = wanted[-15]
-        way -= speed * 0.01
+        requested.append(planner.step(ahead(distance, 1 / 0.6), 0.3, TRACKING, speed, t_ns))
+        speed = requested[-15]
+        distance -= speed * 0.01
     assert speed <= 1.05 * bend_mps
     far = SpeedPlanner(config, 2.0)
     assert settle(far, ahead(2.5, 1 / 0.6), 2.0) == 2.0  # and not earlier than it must
@@ -158,8 +158,8 @@ def test_comes_to_rest_before_an_obstacle(speed: float) -> None:
         t_ns += 10 * MS
         if step % 2 == 0:
             planner.observe(heard(t_ns, None, gap, None), t_ns)
-        wanted = planner.step(STRAIGHT, 0.3, TRACKING, now, t_ns)
-        now += (wanted - now) * (1.0 - math.exp(-0.01 / 0.12))
+        requested = planner.step(STRAIGHT, 0.3, TRACKING, now, t_ns)
+        now += (requested - now) * (1.0 - math.exp(-0.01 / 0.12))
         gap -= now * 0.01
     assert now < 1e-3
     assert 0.25 < gap <= 0.35

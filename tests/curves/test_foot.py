@@ -35,8 +35,8 @@ def test_the_foot_on_an_all_but_straight_arc_is_that_on_the_line(curvature: floa
 
 
 def test_the_foot_is_finite_at_the_centre_of_the_circle() -> None:
-    way, left = foot_on_circle(0.0, 0.5, 2.0)
-    assert math.isfinite(way)
+    s, left = foot_on_circle(0.0, 0.5, 2.0)
+    assert math.isfinite(s)
     assert left == pytest.approx(0.5)
 
 

@@ -55,7 +55,7 @@ def test_bias_is_learned_only_at_rest_and_after_a_while() -> None:
     for k in range(100):
         moving.step(replace(MOVING, t_ns=k * 20 * MS), COMMAND, k * 20 * MS)
     assert moving.bias_radps is None
-    pushed = MotionEstimator(CAR)  # no tick yet, but told to drive
+    pushed = MotionEstimator(CAR)  # no tick yet, but commanded to drive
     for k in range(100):
         pushed.step(replace(MOVING, t_ns=k * 20 * MS, speed_mps=0.0), COMMAND, k * 20 * MS)
     assert pushed.bias_radps is None

@@ -145,7 +145,7 @@ class TestGroundCamera:
         assert camera.px_to_ground((319.5, 179.5)) == pytest.approx(expected)
 
     def test_positive_roll_leans_the_right_side_down(self) -> None:
-        # what is right of the car then appears higher in the picture, what is left lower
+        # what is right of the car then appears higher in the image, what is left lower
         camera, level = ground_camera(roll_rad=0.05), ground_camera()
         right, left = (1.0, -0.3), (1.0, 0.3)
         assert camera.ground_to_px(right)[1] < level.ground_to_px(right)[1]
@@ -190,7 +190,7 @@ class TestGroundCamera:
 
     def test_first_visible_ground(self) -> None:
         camera = GroundCamera.from_config(CameraConfig())
-        steepest = 0.26 + math.atan((359 - 179.5) / 480)  # the bottom row's ray in the middle of the picture
+        steepest = 0.26 + math.atan((359 - 179.5) / 480)  # the bottom row's ray in the middle of the image
         assert camera.first_visible_x_m() == pytest.approx(0.20 + 0.18 / math.tan(steepest), abs=1e-6)
         with pytest.raises(ValueError, match="shows no ground"):
             ground_camera(pitch_rad=-0.8).first_visible_x_m()
@@ -250,4 +250,4 @@ class TestBirdsEye:
         assert (warped[inside] == 200).all()
         assert (warped[birdseye.mask == 0] == 50).all()
         column, row = np.round(view.to_px((0.10, 0.0))).astype(int)
-        assert birdseye.mask[row, column] == 0  # nearer than the picture's bottom row
+        assert birdseye.mask[row, column] == 0  # nearer than the image's bottom row

@@ -53,8 +53,8 @@ def test_tangents_and_areas_are_the_differences_of_pixels(lens: str) -> None:
     line = LineProjection(ground).project(PLACE, ALONG, ASIDE)
     points, along = both_lines()
 
-    def slope(way: NDArray[np.complex128]) -> FloatArray:
-        return (pixels(ground, points + STEP * way) - pixels(ground, points - STEP * way)) / (2.0 * STEP)
+    def slope(direction: NDArray[np.complex128]) -> FloatArray:
+        return (pixels(ground, points + STEP * direction) - pixels(ground, points - STEP * direction)) / (2.0 * STEP)
 
     assert line.along == pytest.approx(slope(along), rel=1e-6, abs=1e-4)
     ahead, left = slope(np.ones_like(along)), slope(1j * np.ones_like(along))
@@ -75,7 +75,7 @@ def test_a_shift_to_the_left_moves_the_line_along_its_row_as_stated(lens: str) -
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     moved = pixels(ground, points + delta * 1j * along + low * along)[0] - line.place[0]
     assert moved / delta == pytest.approx(-line.area / line.along[1], rel=1e-3)
-    assert (moved < 0.0).all()  # left in the world is left in the picture
+    assert (moved < 0.0).all()  # left in the world is left in the image
 
 
 def test_beyond_the_fold_of_the_lens_points_lie_far_outside_the_picture() -> None:

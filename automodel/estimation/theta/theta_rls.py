@@ -14,8 +14,7 @@ when w is solved for and not kept in them, so that it stays weak against all poi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,7 +96,15 @@ class ThetaRls:
             return
         self.lateral_variance_m2 = min(lateral_variance_m2, self.config.lane_width_m**2)
         theta = float(theta_rad[np.abs(s_m).argmin()])
-        self._shape((theta, 0.0, 0.0, 0.0), lateral_m, float(s_m.min()), float(s_m.max()))
+        self.line = HeadingPolynomial(
+            coefficients_rad=(theta, 0.0, 0.0, 0.0),
+            scale_m=self.scale_m,
+            reference_m=self._reference_m,
+            lateral_m=lateral_m,
+            s_min_m=float(s_m.min()),
+            s_max_m=float(s_m.max()),
+            max_curvature_per_m=1.0 / (self.config.tightest_lanes * self.config.lane_width_m),
+        )
         self.update(s_m, theta_rad, weight)
 
     def predict(self, after_from_before: SE2, distance_m: float, dt_s: float) -> None:
@@ -148,7 +155,8 @@ class ThetaRls:
             low = min(low, low + self._kept * (self.line.s_min_m - low))
             high = max(high, high + self._kept * (self.line.s_max_m - high))
             self._kept = 1.0
-            self._shape(w.tolist(), self.line.lateral_m, low, high)
+            w0, w1, w2, w3 = w.tolist()
+            self.line = replace(self.line, coefficients_rad=(w0, w1, w2, w3), s_min_m=low, s_max_m=high)
         if lateral_m is not None:
             self._place(lateral_m, lateral_variance_m2)
 
@@ -210,19 +218,6 @@ class ThetaRls:
         self.information, self._pull = information, pull
         self._solved = None
 
-    def _shape(self, w: Sequence[float], lateral_m: float, low: float, high: float) -> None:
-        arc_ahead = math.inf if self.line is None else self.line.arc_ahead_m
-        self.line = HeadingPolynomial(
-            coefficients_rad=(w[0], w[1], w[2], w[3]),
-            scale_m=self.scale_m,
-            reference_m=self._reference_m,
-            lateral_m=lateral_m,
-            s_min_m=low,
-            s_max_m=high,
-            max_curvature_per_m=1.0 / (self.config.tightest_lanes * self.config.lane_width_m),
-            arc_ahead_m=arc_ahead,
-        )
-
     def _place(self, lateral_m: float, variance_m2: float) -> None:
         """Update the distance by one measurement: a scalar Kalman filter."""
         if self.line is None or not (math.isfinite(lateral_m) and 0.0 <= variance_m2 < math.inf):
@@ -230,8 +225,7 @@ class ThetaRls:
         line = self.line
         gain = self.lateral_variance_m2 / max(self.lateral_variance_m2 + variance_m2, 1e-12)
         self.lateral_variance_m2 *= 1.0 - gain
-        lateral = line.lateral_m + gain * (lateral_m - line.lateral_m)
-        self._shape(line.coefficients_rad, lateral, line.s_min_m, line.s_max_m)
+        self.line = replace(line, lateral_m=line.lateral_m + gain * (lateral_m - line.lateral_m))
 
     def _lateral(self, line: HeadingPolynomial, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
         """Distance [m] and its variance [m^2] of a line that does not reach the foot.

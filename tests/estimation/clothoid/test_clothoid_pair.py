@@ -38,8 +38,8 @@ def integrated(
     middle = 0.5 * (s[1:] + s[:-1])
     step = np.diff(s)
     theta = x[1] + np.concatenate(([0.0], np.cumsum(step * np.interp(middle, stations, x[3:]))))
-    way = np.concatenate(([0.0], np.cumsum(step * np.exp(0.5j * (theta[1:] + theta[:-1])))))
-    place = REFERENCE - 1j * x[0] * np.exp(1j * x[1]) + way
+    path = np.concatenate(([0.0], np.cumsum(step * np.exp(0.5j * (theta[1:] + theta[:-1])))))
+    place = REFERENCE - 1j * x[0] * np.exp(1j * x[1]) + path
     at = np.interp(reach, s, place.real) + 1j * np.interp(reach, s, place.imag)
     return at, np.interp(reach, s, theta), np.interp(reach, stations, x[3:])
 
@@ -107,22 +107,22 @@ def test_the_last_station_lies_ahead_of_the_last_node_at_any_phase() -> None:
         assert jacobian[2 * len(NODES) :, Parameter.CURVATURE :].sum(axis=1) == pytest.approx(NODES)
 
 
-@pytest.mark.parametrize("aside", [0.0, 0.22, -0.22])
+@pytest.mark.parametrize("lateral", [0.0, 0.22, -0.22])
 @pytest.mark.parametrize("bend", BENDS)
-def test_the_table_is_the_curve_beside_the_centerline(bend: str, aside: float) -> None:
+def test_the_table_is_the_curve_beside_the_centerline(bend: str, lateral: float) -> None:
     tested, phase = pair(), 0.1
     x = parameters(bend, tested.stations)
-    s, points, theta, kappa = tested.table(x, phase, aside)
+    s, points, theta, kappa = tested.table(x, phase, lateral)
     assert s[0] == 0.0
     reach = np.linspace(0.0, NODES[-1], len(s))
     place, heading, bent = integrated(x, phase, reach)
-    curve = place + aside * 1j * np.exp(1j * heading)
+    curve = place + lateral * 1j * np.exp(1j * heading)
     assert points[:, 0] + 1j * points[:, 1] == pytest.approx(curve, abs=2e-5)
     assert theta == pytest.approx(heading, abs=5e-5)  # its quarters of a step run across stations
-    assert kappa == pytest.approx(bent / (1.0 - aside * bent), abs=1e-9)
+    assert kappa == pytest.approx(bent / (1.0 - lateral * bent), abs=1e-9)
     fine = np.linspace(0.0, NODES[-1], 20_001)
-    way = integrated(x, phase, fine)
-    steps = np.abs(np.diff(way[0] + aside * 1j * np.exp(1j * way[1])))
+    path = integrated(x, phase, fine)
+    steps = np.abs(np.diff(path[0] + lateral * 1j * np.exp(1j * path[1])))
     assert s[-1] == pytest.approx(steps.sum(), abs=2e-3)
 
 

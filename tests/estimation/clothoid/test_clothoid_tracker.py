@@ -89,10 +89,10 @@ def test_the_prediction_on_a_circle_is_that_of_plane_geometry(curvature: float, 
     x = made.known()
     assert x[OFFSET] == pytest.approx(1.0 / curvature - sign * abs(towards), abs=1e-9)
     assert x[HEADING] == pytest.approx(wanted_heading, abs=1e-9)
-    way = (wanted_heading + turn - heading) / curvature
-    assert made.advance_m == pytest.approx(abs(way), abs=1e-9)
-    assert made.phase_m == pytest.approx(way % SPACING, abs=1e-9)
-    rolled = math.floor(way / SPACING)
+    distance = (wanted_heading + turn - heading) / curvature
+    assert made.advance_m == pytest.approx(abs(distance), abs=1e-9)
+    assert made.phase_m == pytest.approx(distance % SPACING, abs=1e-9)
+    rolled = math.floor(distance / SPACING)
     old = x[FIRST : len(x) - max(rolled, 0)][max(-rolled, 0) :]
     assert old == pytest.approx(np.full(len(old), curvature))
     assert len(old) == made.pair.stations - abs(rolled)
@@ -142,7 +142,7 @@ def test_the_covariance_is_carried_along_with_the_derivatives_of_the_drive() -> 
     assert (apart.diagonal() > -1e-4 * before.diagonal()).all()
     shares = apart / np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal()))
     np.fill_diagonal(shares, 0.0)
-    # That curvature moves the offset too, by half the square of the way, is left out.
+    # That curvature moves the offset too, by half the square of the distance, is left out.
     assert np.abs(shares).max() < 0.02
     unmoved = before / np.sqrt(np.outer(before.diagonal(), before.diagonal()))
     moved_much = wanted / np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal())) - unmoved
@@ -185,10 +185,10 @@ def test_perfect_sightings_lead_to_the_lane(solver: str) -> None:
     truth = made.known().copy()
     truth[:FIRST] += 0.008, -0.012, 0.004
     truth[FIRST:] += np.linspace(0.0, 0.15, made.pair.stations)
-    begun = np.abs(residuals(made, truth)[: 2 * COUNT]).max()
+    at_first = np.abs(residuals(made, truth)[: 2 * COUNT]).max()
     see(made, truth, 3)
     left = np.abs(residuals(made, truth)[: 2 * COUNT])
-    assert left.max() < 0.15 * begun
+    assert left.max() < 0.15 * at_first
     assert left.mean() < 0.0012
     assert made.width_m == pytest.approx(truth[LANE], abs=0.001)
 

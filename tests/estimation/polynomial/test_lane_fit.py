@@ -103,11 +103,11 @@ def test_residuals_are_distances_from_the_line(name: str) -> None:
     parameters = true_parameters(FIT, lane, S0, -0.06, 0.3)
     s = np.linspace(S0 - 0.3, S0 + 1.2, 31)
     for side in (+1.0, -1.0):
-        for aside in (-0.02, 0.0, 0.015):
-            points = car.inverse().apply(lane.beside(s, side * 0.2 + aside))
+        for off in (-0.02, 0.0, 0.015):
+            points = car.inverse().apply(lane.beside(s, side * 0.2 + off))
             samples = LineSamples(points_m=points, side=np.full(len(s), side), sigma_m=np.full(len(s), 0.002))
             residual = FIT.residuals(parameters, samples)[0]
-            np.testing.assert_allclose(residual, aside, atol=1.5e-4)
+            np.testing.assert_allclose(residual, off, atol=1.5e-4)
 
 
 MOTIONS = [SE2.arc(0.03, 0.0), SE2.arc(0.2, 0.25), SE2.arc(0.15, -0.5), SE2.arc(-0.1, 0.1), SE2.arc(0.0, 0.3)]

@@ -71,14 +71,17 @@ def test_the_covariance_tells_the_spread() -> None:
         noisy = replace(clean, points_m=clean.points_m + rng.normal(0.0, 0.003, clean.points_m.shape))
         solution = FIT.solve(noisy, prior, rounds=4)
         found.append((solution.offset_m, solution.heading_rad, solution.width_m))
-    told, spread = FIT.covariance(solution), np.cov(np.array(found).T)
-    ratio = np.sqrt(np.diag(told) / np.diag(spread))
-    assert ((ratio > 0.7) & (ratio < 3.0)).all(), ratio  # it tells the doubt of the prior, too
-    correlations = told[0, 1] / np.sqrt(told[0, 0] * told[1, 1]), spread[0, 1] / np.sqrt(spread[0, 0] * spread[1, 1])
+    claimed, spread = FIT.covariance(solution), np.cov(np.array(found).T)
+    ratio = np.sqrt(np.diag(claimed) / np.diag(spread))
+    assert ((ratio > 0.7) & (ratio < 3.0)).all(), ratio  # with the prior's variance
+    correlations = (
+        claimed[0, 1] / np.sqrt(claimed[0, 0] * claimed[1, 1]),
+        spread[0, 1] / np.sqrt(spread[0, 0] * spread[1, 1]),
+    )
     assert abs(correlations[1]) > 0.5  # all points lie ahead: turning the lane shifts it at the car
     assert correlations[0] == pytest.approx(correlations[1], abs=0.3)
-    np.testing.assert_allclose(told, told.T, atol=1e-15)
-    assert (np.linalg.eigvalsh(told) > 0).all()
+    np.testing.assert_allclose(claimed, claimed.T, atol=1e-15)
+    assert (np.linalg.eigvalsh(claimed) > 0).all()
 
 
 def test_the_fit_is_unbiased_under_noise() -> None:

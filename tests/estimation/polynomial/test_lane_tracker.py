@@ -70,7 +70,7 @@ class Driven:
         return support.left, support.right
 
     def errors(self) -> tuple[float, float]:
-        """Offset [m] and heading [rad] told, less the true ones."""
+        """Offset [m] and heading [rad] estimated, less the true ones."""
         assert self.tracker.parameters is not None
         _, offset, heading = self.lane.pose_of(self.car, REFERENCE_M)
         return float(self.tracker.parameters[0] - offset), float(-self.tracker.parameters[1] - heading)
@@ -138,7 +138,7 @@ def test_a_turn_in_place_turns_the_lane() -> None:
 
 
 def test_unknown_motion_forgets_the_remembered_points() -> None:
-    aside = SE2(0.0, 0.02, 0.0)  # carried off unnoticed
+    sideways = SE2(0.0, 0.02, 0.0)  # carried off unnoticed
     errors = {}
     for known in (True, False):
         drive = Driven(arc(0.0))
@@ -146,7 +146,7 @@ def test_unknown_motion_forgets_the_remembered_points() -> None:
             drive.go()
             drive.look()
         drive.tracker.move(SE2(), 0.0, known)
-        drive.car = drive.car @ aside
+        drive.car = drive.car @ sideways
         _, offset, _ = drive.lane.pose_of(drive.car, REFERENCE_M)
         seen = ahead_of(drive.lane, drive.car, drive.s_m)
         solution = drive.tracker.update(seen)[0]
@@ -172,7 +172,7 @@ def test_points_far_from_the_lane_do_not_support_it() -> None:
 @pytest.mark.parametrize("bend", [0.8, -0.8])
 def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
     lane = WorldLane(lambda s: np.where(s < 2.9, bend, 0.0), 6.0, 0.4)  # a bend that ends where a crossing begins
-    told, bends = {}, {}
+    errors_rad, bends = {}, {}
     for crossing in (False, True):
         drive = Driven(lane)
         while drive.s_m < 2.3:
@@ -186,13 +186,13 @@ def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
         assert parameters is not None
         along = 3.6 - drive.s_m
         beyond = drive.tracker.fit.direction(parameters, along) + drive.car.yaw_rad
-        told[crossing] = abs(beyond - float(lane.theta(3.6)))
+        errors_rad[crossing] = abs(beyond - float(lane.theta(3.6)))
         assert abs(drive.errors()[0]) < 0.01
         bends[crossing] = abs(drive.tracker.fit.curvature(parameters, 3.4 - drive.s_m))
-    assert told[True] < math.radians(8.0)
+    assert errors_rad[True] < math.radians(8.0)
     assert bends[True] < 0.25 * abs(bend)
     assert bends[True] < 0.5 * bends[False]
-    assert told[True] < 0.6 * told[False]
+    assert errors_rad[True] < 0.6 * errors_rad[False]
 
 
 def test_points_that_make_no_lane_are_refused() -> None:

@@ -1,4 +1,4 @@
-"""The regression against numpy's own, which goes by another way (singular values of the design matrix)."""
+"""The regression against numpy's own, which uses another method (singular values of the design matrix)."""
 
 from __future__ import annotations
 

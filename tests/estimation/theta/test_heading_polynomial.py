@@ -154,12 +154,12 @@ def test_a_moved_line_stays_where_it_is(name: str, before_from_after: SE2) -> No
 def test_many_small_motions_do_not_drift() -> None:
     line = LINES["clothoid"]
     motion, pose = SE2.arc(0.004, 0.003), SE2()
-    moved, way = line, 0.0
+    moved, driven_m = line, 0.0
     for _ in range(250):
         moved, advance = moved.moved(motion.inverse())
-        pose, way = pose @ motion, way + advance
+        pose, driven_m = pose @ motion, driven_m + advance
     s = np.linspace(-0.2, 1.2, 20)
-    np.testing.assert_allclose(pose.apply(moved.points(s - way)), line.points(s), atol=2e-6)
+    np.testing.assert_allclose(pose.apply(moved.points(s - driven_m)), line.points(s), atol=2e-6)
 
 
 def test_the_shift_is_that_of_the_argument() -> None:

@@ -80,7 +80,7 @@ def driven(
     noise: np.random.Generator | None = None,
     start: int = 0,
 ) -> list[tuple[float, float]]:
-    """A weaving car; errors of (offset, heading) after each frame. The filter is told the true curvature."""
+    """A weaving car; errors of (offset, heading) after each frame. The filter knows the true curvature."""
     errors, before = [], None
     for i in range(start, start + frames):
         s, offset, heading = 1.0 + 0.03 * i, 0.06 * math.sin(0.1 * i), 0.2 * math.cos(0.1 * i)

@@ -39,8 +39,8 @@ def test_the_motion_agrees_with_the_lanes_kinematics() -> None:
     state = pose_state(d, psi)
     for _ in range(steps):
         along = speed * math.cos(psi) - yaw_rate * REFERENCE_M * math.sin(psi)
-        aside = speed * math.sin(psi) + yaw_rate * REFERENCE_M * math.cos(psi)
-        d, psi = d + dt * aside, psi + dt * (yaw_rate - kappa * along / (1.0 - kappa * d))
+        across = speed * math.sin(psi) + yaw_rate * REFERENCE_M * math.cos(psi)
+        d, psi = d + dt * across, psi + dt * (yaw_rate - kappa * along / (1.0 - kappa * d))
     motion = SE2.arc(0.3 * speed, 0.3 * yaw_rate)
     reference = np.array((REFERENCE_M, 0.0))
     shift = motion.apply(reference) - reference

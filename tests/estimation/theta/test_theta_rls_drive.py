@@ -1,4 +1,4 @@
-"""The filter of one line over time: a car that weaves along lanes, lines that begin, end and hide."""
+"""The filter of one line over time: a car that weaves along lanes, lines that start, end and hide."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def test_a_highway_is_a_scale_track_nine_times_as_large() -> None:
         for rls, size in ((small, 1.0), (large, 9.0)):
             if i:
                 motion = car.inverse() @ before
-                way = size * math.hypot(motion.x_m, motion.y_m)
-                rls.predict(SE2(size * motion.x_m, size * motion.y_m, motion.yaw_rad), way, 0.03)
+                distance = size * math.hypot(motion.x_m, motion.y_m)
+                rls.predict(SE2(size * motion.x_m, size * motion.y_m, motion.yaw_rad), distance, 0.03)
             unit = size * UNIT
             sampled = smooth(size * points, np.full(50, size * 0.003), 0.08 * unit, 0.6 * unit, 0.6 / unit**2)
             assert sampled is not None

@@ -1,4 +1,4 @@
-"""Both lines and the pose between them: begin, move, update, and what is expected of lines that are not seen."""
+"""Both lines and the pose between them: start, move, update, and the prediction of lines that are not seen."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_there_is_no_centerline_before_start() -> None:
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.8, -1.0])
-def test_begin_with_both_lines(bend: float) -> None:
+def test_start_with_both_lines(bend: float) -> None:
     drive = Drive(arc(bend))
     assert drive.tracked.left.line is not None
     assert drive.tracked.right.line is not None
@@ -83,7 +83,7 @@ def test_begin_with_both_lines(bend: float) -> None:
 
 @pytest.mark.parametrize("sees", ["left", "right"])
 @pytest.mark.parametrize("bend", [0.0, 0.8])
-def test_begin_with_one_line(sees: str, bend: float) -> None:
+def test_start_with_one_line(sees: str, bend: float) -> None:
     """The other one is taken to be a lane's width beside it."""
     drive = Drive(arc(bend), sees=sees)
     tracked = drive.tracked
@@ -92,14 +92,14 @@ def test_begin_with_one_line(sees: str, bend: float) -> None:
     assert drive.go(60, sees) == (sees == "left", sees == "right")
     drive.check(0.004)
     assert tracked.pose.width_m == pytest.approx(UNIT, abs=0.01 * UNIT)  # one line says nothing of it
-    doubt = math.sqrt(tracked.pose.covariance[0, 0])
+    sigma = math.sqrt(tracked.pose.covariance[0, 0])
     both = Drive(arc(bend))
     both.go(60)
-    assert doubt > 5.0 * math.sqrt(both.tracked.pose.covariance[0, 0])
+    assert sigma > 5.0 * math.sqrt(both.tracked.pose.covariance[0, 0])
 
 
 @pytest.mark.parametrize("sees", ["left", "right"])
-def test_one_line_begins_beside_the_other_one(sees: str) -> None:
+def test_one_line_starts_beside_the_other_one(sees: str) -> None:
     drive = Drive(arc(0.5), sees=sees)
     drive.go(30, sees)
     assert drive.go(1) == (True, True)
@@ -123,10 +123,10 @@ def test_lines_are_expected_where_they_are(side: float, bend: float, sees: str) 
     tangents = np.gradient(points, axis=0)
     assert np.arctan2(tangents[1:-1, 1], tangents[1:-1, 0]) == pytest.approx(heading[1:-1], abs=0.02)
     assert points[0, 0] < REFERENCE_M  # it begins behind the reference point
-    way = float(np.hypot(*np.diff(points, axis=0).T).sum())
+    driven_m = float(np.hypot(*np.diff(points, axis=0).T).sum())
     length = 1.0 + 0.5 * UNIT
     bent = 1.0 if sees == "both" or (side > 0) == (sees == "left") else 1.0 - bend * side * 0.5 * UNIT
-    assert way == pytest.approx(length * bent, rel=0.03)
+    assert driven_m == pytest.approx(length * bent, rel=0.03)
     assert 0.5 * UNIT + 1.3 < known_m < 0.5 * UNIT + 2.2
 
 
@@ -210,9 +210,9 @@ def test_a_lane_that_widens(bend: float, change: float) -> None:
         x, y = lane.beside(s, 0.0).T
         lines = []
         for side in (1, -1):
-            aside = side * 0.5 * width(s)
+            d = side * 0.5 * width(s)
             theta = lane.theta(s)
-            edge = drive.car.inverse().apply(np.stack((x - aside * np.sin(theta), y + aside * np.cos(theta)), axis=-1))
+            edge = drive.car.inverse().apply(np.stack((x - d * np.sin(theta), y + d * np.cos(theta)), axis=-1))
             lines.append(SeenLine(points_m=edge, sigma_m=np.full(len(edge), 0.004)))
         assert drive.tracked.update(*lines) == (True, True)
         true = float(width(np.array([drive.s_m]))[0])

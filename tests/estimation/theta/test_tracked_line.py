@@ -23,7 +23,7 @@ def seen(lane: WorldLane, car: SE2, s_m: float, side: int = 1, ended: bool = Fal
     return SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004), ended=ended)
 
 
-class Way:
+class Drive:
     """A car in the middle of a lane, and one of its lines."""
 
     def __init__(self, lane: WorldLane, side: int = 1, s_m: float = 2.0) -> None:
@@ -83,15 +83,15 @@ def test_a_few_points_are_no_line(points: int) -> None:
 @pytest.mark.parametrize("bend", [0.0, 1.0, -1.25])
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_line_is_known_beside_the_car_though_it_is_seen_ahead(bend: float, side: int) -> None:
-    way = Way(arc(bend), side)
-    way.drive(45)  # far enough that the points remembered lie behind the car
-    lateral, heading, kappa = way.errors
+    run = Drive(arc(bend), side)
+    run.drive(45)  # far enough that the points remembered lie behind the car
+    lateral, heading, kappa = run.errors
     assert abs(lateral) < 0.002
     assert abs(heading) < math.radians(0.8)
     assert abs(kappa) < 0.15
-    places = remembered(way.tracked)
-    on_lane = way.car.apply(places)
-    beside = way.lane.beside(np.linspace(0.0, 8.0, 40_001), side * 0.5 * UNIT)
+    places = remembered(run.tracked)
+    on_lane = run.car.apply(places)
+    beside = run.lane.beside(np.linspace(0.0, 8.0, 40_001), side * 0.5 * UNIT)
     away = [np.hypot(*(beside - place).T).min() for place in on_lane]
     assert max(away) < 1e-3  # the odometry was right, so they lie where they were
     assert places[:, 0].min() < 0.0
@@ -99,11 +99,11 @@ def test_the_line_is_known_beside_the_car_though_it_is_seen_ahead(bend: float, s
 
 
 def test_the_memory_is_pruned() -> None:
-    way = Way(arc(0.4))
+    run = Drive(arc(0.4))
     counts, backs = [], []
     for _ in range(150):
-        way.drive(1)
-        places = remembered(way.tracked)
+        run.drive(1)
+        places = remembered(run.tracked)
         counts.append(len(places))
         backs.append(float(REFERENCE_M - places[:, 0].min()))
     assert max(counts[60:]) <= max(counts[:60]) + TrackedLine.KEEP_POINTS  # it does not grow
@@ -112,68 +112,68 @@ def test_the_memory_is_pruned() -> None:
 
 
 def test_a_car_that_stands_remembers_no_more() -> None:
-    way = Way(arc(0.0))
-    way.drive(20)
-    before = len(remembered(way.tracked))
+    run = Drive(arc(0.0))
+    run.drive(20)
+    before = len(remembered(run.tracked))
     for _ in range(50):
-        way.go(distance_m=0.0)
-        way.tracked.update(seen(way.lane, way.car, way.s_m))
-    assert len(remembered(way.tracked)) <= before + TrackedLine.KEEP_POINTS
-    assert abs(way.errors[0]) < 0.002
+        run.go(distance_m=0.0)
+        run.tracked.update(seen(run.lane, run.car, run.s_m))
+    assert len(remembered(run.tracked)) <= before + TrackedLine.KEEP_POINTS
+    assert abs(run.errors[0]) < 0.002
 
 
 def test_the_line_is_kept_over_a_gap() -> None:
-    way = Way(arc(0.5))
-    way.drive(45)
+    run = Drive(arc(0.5))
+    run.drive(45)
     for k in range(1, 21):  # 1.5 lanes
-        way.go()
-        assert way.tracked.unseen_m == pytest.approx(k * STEP_M)
-    assert way.tracked.line is not None
-    places = remembered(way.tracked)
+        run.go()
+        assert run.tracked.unseen_m == pytest.approx(k * STEP_M)
+    assert run.tracked.line is not None
+    places = remembered(run.tracked)
     assert 0 < len(places) <= TrackedLine.LAST_POINTS + 200
-    lateral, heading, _ = way.errors
+    lateral, heading, _ = run.errors
     assert abs(lateral) < 0.02
     assert abs(heading) < math.radians(4.0)
-    way.drive(3)
-    assert way.tracked.unseen_m == 0.0
-    assert abs(way.errors[0]) < 0.01
+    run.drive(3)
+    assert run.tracked.unseen_m == 0.0
+    assert abs(run.errors[0]) < 0.01
 
 
 def test_the_last_points_hold_on_over_a_long_gap_and_then_go() -> None:
-    way = Way(arc(0.0))
-    way.drive(45)
+    run = Drive(arc(0.0))
+    run.drive(45)
     for _ in range(50):  # 1.5 m, far beyond where others are dropped
-        way.go()
-    assert 0 < len(remembered(way.tracked)) <= TrackedLine.LAST_POINTS
+        run.go()
+    assert 0 < len(remembered(run.tracked)) <= TrackedLine.LAST_POINTS
     for _ in range(50):
-        way.go()
-    assert len(remembered(way.tracked)) == 0
+        run.go()
+    assert len(remembered(run.tracked)) == 0
 
 
 def test_motion_that_is_not_known_forgets_the_points() -> None:
-    way = Way(arc(0.6))
-    way.drive(45)
-    information = way.tracked.rls.information[0, 0]
-    variance = way.tracked.rls.lateral_variance_m2
-    way.go(known=False)
-    assert len(remembered(way.tracked)) == 0
-    assert way.tracked.line is not None  # the line itself is a guess for a while
-    assert way.tracked.rls.information[0, 0] < 0.9 * information
-    assert way.tracked.rls.lateral_variance_m2 > variance
-    assert way.tracked.unseen_m > 0.0
-    assert way.tracked.update(seen(way.lane, way.car, way.s_m))
+    run = Drive(arc(0.6))
+    run.drive(45)
+    information = run.tracked.rls.information[0, 0]
+    variance = run.tracked.rls.lateral_variance_m2
+    run.go(known=False)
+    assert len(remembered(run.tracked)) == 0
+    assert run.tracked.line is not None  # the line itself is a guess for a while
+    assert run.tracked.rls.information[0, 0] < 0.9 * information
+    assert run.tracked.rls.lateral_variance_m2 > variance
+    assert run.tracked.unseen_m > 0.0
+    assert run.tracked.update(seen(run.lane, run.car, run.s_m))
 
 
 def test_doubt_grows_with_the_way_from_the_points() -> None:
     """Half a hidden curvature times the squared distance of the nearest point, and the curvature times it."""
-    way = Way(arc(0.0), s_m=2.0)
+    run = Drive(arc(0.0), s_m=2.0)
     doubts = []
     for from_m in (0.2, 0.4, 0.8):
-        points = way.lane.seen_from(way.car, np.arange(way.s_m + from_m, way.s_m + 1.8, 0.05), 1)
+        points = run.lane.seen_from(run.car, np.arange(run.s_m + from_m, run.s_m + 1.8, 0.05), 1)
         tracked = TrackedLine(RLS)
         assert tracked.update(SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004)))
         again = SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004))
-        assert tracked.update(again)  # only now is there a line to measure the way along
+        assert tracked.update(again)  # only now is there a line to measure along
         doubts.append((tracked.lateral_sigma_m, tracked.heading_sigma_rad))
     lateral, heading = np.array(doubts).T
     assert (np.diff(lateral) > 0.0).all()
@@ -183,74 +183,74 @@ def test_doubt_grows_with_the_way_from_the_points() -> None:
 
 
 def test_there_is_little_doubt_where_points_lie_beside_the_car() -> None:
-    way = Way(arc(0.5))
-    way.drive(1)
-    first = way.tracked.lateral_sigma_m, way.tracked.heading_sigma_rad
-    way.drive(45)
-    assert way.tracked.lateral_sigma_m < 0.05 * first[0]
-    assert way.tracked.heading_sigma_rad < 0.2 * first[1]
+    run = Drive(arc(0.5))
+    run.drive(1)
+    first = run.tracked.lateral_sigma_m, run.tracked.heading_sigma_rad
+    run.drive(45)
+    assert run.tracked.lateral_sigma_m < 0.05 * first[0]
+    assert run.tracked.heading_sigma_rad < 0.2 * first[1]
 
 
 def test_a_line_that_ended_goes_straight_on() -> None:
     lane = arc(1.0)
-    way = Way(lane)
-    way.drive(45)
-    line = way.tracked.line
+    run = Drive(lane)
+    run.drive(45)
+    line = run.tracked.line
     assert line is not None
     assert line.arc_ahead_m == math.inf
-    way.go()
-    assert way.tracked.update(seen(lane, way.car, way.s_m, ended=True))
-    ended = way.tracked.line
+    run.go()
+    assert run.tracked.update(seen(lane, run.car, run.s_m, ended=True))
+    ended = run.tracked.line
     assert ended is not None
     assert ended.arc_ahead_m == pytest.approx(TrackedLine.ARC_LANES * UNIT)
     far = ended.s_max_m + ended.arc_ahead_m
     assert ended.heading_at(far + 1.0) == pytest.approx(ended.heading_at(far + 0.1), abs=1e-9)
-    way.tracked.end(False)
-    on = way.tracked.line
+    run.tracked.end(False)
+    on = run.tracked.line
     assert on is not None
     assert on.heading_at(far + 0.5) - on.heading_at(far) == pytest.approx(0.5 * 1.25, rel=0.2)  # the inner line
 
 
 def test_forget_is_a_new_line() -> None:
-    way = Way(arc(0.6))
-    way.drive(30)
-    way.tracked.forget()
-    assert way.tracked.line is None
-    assert len(remembered(way.tracked)) == 0
-    assert way.tracked.unseen_m == 0.0
-    assert (way.tracked.lateral_sigma_m, way.tracked.heading_sigma_rad) == (0.0, 0.0)
+    run = Drive(arc(0.6))
+    run.drive(30)
+    run.tracked.forget()
+    assert run.tracked.line is None
+    assert len(remembered(run.tracked)) == 0
+    assert run.tracked.unseen_m == 0.0
+    assert (run.tracked.lateral_sigma_m, run.tracked.heading_sigma_rad) == (0.0, 0.0)
     fresh = TrackedLine(RLS)
-    for tracked in (way.tracked, fresh):
-        assert tracked.update(seen(way.lane, way.car, way.s_m))
-    assert way.tracked.line is not None
+    for tracked in (run.tracked, fresh):
+        assert tracked.update(seen(run.lane, run.car, run.s_m))
+    assert run.tracked.line is not None
     assert fresh.line is not None
-    assert way.tracked.line.coefficients_rad == fresh.line.coefficients_rad
-    assert way.tracked.line.lateral_m == fresh.line.lateral_m
+    assert run.tracked.line.coefficients_rad == fresh.line.coefficients_rad
+    assert run.tracked.line.lateral_m == fresh.line.lateral_m
 
 
 def test_points_that_are_not_finite_are_left_out() -> None:
-    way = Way(arc(0.0))
-    way.drive(20)
-    way.go()
-    good = seen(way.lane, way.car, way.s_m)
+    run = Drive(arc(0.0))
+    run.drive(20)
+    run.go()
+    good = seen(run.lane, run.car, run.s_m)
     points = good.points_m.copy()
     points[3], points[7] = (np.nan, 0.2), (0.5, np.inf)
-    way.tracked.update(SeenLine(points_m=points, sigma_m=good.sigma_m))
-    way.drive(5)
-    assert np.isfinite(way.errors).all()
-    assert abs(way.errors[0]) < 0.01
+    run.tracked.update(SeenLine(points_m=points, sigma_m=good.sigma_m))
+    run.drive(5)
+    assert np.isfinite(run.errors).all()
+    assert abs(run.errors[0]) < 0.01
 
 
 def test_noise_averages_out() -> None:
     lane, rng = arc(0.0), np.random.default_rng(5)
-    way = Way(lane)
+    run = Drive(lane)
     laterals = []
     for i in range(120):
-        way.go()
-        clean = seen(lane, way.car, way.s_m)
+        run.go()
+        clean = seen(lane, run.car, run.s_m)
         noisy = clean.points_m + rng.normal(0.0, 0.004, clean.points_m.shape)
-        assert way.tracked.update(SeenLine(points_m=noisy, sigma_m=clean.sigma_m))
+        assert run.tracked.update(SeenLine(points_m=noisy, sigma_m=clean.sigma_m))
         if i >= 45:
-            laterals.append(way.errors[0])
+            laterals.append(run.errors[0])
     assert np.std(laterals) < 0.002  # of points known to 4 mm each
     assert abs(np.mean(laterals)) < 0.001
