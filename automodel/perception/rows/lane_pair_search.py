@@ -4,7 +4,7 @@ A dot is one or two rows high, and other things on a road are as bright as most 
 are therefore sampled at equal lateral distances on the ground (`RowGroundLookup`), the ridge filter's response is
 summed along every line of a table, and the two lines with the largest sums about a lane width apart are chosen
 (`LineIntegralSearch`). Then both are fitted by robust least squares to the ridges on short runs of twice as many rows
-(`LanePairFit`).
+(`LanePairLsq`).
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ class LineIntegralSearch:
         )
         self._filter = RowRidgeFilter(len(self._pixels), len(self._y), config.contrast)
         self._min_noise = 0.06 * config.contrast * WINDOW
-        self._fit = LanePairFit(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
+        self._fit = LanePairLsq(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
         tightest = 1.0 / (config.radius_lanes * unit)
         kappa, theta = np.meshgrid(self.CURVATURES * tightest, self.HEADINGS_RAD, indexing="ij")
         self._kappa, self._theta = kappa.ravel(), theta.ravel()
@@ -204,7 +204,7 @@ class LineIntegralSearch:
         return best[1]
 
 
-class LanePairFit:
+class LanePairLsq:
     """Fits a lane by iteratively reweighted least squares, with a prior, in images of one camera."""
 
     REACH = 9  # samples to each side of a line in which its ridge is searched
