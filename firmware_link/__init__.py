@@ -1,1 +1,1 @@
-"""The vehicle's controller behind a pipe: wire format, drivers, emulators."""
+"""The link to the vehicle's controller: wire format, drivers, emulators."""

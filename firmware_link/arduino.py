@@ -1,7 +1,4 @@
-"""The serial Arduino as a `VehicleLink`: commands to pulses to bytes, and bytes to what the vehicle says.
-
-The battery's voltage, and whether it is nearly empty.
-"""
+"""The serial Arduino as a `VehicleLink`: commands to pulses and bytes, bytes to vehicle states."""
 
 from __future__ import annotations
 
@@ -19,12 +16,22 @@ from firmware_link.pulses import PulseTable
 from firmware_link.timing import BoardClock, SpeedMeter
 from firmware_link.transport import Transport
 
-LASTING_NS = 1_000_000_000  # a motor that starts pulls the voltage down for shorter
-FITTED_V = 1.0  # below this nothing is wired to the board's input
+LATCHED_FAULTS = frozenset({"command_timeout", "board_restarted", "link_silent"})  # they explain why it is disarmed
+LASTING_NS = 1_000_000_000  # longer than the voltage drop of a starting motor
+FITTED_V = 1.0  # below this nothing is connected to the board's input
+
+_MS = 1_000_000
+_HELLO_TIMEOUT_NS = 5_000 * _MS  # the slowest bootloaders wait 2 s
+_VALID_NS = 100 * _MS  # no command is valid for longer than the board's timer
+_SETUP_RETRY_NS = 100 * _MS
+_ARM_RETRY_NS = 50 * _MS  # two statuses
+_ARM_NS = 300 * _MS
+_SILENT_NS = 200 * _MS  # ten missing statuses
+_FAULT_NAMES = tuple((int(fault), str(fault.name).lower()) for fault in Fault)
 
 
 class BatteryMeter:
-    """Low from when the voltage has been below `low_v` for a second, until it has been above for as long."""
+    """The battery is low after its voltage was below `low_v` for a second, until it was above for a second."""
 
     def __init__(self, low_v: float) -> None:
         self._low_v = low_v
@@ -32,12 +39,12 @@ class BatteryMeter:
 
     def reset(self) -> None:
         """Forget all readings."""
-        self.voltage_v: float | None = None  # read last
+        self.voltage_v: float | None = None  # the last reading
         self.low = False
-        self._other_since_ns: int | None = None  # since when the readings say otherwise
+        self._other_since_ns: int | None = None  # since when the readings contradict `low`
 
     def step(self, voltage_v: float, t_ns: int) -> bool:
-        """Take in a reading; whether the battery is low."""
+        """Process a reading; gives whether the battery is low."""
         self.voltage_v = voltage_v
         if (FITTED_V <= voltage_v < self._low_v) is self.low:
             self._other_since_ns = None
@@ -48,21 +55,9 @@ class BatteryMeter:
         return self.low
 
 
-LATCHED_FAULTS = frozenset({"command_timeout", "board_restarted", "link_silent"})  # they say why it is disarmed
-
-_MS = 1_000_000
-_HELLO_TIMEOUT_NS = 5_000 * _MS  # the slowest bootloaders wait 2 s
-_VALID_NS = 100 * _MS  # no command is good for longer than the board's own timer
-_SETUP_RETRY_NS = 100 * _MS
-_ARM_RETRY_NS = 50 * _MS  # two statuses tell whether it worked
-_ARM_NS = 300 * _MS
-_SILENT_NS = 200 * _MS  # ten statuses missing
-_FAULT_NAMES = tuple((int(fault), str(fault.name).lower()) for fault in Fault)
-
-
 @dataclass(slots=True)
 class _Session:
-    """What is known of the board since the port was opened."""
+    """The state of the connection since the port was opened."""
 
     opened_ns: int | None = None
     hello: messages.Hello | None = None
@@ -70,18 +65,18 @@ class _Session:
     status_ns: int = 0
     faults: int = 0
     odometry: messages.Odometry | None = None
-    ranges: messages.Ranges | None = None  # heard since the last status
-    told_ranges: messages.Ranges | None = None  # of that status: no state tells of a reading that another has told
+    ranges: messages.Ranges | None = None  # received since the last status
+    reported_ranges: messages.Ranges | None = None  # of that status: each reading is reported in one state only
     speed_mps: float | None = None
-    limits_known: bool = False  # the board has said that ours are in force
-    setup_ns: int | None = None  # when Limits were sent last
+    limits_known: bool = False  # the board has confirmed our limits
+    setup_ns: int | None = None  # when Limits were last sent
     restarted: bool = False
     silent: bool = False
     wants_armed: bool = False
-    arm_ns: int = 0  # when arming was asked for
+    arm_ns: int = 0  # when arming was requested
     arm_sent_ns: int | None = None
     armed_nonce: int | None = None  # of the arming in force
-    void_nonce: int | None = None  # a Disarm was sent for it; the board's next one shows that it arrived
+    void_nonce: int | None = None  # a Disarm was sent for it; the board's next nonce confirms it
     disarm_sent_ns: int | None = None
     clock: BoardClock = field(default_factory=BoardClock)
 
@@ -89,16 +84,15 @@ class _Session:
 class ArduinoLink:
     """The car behind an Arduino, by the protocol of `messages`.
 
-    - Nothing is sent before the board's hello. Then the limits of the pulse tables are, until the board confirms them;
-      from its first status on, `poll` gives a state.
-    - Until `arm` is called, and after `disarm`, every command leaves as neutral and straight. So does one that is past
-      its `valid_until_ns` or not finite; such a command does not feed the board's timer.
-    - A fresh command carries its deadline in board time, at most 100 ms ahead, so that one that is held up on the way
-      is not taken for a fresh one.
-    - `arm` is tried for 300 ms. What ends it (the board's command timer, a restart, 200 ms of silence) ends it for
-      good: only another `arm` brings it back. The faults of `LATCHED_FAULTS` say what it was, until then.
+    - Nothing is sent before the board's Hello. Then the limits of the pulse tables are sent until the board confirms
+      them; from its first status on, `poll` gives a state.
+    - Until `arm` is called, and after `disarm`, every command is sent as neutral and straight. So is a command that is
+      past its `valid_until_ns` or not finite; it does not feed the board's timer.
+    - A fresh command has a deadline in board time, at most 100 ms ahead, so that a delayed one is not taken for fresh.
+    - `arm` is tried for 300 ms. Arming ends with the board's command timer, a restart or 200 ms of silence; then only
+      another `arm` restores it. Until then the faults of `LATCHED_FAULTS` report the cause.
 
-    After a LinkError call `close`, then `open` until it succeeds; the car stays disarmed. HandshakeError is for good.
+    After a LinkError call `close`, then `open` until it succeeds; the car stays disarmed. HandshakeError is permanent.
     """
 
     def __init__(
@@ -133,12 +127,12 @@ class ArduinoLink:
 
     @property
     def errors(self) -> FrameErrors:
-        """Damaged frames since the link was made."""
+        """Damaged frames since the link was created."""
         return self._decoder.errors
 
     @property
     def hello(self) -> messages.Hello | None:
-        """The board's newest hello, None before the first."""
+        """The board's newest Hello, None before the first."""
         return None if self._session is None else self._session.hello
 
     def open(self) -> None:
@@ -151,7 +145,7 @@ class ArduinoLink:
         self._session = _Session()
 
     def poll(self, now_ns: int) -> VehicleState | None:
-        """Take in what has arrived; None until the board has said hello and confirmed the limits."""
+        """Process the received bytes; None until the board has sent a Hello and confirmed the limits."""
         session = self._live()
         if session.opened_ns is None:
             session.opened_ns = now_ns
@@ -174,7 +168,7 @@ class ArduinoLink:
         return self._state(session) if session.limits_known and session.status is not None else None
 
     def send(self, command: Command, now_ns: int) -> None:
-        """Put the command on the wire; nothing is sent while `poll` still gives None."""
+        """Send the command; ignored while `poll` still gives None."""
         session = self._live()
         valid_until_ns = min(command.valid_until_ns, now_ns + _VALID_NS)
         deadline_ns = session.clock.board_ns(valid_until_ns)
@@ -196,7 +190,7 @@ class ArduinoLink:
         )
 
     def arm(self, now_ns: int) -> None:
-        """Ask the board to accept commands; ignored while `poll` still gives None."""
+        """Request the board to accept commands; ignored while `poll` still gives None."""
         session = self._live()
         if session.limits_known and session.status is not None and session.armed_nonce is None:
             session.wants_armed, session.arm_ns, session.arm_sent_ns = True, now_ns, None
@@ -204,7 +198,7 @@ class ArduinoLink:
             self._follow_up(session, now_ns)
 
     def disarm(self, now_ns: int) -> None:
-        """Neutral and straight, at once; repeated until the board shows that it heard."""
+        """Neutral and straight at once; repeated until the board confirms it."""
         session = self._live()
         _end_arming(session)
         if session.hello is not None:
@@ -213,7 +207,7 @@ class ArduinoLink:
             self._write(messages.Disarm())
 
     def close(self) -> None:
-        """Disarm as far as the pipe allows, and close."""
+        """Disarm if the pipe allows it, and close."""
         if self._session is not None and self._session.hello is not None:
             with contextlib.suppress(LinkError):
                 self._write(messages.Disarm())
@@ -232,7 +226,7 @@ class ArduinoLink:
     def _take_hello(self, session: _Session, hello: messages.Hello) -> None:
         if (hello.table_hash, hello.version) != (messages.TABLE_HASH, messages.PROTOCOL_VERSION):
             raise HandshakeError(
-                f"{self._place}: the board speaks message table {hello.table_hash:#06x} version {hello.version}, this "
+                f"{self._place}: the board has message table {hello.table_hash:#06x} version {hello.version}, this "
                 f"program {messages.TABLE_HASH:#06x} version {messages.PROTOCOL_VERSION}; flash the matching firmware"
             )
         if session.hello is not None and session.hello.boot_id != hello.boot_id:
@@ -243,7 +237,7 @@ class ArduinoLink:
     def _take_status(self, session: _Session, status: messages.Status, now_ns: int) -> None:
         self._board_time(session, status.time_us, now_ns)
         session.status, session.status_ns = status, now_ns
-        session.told_ranges, session.ranges = session.ranges, None
+        session.reported_ranges, session.ranges = session.ranges, None
         if not status.flags & StatusFlag.ARMED:
             if session.armed_nonce is not None:
                 _end_arming(session)
@@ -259,7 +253,7 @@ class ArduinoLink:
         board_ns = session.clock.observe(time_us, now_ns)
         if board_ns is None:
             self._board_restarted(session)
-            self._write(messages.HelloRequest())  # its first hello was lost
+            self._write(messages.HelloRequest())  # its first Hello was lost
             board_ns = session.clock.observe(time_us, now_ns) or 0
         return board_ns
 
@@ -272,11 +266,11 @@ class ArduinoLink:
     def _follow_up(self, session: _Session, now_ns: int) -> None:
         if session.hello is None:
             if session.opened_ns is not None and now_ns - session.opened_ns > _HELLO_TIMEOUT_NS:
-                raise HandshakeError(f"{self._place}: no hello from the board; check port, baud rate and firmware")
+                raise HandshakeError(f"{self._place}: no Hello from the board; check port, baud rate and firmware")
             return
         if not session.limits_known and _due(session.setup_ns, _SETUP_RETRY_NS, now_ns):
             session.setup_ns = now_ns
-            self._write(messages.Disarm())  # a board that did not reset may still be armed, and refuses limits then
+            self._write(messages.Disarm())  # a board that did not reset may still be armed, and then refuses limits
             self._write(self._limits)
         status = session.status
         if status is None:
@@ -301,7 +295,7 @@ class ArduinoLink:
             self._write(messages.Arm(nonce=status.nonce, boot_id=hello.boot_id))
 
     def _state(self, session: _Session) -> VehicleState:
-        status, odometry, ranges = session.status, session.odometry, session.told_ranges
+        status, odometry, ranges = session.status, session.odometry, session.reported_ranges
         faults = [name for bit, name in _FAULT_NAMES if session.faults & bit] if session.faults else []
         if session.restarted:
             faults.append("board_restarted")

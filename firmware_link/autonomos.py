@@ -1,14 +1,12 @@
-"""The AutoNOMOS model cars as a `VehicleLink`: what their boards leave undone is done here, as far as a host can.
+"""The AutoNOMOS model cars (Freie Universität Berlin, 2015 to 2017) as a `VehicleLink`, and their text protocol.
 
-The text of the AutoNOMOS model cars (Freie Universität Berlin, 2015 to 2017): lines <-> values, no I/O.
+There are two kinds of cars, both at 115200 baud:
 
-Two kinds of cars, both 115200 baud:
-
-- 2015 and 2016: an Arduino for the servo, `<0-180>` `en` `di`, each ended by CR, which answers nothing; and on a line
-  of its own a Faulhaber motion controller, `v<rpm>` `en` `di` `gn` (what is the speed?), ended by CR LF, which answers
-  each with a line.
-- 2017: one Arduino, `S<0-180 or en or di>L<lights>M<-1000..1000>` and CR; it says `y<yaw>s<time>e<encoder>` and LF 100
-  times a second. Later cars speak rosserial, which is another matter.
+- 2015 and 2016: an Arduino for the servo with the commands `<0-180>`, `en` and `di`, each ended by CR, without answers;
+  and on a second line a Faulhaber motion controller with `v<rpm>`, `en`, `di` and `gn` (read the speed), ended by CR
+  LF, which answers each with a line.
+- 2017: one Arduino with `S<0-180 or en or di>L<lights>M<-1000..1000>` and CR; it sends `y<yaw>s<time>e<encoder>` and LF
+  100 times a second. Later cars use rosserial, which is not supported.
 
 Sources: github.com/AutoModelCar/auto_arduino_nano (main/main.ino) and /model_car (motor_communication,
 send_steering_light_speed); Faulhaber's Communication and Function Manual MCBL 300x RS.
@@ -30,27 +28,35 @@ from firmware_link.pulses import PulseTable
 from firmware_link.timing import LineSpeedMeter
 from firmware_link.transport import Transport
 
-STRAIGHT = 90
 STEERING_MAX = 180
 _ENCODER = re.compile(rb"(?:y[^s]*)?s\d+e(-?\d+)")
-_STARTS = b"Initializing I2C"  # the first line of a program that starts
-_CHATTER = (b"Initializing", b"Testing", b"MPU6050", b"Enabling", b"DMP", b"FIFO")
+_FIRST_LINE = b"Initializing I2C"  # the first line of a program that starts
+_BANNER = (b"Initializing", b"Testing", b"MPU6050", b"Enabling", b"DMP", b"FIFO")
 _NUMBER = re.compile(rb"-?\d+")
+_MS = 1_000_000
+_HELLO_TIMEOUT_NS = 5_000 * _MS
+_VALID_NS = 100 * _MS  # no command is valid for longer, as with a board that has its own timer
+_REPEAT_NS = 50 * _MS
+_ENABLE_NS = 100 * _MS
+_STOPPING_NS = 300 * _MS  # straight and at speed 0 before the actuators are switched off: a servo that is off is free
+_ASK_NS = 20 * _MS
+_SILENT_NS = 200 * _MS
+_TAIL_BYTES = 128
 
 
-class Said(NamedTuple):
-    """What a line from the car tells."""
+class Report(NamedTuple):
+    """The contents of a line from the car."""
 
     ticks: int | None = None  # the encoder, modulo 65536
-    motor: int | None = None  # the speed, as a motor number
-    started: bool = False  # the car's program has just begun
+    motor: int | None = None  # the speed as a motor number
+    started: bool = False  # the car's program has just started
 
 
 class CarText(Protocol):
-    """Lines to and from one kind of car; what is written is one text a port, empty where there is nothing to say."""
+    """The text protocol of one kind of car; the methods give one text per port, empty if there is nothing to send."""
 
     ports: int
-    mute_ns: int  # for so long after opening the car may be deaf without saying so
+    mute_ns: int  # time after opening in which the car may ignore commands
     motor_max: int
 
     def drive(self, steering: int, motor: int) -> tuple[bytes, ...]:
@@ -58,76 +64,76 @@ class CarText(Protocol):
         ...
 
     def enable(self, motor: int) -> tuple[bytes, ...]:
-        """Actuators on; the motor goes on with its number."""
+        """Switch the actuators on, with the motor's current number."""
         ...
 
     def disable(self) -> tuple[bytes, ...]:
-        """Motor stopped, actuators off."""
+        """Stop the motor and switch the actuators off."""
         ...
 
     def greet(self) -> tuple[bytes, ...]:
-        """What is said until the car is known to listen: stop, where that can do no harm, and say something."""
+        """The text until the car answers: a stop where that is safe, and a request for an answer."""
         ...
 
     def ask(self) -> tuple[bytes, ...]:
-        """What makes the car say something."""
+        """A request for an answer."""
         ...
 
-    def heard(self, port: int, line: bytes) -> Said | None:
-        """What a line says, without its end; None for one that is damaged."""
+    def heard(self, port: int, line: bytes) -> Report | None:
+        """The contents of a line without its end; None for a damaged one."""
         ...
 
 
 class OneBoard:
-    """The cars of 2017: one Arduino for everything. Lights stay off."""
+    """The cars of 2017: one Arduino for everything. The lights stay off."""
 
     ports = 1
     mute_ns = 0
-    motor_max = 1000  # a quarter of it is the duty; beyond 1023 that overflows
+    motor_max = 1000  # the duty is a quarter of it and overflows beyond 1023
 
     def drive(self, steering: int, motor: int) -> tuple[bytes, ...]:
         """One line for both."""
         return (b"S%dLdiLM%d\r" % (steering, motor),)
 
     def enable(self, motor: int) -> tuple[bytes, ...]:
-        """The servo on; the motor has no switch."""
+        """Servo on; the motor has no switch."""
         return (b"SenLdiLM%d\r" % motor,)
 
     def disable(self) -> tuple[bytes, ...]:
-        """The servo off, the motor at 0."""
+        """Servo off, motor at 0."""
         return (b"SdiLdiLM0\r",)
 
     def greet(self) -> tuple[bytes, ...]:
-        """Nothing: its bootloader must not hear anything, and opening the port has stopped it."""
+        """Nothing: its bootloader must not receive anything, and opening the port has stopped the car."""
         return (b"",)
 
     def ask(self) -> tuple[bytes, ...]:
-        """It talks by itself."""
+        """Nothing: it reports periodically."""
         return (b"",)
 
-    def heard(self, port: int, line: bytes) -> Said | None:
-        """The encoder, or what it says while it starts."""
+    def heard(self, port: int, line: bytes) -> Report | None:
+        """The encoder, or a line of the start-up banner."""
         encoder = _ENCODER.fullmatch(line)
         if encoder is not None:
-            return Said(ticks=int(encoder[1]) & 0xFFFF)
-        if _STARTS in line:  # behind what a line that the reset cut short has left
-            return Said(started=True)
-        return Said() if line.startswith(_CHATTER) else None
+            return Report(ticks=int(encoder[1]) & 0xFFFF)
+        if _FIRST_LINE in line:  # possibly after the rest of a line that the reset has cut
+            return Report(started=True)
+        return Report() if line.startswith(_BANNER) else None
 
 
 class TwoBoards:
     """The cars of 2015 and 2016: an Arduino for the servo on the first port, a motion controller on the second."""
 
     ports = 2
-    mute_ns = 2_000_000_000  # the Arduino's bootloader; it never says that it is over
+    mute_ns = 2_000_000_000  # the Arduino's bootloader, whose end is not reported
     motor_max = 30_000  # rpm
 
     def drive(self, steering: int, motor: int) -> tuple[bytes, ...]:
-        """A line for each."""
+        """One line for each port."""
         return b"%d\r" % steering, b"v%d\r\n" % motor
 
     def enable(self, motor: int) -> tuple[bytes, ...]:
-        """Both on; the speed first, so that none from before comes back."""
+        """Both on; the speed first, so that no earlier one takes effect."""
         return b"en\r", b"v%d\r\nen\r\n" % motor
 
     def disable(self) -> tuple[bytes, ...]:
@@ -135,47 +141,36 @@ class TwoBoards:
         return b"di\r", b"v0\r\ndi\r\n"
 
     def greet(self) -> tuple[bytes, ...]:
-        """The motion controller has no bootloader, and may still drive as a former host told it to."""
+        """Stop the motion controller: it has no bootloader and may still execute commands of an earlier host."""
         return b"", b"v0\r\ndi\r\ngn\r\n"
 
     def ask(self) -> tuple[bytes, ...]:
-        """Only the motion controller has answers."""
+        """Only the motion controller answers."""
         return b"", b"gn\r\n"
 
-    def heard(self, port: int, line: bytes) -> Said | None:
-        """The motor's speed, or that an order was understood."""
+    def heard(self, port: int, line: bytes) -> Report | None:
+        """The motor's speed, or the acknowledgement of a command."""
         if port == 1 and _NUMBER.fullmatch(line):
-            return Said(motor=int(line))
-        return Said() if line.isascii() and line.decode("ascii").isprintable() else None
-
-
-_MS = 1_000_000
-_HELLO_TIMEOUT_NS = 5_000 * _MS
-_VALID_NS = 100 * _MS  # no command is good for longer, as with a board that has a timer of its own
-_REPEAT_NS = 50 * _MS
-_ENABLE_NS = 100 * _MS
-_STOPPING_NS = 300 * _MS  # straight and at speed 0 before the actuators go off: a servo that is off holds nothing
-_ASK_NS = 20 * _MS
-_SILENT_NS = 200 * _MS
-_TAIL_BYTES = 128
+            return Report(motor=int(line))
+        return Report() if line.isascii() and line.decode("ascii").isprintable() else None
 
 
 @dataclass(slots=True, kw_only=True)
 class LineErrors:
-    """How many lines were thrown away."""
+    """The number of rejected lines."""
 
     total: int = 0
 
 
 @dataclass(slots=True)
 class _Session:
-    """What is known of the car since the ports were opened."""
+    """The state of the connection since the ports were opened."""
 
     tails: list[bytes]
-    steering: int  # the numbers that were written last
+    steering: int  # the last numbers that were sent
     motor: int = 0
-    direction: int = 1  # of the last speed that was not 0
-    opened_ns: int | None = None  # or when its program began anew
+    direction: int = 1  # of the last speed other than 0
+    opened_ns: int | None = None  # or when its program restarted
     ready: bool = False
     heard_ns: int = 0
     lines: int = 0  # with the encoder's count
@@ -183,7 +178,7 @@ class _Session:
     ticks: int = 0
     speed_mps: float | None = None
     armed: bool = False
-    deadline_ns: int = 0  # when the newest fresh command is none any more
+    deadline_ns: int = 0  # when the newest fresh command expires
     stopped_ns: int | None = None  # when arming ended
     written_ns: int | None = None
     enabled_ns: int | None = None
@@ -192,19 +187,19 @@ class _Session:
 
 
 class AutonomosLink:
-    """The car behind its text (`autonomos_text`): one port, or two where the motor's controller has its own.
+    """The car with its text protocol: one port, or two if the motor's controller has its own.
 
-    The car checks nothing and times nothing: a damaged line may be a wrong steering or speed, and the last speed holds
-    until another comes. So the host
+    The car has no checksums and no timers: a damaged line may be a wrong steering angle or speed, and the last speed is
+    kept until the next one. Therefore the host
 
-    - sends each order again after 50 ms at the latest, `en` after 100 ms;
-    - ends arming when no fresh command has come for 100 ms (`command_timeout`), when the car has said nothing for
-      200 ms (`link_silent`), when its program starts anew (`board_restarted`); only another `arm` brings it back;
-    - then orders straight and speed 0 for 300 ms, and `di` from then on, ten times a second;
-    - says both at once when it closes, and to what is left when a port fails.
+    - repeats each command after 50 ms at the latest, and `en` after 100 ms;
+    - ends arming if no fresh command has come for 100 ms (`command_timeout`), if the car has been silent for 200 ms
+      (`link_silent`), or if its program restarts (`board_restarted`); only another `arm` restores it;
+    - then commands straight and speed 0 for 300 ms, and after that `di`, ten times a second;
+    - sends both on closing, and to the other port when one fails.
 
-    It can do none of that when it is killed, stopped or cut off: **then the car drives on**. `armed` is what the host
-    has asked for: the car does not say. Nothing but a stop is sent before the car's first line.
+    It cannot do this when it is killed, stopped or disconnected: **then the car keeps driving**. `armed` is the host's
+    request, as the car does not report it. Only a stop is sent before the car's first line.
     """
 
     def __init__(self, ports: Sequence[Transport], link_config: LinkConfig, vehicle_config: VehicleConfig) -> None:
@@ -236,18 +231,18 @@ class AutonomosLink:
         self._session = _Session(tails=[b""] * len(self._ports), steering=self._steering_number(0.0))
 
     def poll(self, now_ns: int) -> VehicleState | None:
-        """Take in what has arrived, and say again what must be; None until the car has said something."""
+        """Process the received lines and repeat commands; None until the car has sent a line."""
         session = self._live()
         if session.opened_ns is None:
             session.opened_ns = now_ns
         with self._stopping():
             self._take_in(session, now_ns)
             self._watch(session, now_ns)
-            self._say_again(session, now_ns)
+            self._repeat(session, now_ns)
         return self._state(session) if session.ready else None
 
     def send(self, command: Command, now_ns: int) -> None:
-        """Write the command's numbers; nothing while disarmed, when `poll` says what must be."""
+        """Send the command; ignored while disarmed, when `poll` sends the stop."""
         session = self._live()
         if not session.armed:
             return
@@ -262,16 +257,16 @@ class AutonomosLink:
             self._drive(session, now_ns)
 
     def arm(self, now_ns: int) -> None:
-        """Switch the actuators on and obey `send`; ignored while `poll` still gives None, or armed already."""
+        """Switch the actuators on and accept `send`; ignored while `poll` still gives None, or if armed."""
         session = self._live()
         if session.ready and not session.armed:
             session.armed, session.deadline_ns, session.enabled_ns = True, now_ns + _VALID_NS, None
             session.faults.clear()
             with self._stopping():
-                self._say_again(session, now_ns)
+                self._repeat(session, now_ns)
 
     def disarm(self, now_ns: int) -> None:
-        """Straight and speed 0, at once, and the actuators off 300 ms later."""
+        """Straight and speed 0 at once; the actuators are switched off 300 ms later."""
         session = self._live()
         self._end_arming(session, now_ns)
         if session.ready:
@@ -279,8 +274,8 @@ class AutonomosLink:
                 self._drive(session, now_ns)
 
     def close(self) -> None:
-        """Straight, speed 0 and actuators off, as far as the ports allow, and close."""
-        self._say_last()
+        """Straight, speed 0 and actuators off, if the ports allow it, and close."""
+        self._send_stop()
         self._session = None
         for port in self._ports:
             port.close()
@@ -292,14 +287,14 @@ class AutonomosLink:
 
     @contextlib.contextmanager
     def _stopping(self) -> Iterator[None]:
-        """A port that fails ends it all: the others are told to stop."""
+        """If a port fails, stop the boards on the other ports."""
         try:
             yield
         except LinkError:
-            self._say_last()
+            self._send_stop()
             raise
 
-    def _say_last(self) -> None:
+    def _send_stop(self) -> None:
         session = self._session
         if session is not None and session.ready:
             for lines in (self._text.drive(self._steering_number(0.0), 0), self._text.disable()):
@@ -312,7 +307,7 @@ class AutonomosLink:
             try:
                 if text:
                     port.write(text)
-            except LinkError as error:  # the other port must be told all the same
+            except LinkError as error:  # the other port must get its text all the same
                 failed = failed or error
         if failed is not None:
             raise failed
@@ -328,38 +323,38 @@ class AutonomosLink:
             *lines, tail = (session.tails[index] + port.read()).split(b"\n")
             session.tails[index] = tail[:_TAIL_BYTES]
             for line in lines:
-                said = self._text.heard(index, line.rstrip(b"\r"))
-                if said is not None:
-                    self._take(session, said, now_ns)
-                elif session.ready:  # the first line may lack its beginning
+                report = self._text.heard(index, line.rstrip(b"\r"))
+                if report is not None:
+                    self._take(session, report, now_ns)
+                elif session.ready:  # the first line may lack its start
                     self.errors.total += 1
         if session.heard_ns and now_ns - (session.opened_ns or 0) >= self._text.mute_ns:
             session.ready = True
         if session.encoder is not None:
             session.speed_mps = self._speed.step(session.lines, session.ticks, now_ns)
 
-    def _take(self, session: _Session, said: Said, now_ns: int) -> None:
-        if said.started:
+    def _take(self, session: _Session, report: Report, now_ns: int) -> None:
+        if report.started:
             if session.ready:
                 self._starts += 1
                 self._end_arming(session, now_ns, "board_restarted")
             session.ready, session.heard_ns, session.encoder = False, 0, None
             session.opened_ns = now_ns
             self._speed.reset()
-        elif said.ticks is not None:
-            before = said.ticks if session.encoder is None else session.encoder
-            step = (said.ticks - before + 0x8000 & 0xFFFF) - 0x8000
-            session.encoder, session.lines = said.ticks, session.lines + 1
-            session.ticks += session.direction * abs(step)  # the Arduino does not see which way it goes either
+        elif report.ticks is not None:
+            before = report.ticks if session.encoder is None else session.encoder
+            step = (report.ticks - before + 0x8000 & 0xFFFF) - 0x8000
+            session.encoder, session.lines = report.ticks, session.lines + 1
+            session.ticks += session.direction * abs(step)  # the Arduino does not detect the direction either
             session.heard_ns = now_ns
-        elif said.motor is not None:
-            session.speed_mps = said.motor * self._mps_per_number
+        elif report.motor is not None:
+            session.speed_mps = report.motor * self._mps_per_number
             session.heard_ns = now_ns
 
     def _watch(self, session: _Session, now_ns: int) -> None:
         if not session.ready:
             if now_ns - (session.opened_ns or 0) > _HELLO_TIMEOUT_NS:
-                raise HandshakeError(f"{self._place}: the car says nothing; check ports, baud rate and [link] kind")
+                raise HandshakeError(f"{self._place}: the car sends nothing; check ports, baud rate and [link] kind")
         elif now_ns - session.heard_ns > _SILENT_NS:
             self._end_arming(session, now_ns, "link_silent")
         elif session.armed and now_ns > session.deadline_ns:
@@ -372,7 +367,7 @@ class AutonomosLink:
         if fault is not None and fault not in session.faults:
             session.faults.append(fault)
 
-    def _say_again(self, session: _Session, now_ns: int) -> None:
+    def _repeat(self, session: _Session, now_ns: int) -> None:
         if _due(session.asked_ns, _ASK_NS, now_ns):
             session.asked_ns = now_ns
             self._write(self._text.ask() if session.ready else self._text.greet())

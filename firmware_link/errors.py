@@ -1,23 +1,23 @@
-"""The errors of a link: one tree under OSError; each text is one line that says what, where and what to do."""
+"""The errors of a link, all derived from OSError; each text is one line with the place, the cause and the remedy."""
 
 from __future__ import annotations
 
 
 class LinkError(OSError):
-    """The vehicle cannot be reached, or is not the one that was expected."""
+    """The vehicle cannot be reached, or is not the expected one."""
 
 
 class PortNotFound(LinkError):
-    """There is no such port; the text names the likely ones."""
+    """The port does not exist; the text names likely ports."""
 
 
 class PortRefused(LinkError):
-    """The port is there and cannot be opened: permissions, or another program holds it."""
+    """The port exists but cannot be opened: permissions, or another program uses it."""
 
 
 class PortLost(LinkError):
-    """The port vanished, or stopped taking bytes, after it was opened; close and open again."""
+    """The port disappeared or stopped accepting bytes after it was opened; close and open it again."""
 
 
 class HandshakeError(LinkError):
-    """The board says no hello, or speaks another message table; opening again does not help."""
+    """The board sends no Hello, or has another message table; opening it again does not help."""

@@ -1,20 +1,19 @@
-"""Frames on a serial line: bytes <-> (type, counter, payload); no I/O, no knowledge of what the payload means.
+"""Frames on a serial line: bytes <-> (type, counter, payload), without I/O and independent of the payload's meaning.
 
 On the wire: `00, COBS(type, counter, payload), check, 00`. Type and counter are a byte each; the payload's length is
 fixed by the type; type, counter and payload are 16 bytes at most. The check is CRC-16/DNP (polynomial 0x3D65,
 reflected, final XOR 0xFFFF) in three bytes: 0x40 and its lowest six bits, 0x40 and the next six, 0x40 and the highest
-four. It is started from `seed` instead of 0: two programs with different message tables reject each other's frames.
+four. It starts from `seed` instead of 0, so that two programs with different message tables reject each other's frames.
 
-The check is over the bytes as they are on the wire, after COBS, and is itself free of zeros. So the polynomial's
-Hamming distance of 6 up to 135 bits of data (P. Koopman, Best CRC Polynomials) is that of the wire: a wrong bit of a
-COBS code moves zeros about in what is decoded, but is one wrong bit to the check. The longest frames have 136 bits;
-COBS's first code is checked last, after all others, so that an error over all 136 bits would need another type, which
-has another length.
+The check covers the bytes on the wire, after COBS, and contains no zeros itself. The polynomial's Hamming distance of 6
+up to 135 bits of data (P. Koopman, Best CRC Polynomials) therefore holds for the wire: a wrong bit in a COBS code moves
+zeros in the decoded data, but it is a single wrong bit for the check. The longest frames have 136 bits; the first COBS
+code is checked last, so that an error over all 136 bits would need another type, which has another length.
 
-The zero ahead of each frame closes whatever garbage came before it, so the first frame after garbage is not lost.
+The zero before each frame ends any garbage, so that the first frame after garbage is not lost.
 
-A receiver on a microcontroller needs one 20-byte buffer: collect bytes until a zero, then decode; ignore everything up
-to the next zero when the buffer is full.
+A receiver on a microcontroller needs one 20-byte buffer: collect bytes until a zero, then decode; if the buffer is
+full, ignore everything up to the next zero.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def cobs_decode(data: bytes) -> bytes | None:
-    """The bytes that `cobs_encode` was given; None where `data` was not made by it."""
+    """The inverse of `cobs_encode`; None if `data` is not valid."""
     out = bytearray()
     place, end = 0, len(data)
     while place < end:
@@ -71,7 +70,7 @@ def cobs_decode(data: bytes) -> bytes | None:
 
 
 class RawFrame(NamedTuple):
-    """A frame whose CRC was right."""
+    """A frame with a correct CRC."""
 
     type: int
     counter: int
@@ -79,7 +78,7 @@ class RawFrame(NamedTuple):
 
 
 class FrameFormat(NamedTuple):
-    """What is fixed for a frame type: the payload's length [bytes] and the CRC's start value."""
+    """The constants of a frame type: the payload's length [bytes] and the CRC's start value."""
 
     payload_bytes: int
     seed: int
@@ -87,7 +86,7 @@ class FrameFormat(NamedTuple):
 
 @dataclass(slots=True, kw_only=True)
 class FrameErrors:
-    """How many frames were thrown away, and why."""
+    """The numbers of rejected frames by cause."""
 
     cobs: int = 0
     length: int = 0
@@ -96,15 +95,15 @@ class FrameErrors:
 
     @property
     def total(self) -> int:
-        """All of them together."""
+        """The sum of all counters."""
         return self.cobs + self.length + self.unknown_type + self.crc
 
 
 def encode(frame_type: int, counter: int, payload: bytes, seed: int) -> bytes:
-    """The bytes of one frame, delimiters included; raises ValueError for what does not fit."""
+    """The bytes of one frame with delimiters; raises ValueError if it is too long."""
     body = bytes((frame_type, counter)) + payload
     if len(body) > MAX_BODY_BYTES:
-        raise ValueError(f"frame type {frame_type}: {len(body)} bytes where {MAX_BODY_BYTES} are the most")
+        raise ValueError(f"frame type {frame_type}: expected at most {MAX_BODY_BYTES} bytes, got {len(body)}")
     stuffed = cobs_encode(body)
     return b"\0" + stuffed + _check(stuffed, seed) + b"\0"
 
@@ -115,9 +114,9 @@ def _check(stuffed: bytes, seed: int) -> bytes:
 
 
 class Decoder:
-    """Bytes in, frames out; whatever is damaged is counted in `errors` and thrown away.
+    """Bytes in, frames out; damaged frames are counted in `errors` and rejected.
 
-    `formats` gives the types that are taken. The memory is bounded: at most one frame is kept between calls.
+    `formats` has the accepted types. The memory is bounded: at most one frame is kept between calls.
     """
 
     def __init__(self, formats: Mapping[int, FrameFormat]) -> None:
@@ -126,15 +125,15 @@ class Decoder:
         self.errors = FrameErrors()
 
     def reset(self) -> None:
-        """Forget a frame that has begun; the counters stay."""
+        """Discard an incomplete frame; the counters are kept."""
         self._tail = b""
 
     def feed(self, data: bytes) -> list[RawFrame]:
-        """Take in `data`; the frames that it completes."""
+        """Process `data`; gives the frames that it completes."""
         if not data:
             return []
         *chunks, tail = (self._tail + data).split(b"\0")
-        self._tail = tail[: _MAX_CHUNK_BYTES + 1]  # one more than fits: still known as too long at its end
+        self._tail = tail[: _MAX_CHUNK_BYTES + 1]  # one more than fits, so that it is still too long at its end
         frames = []
         for chunk in chunks:
             if chunk and (frame := self._decode(chunk)) is not None:

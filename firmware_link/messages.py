@@ -1,11 +1,9 @@
-"""The messages between host and board: the one table that encoding, decoding, documents and the table's hash come from.
+"""The messages between host and board: one table for encoding, decoding, the documentation and the table's hash.
 
-Each message is a frozen dataclass whose fields carry their wire format; `TABLE` lists them with their type numbers.
-Numbers below 0x80 go to the board, those above come from it. Every frame's CRC starts from `TABLE_HASH`, but for
-`Hello`: its layout never changes and its CRC starts from 0, so that two programs with different tables still learn
-of it.
-
-Dataclasses <-> fixed little-endian payloads, from the wire format noted at each field.
+Each message is a frozen dataclass whose fields have their wire format as metadata; `TABLE` lists them with their type
+numbers: below 0x80 to the board, above from it. Payloads are little-endian. The CRC of every frame starts from
+`TABLE_HASH`, except for `Hello`: its layout never changes and its CRC starts from 0, so that two programs with
+different tables can detect it.
 """
 
 from __future__ import annotations
@@ -35,10 +33,10 @@ C_TYPES = {"B": "uint8_t", "H": "uint16_t", "I": "uint32_t", "h": "int16_t", "i"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireField:
-    """How one field lies on the wire.
+    """The wire format of one field.
 
-    `code` is its struct code; the value is `scale` times the integer there, in `unit`; where `scale` is None the
-    value is that integer. The integer `none` stands for "not there" (None).
+    `code` is its struct code; the value is `scale` times the integer, in `unit`, or the integer itself if `scale` is
+    None. The integer `none` stands for None.
     """
 
     name: str
@@ -55,28 +53,27 @@ class WireField:
 
     @property
     def bytes(self) -> int:
-        """How many bytes it takes."""
+        """Its length [bytes]."""
         return struct.calcsize(self.code)
 
     @property
     def range(self) -> tuple[int, int]:
-        """The least and the greatest integer that stands for a value."""
+        """The smallest and the largest integer that stands for a value."""
         low, high = _INTEGERS[self.code]
         return (low + 1 if self.none == low else low), (high - 1 if self.none == high else high)
 
 
 def wire(code: str, unit: str, doc: str, *, scale: float | None = None, none: int | None = None) -> dict[str, Any]:
-    """The metadata of a dataclass field that goes over the wire; see `WireField`."""
+    """The metadata of a dataclass field for the wire; see `WireField`."""
     if none is not None and none not in _INTEGERS[code]:
         raise ValueError(f"none: {none} is not an end of the range of {code!r}")
     return {"code": code, "unit": unit, "scale": scale, "none": none, "doc": doc}
 
 
 class Codec(Generic[M]):
-    """One message class <-> its payload.
+    """Converts one message class to its payload and back.
 
-    Scaled values beyond the field's range go out as the nearest that fits; integers beyond it, and values that are
-    not finite, raise ValueError.
+    Scaled values are limited to the field's range; integers outside it and values that are not finite raise ValueError.
     """
 
     def __init__(self, cls: type[M]) -> None:
@@ -99,7 +96,7 @@ class Codec(Generic[M]):
             raise ValueError(f"{message}: {error}") from None
 
     def unpack(self, payload: bytes) -> M:
-        """The message in `payload`, which must have the right length."""
+        """The message in `payload`, which must have the correct length."""
         raw = self._struct.unpack(payload)
         return self.cls(**{name: unpack(value) for (name, unpack), value in zip(self._unpackers, raw, strict=True)})
 
@@ -112,7 +109,7 @@ def _packer(field: WireField) -> Callable[[Any], int]:
         if value is None and none is not None:
             return none
         if value is None or not math.isfinite(value):
-            raise ValueError(f"{name}: {value} where a finite number is wanted")
+            raise ValueError(f"{name}: expected a finite number, got {value}")
         return min(max(round(value / (scale or 1)), low), high)
 
     def whole(value: int) -> int:
@@ -134,14 +131,14 @@ def _unpacker(field: WireField) -> Callable[[int], float | int | None]:
 
 
 PROTOCOL_VERSION = 1
-PULSE_STEP_US = 0.5  # what a 16-bit timer at 2 MHz resolves
-PULSE_RANGE_US = (500.0, 2500.0)  # a pulse outside is no servo pulse: the frame is refused
+PULSE_STEP_US = 0.5  # the resolution of a 16-bit timer at 2 MHz
+PULSE_RANGE_US = (500.0, 2500.0)  # frames with pulses outside are refused
 
 
 class CommandFlag(enum.IntFlag):
     """Bits of `Command.flags`; a command with any other bit is refused."""
 
-    FRESH = 1  # feeds the command timer; without it the pulses are ignored: neutral and straight
+    FRESH = 1  # feeds the command timer; without it the pulses are ignored and the board goes to neutral and straight
 
 
 class StatusFlag(enum.IntFlag):
@@ -153,58 +150,60 @@ class StatusFlag(enum.IntFlag):
 class Fault(enum.IntFlag):
     """Bits of `Status.faults`.
 
-    `COMMAND_TIMEOUT` stays until the next arming, `GYRO_FAILED` as long as it lasts; the others tell of the time since
-    the last status.
+    `COMMAND_TIMEOUT` is kept until the next arming, `GYRO_FAILED` as long as it lasts; the others refer to the time
+    since the last status.
     """
 
-    COMMAND_TIMEOUT = 1 << 0  # the command timer ran out while armed: disarmed
+    COMMAND_TIMEOUT = 1 << 0  # the command timer expired while armed: disarmed
     COMMAND_LATE = 1 << 1  # a command came after its deadline: ignored
-    COMMAND_REPEATED = 1 << 2  # a command's counter was not ahead of the last one's: ignored
+    COMMAND_REPEATED = 1 << 2  # a command's counter was not ahead of the last one: ignored
     COMMAND_REFUSED = 1 << 3  # a command with impossible pulses or unknown flags: ignored
     FRAME_ERRORS = 1 << 4  # damaged frames
-    RX_OVERFLOW = 1 << 5  # bytes lost for want of room
-    TX_OVERFLOW = 1 << 6  # a message left out for want of room
+    RX_OVERFLOW = 1 << 5  # received bytes were lost: the buffer was full
+    TX_OVERFLOW = 1 << 6  # a message was not sent: the buffer was full
     ARM_REFUSED = 1 << 7  # an Arm with another nonce or boot id
-    LIMITS_REFUSED = 1 << 8  # Limits that contradict themselves, or came while armed
-    GYRO_FAILED = 1 << 9  # a gyro that was there gives no yaw rate; one that is not fitted is none
+    LIMITS_REFUSED = 1 << 8  # Limits that are inconsistent, or came while armed
+    GYRO_FAILED = 1 << 9  # a gyro that worked gives no yaw rate (not for a gyro that is not fitted)
 
 
 class ResetCause(enum.IntEnum):
-    """`Hello.reset_cause`: why the board started."""
+    """`Hello.reset_cause`: the cause of the board's start."""
 
     POWER_ON = 0
-    EXTERNAL = 1  # the reset line, as when the port is opened
+    EXTERNAL = 1  # the reset line, for example when the port is opened
     BROWN_OUT = 2
     WATCHDOG = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
-    """The pulses wanted. While armed, one that is fresh feeds the command timer; nothing else does."""
+    """The commanded pulses. While armed, a fresh command feeds the command timer; nothing else does."""
 
     servo_us: float = field(metadata=wire("H", "us", "steering pulse", scale=PULSE_STEP_US))
     motor_us: float = field(metadata=wire("H", "us", "motor pulse", scale=PULSE_STEP_US))
-    deadline_ms: int = field(metadata=wire("H", "ms", "board time, modulo 65536, after which it is ignored"))
+    deadline_ms: int = field(metadata=wire("H", "ms", "board time, modulo 65536, after which the command is ignored"))
     flags: int = field(metadata=wire("B", "bits", "CommandFlag"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """The board's own limits, kept over restarts; taken only while disarmed and answered by a Hello."""
+    """The board's own limits, kept over restarts; accepted only while disarmed and answered by a Hello."""
 
-    servo_min_us: float = field(metadata=wire("H", "us", "least steering pulse", scale=PULSE_STEP_US))
+    servo_min_us: float = field(metadata=wire("H", "us", "smallest steering pulse", scale=PULSE_STEP_US))
     servo_straight_us: float = field(metadata=wire("H", "us", "steering pulse for straight ahead", scale=PULSE_STEP_US))
-    servo_max_us: float = field(metadata=wire("H", "us", "greatest steering pulse", scale=PULSE_STEP_US))
-    motor_min_us: float = field(metadata=wire("H", "us", "least motor pulse", scale=PULSE_STEP_US))
+    servo_max_us: float = field(metadata=wire("H", "us", "largest steering pulse", scale=PULSE_STEP_US))
+    motor_min_us: float = field(metadata=wire("H", "us", "smallest motor pulse", scale=PULSE_STEP_US))
     motor_neutral_us: float = field(metadata=wire("H", "us", "motor pulse for neutral", scale=PULSE_STEP_US))
-    motor_max_us: float = field(metadata=wire("H", "us", "greatest motor pulse", scale=PULSE_STEP_US))
-    servo_slew_us: float = field(metadata=wire("B", "us", "steering change per 20 ms servo frame, at most", scale=4.0))
-    motor_slew_us: float = field(metadata=wire("B", "us", "motor change away from neutral per servo frame", scale=4.0))
+    motor_max_us: float = field(metadata=wire("H", "us", "largest motor pulse", scale=PULSE_STEP_US))
+    servo_slew_us: float = field(metadata=wire("B", "us", "maximum steering change per 20 ms servo frame", scale=4.0))
+    motor_slew_us: float = field(
+        metadata=wire("B", "us", "maximum motor change away from neutral per servo frame", scale=4.0)
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Arm:
-    """Accept commands from now on; works only with the nonce of the newest status and the boot id of the hello."""
+    """Accept commands from now on; requires the nonce of the newest Status and the boot id of the Hello."""
 
     nonce: int = field(metadata=wire("H", "", "as in Status"))
     boot_id: int = field(metadata=wire("H", "", "as in Hello"))
@@ -212,44 +211,44 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disarm:
-    """Neutral and straight at once; taken in every state, and voids every Arm sent before it."""
+    """Neutral and straight at once; accepted in every state, and invalidates every earlier Arm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HelloRequest:
-    """Say hello now."""
+    """Request a Hello."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hello:
-    """Who the board is; sent after a start, twice a second, and when asked. Its layout never changes."""
+    """Identifies the board; sent after a start, twice a second, and on request. Its layout never changes."""
 
     table_hash: int = field(metadata=wire("H", "", "hash of the message table"))
     version: int = field(metadata=wire("B", "", "protocol version"))
     reset_cause: int = field(metadata=wire("B", "", "ResetCause"))
-    boot_id: int = field(metadata=wire("H", "", "another one after every start"))
+    boot_id: int = field(metadata=wire("H", "", "new after every start"))
     limits_crc: int = field(metadata=wire("H", "", "CRC-16/DNP of the payload of the Limits in force"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Status:
-    """What the board does; 50 Hz."""
+    """The state of the board; 50 Hz."""
 
     time_us: int = field(metadata=wire("I", "us", "board time, modulo 2^32"))
     servo_us: float = field(metadata=wire("H", "us", "steering pulse at the pin", scale=PULSE_STEP_US))
     motor_us: float = field(metadata=wire("H", "us", "motor pulse at the pin", scale=PULSE_STEP_US))
     faults: int = field(metadata=wire("H", "bits", "Fault"))
-    nonce: int = field(metadata=wire("H", "", "what the next Arm must say; new after every start and disarming"))
+    nonce: int = field(metadata=wire("H", "", "required in the next Arm; new after every start and disarming"))
     command_counter: int = field(metadata=wire("B", "", "counter of the last Command received"))
     flags: int = field(metadata=wire("B", "bits", "StatusFlag"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Odometry:
-    """How the car moves; 50 Hz."""
+    """The motion of the car; 50 Hz."""
 
     time_us: int = field(metadata=wire("I", "us", "board time of the reading, modulo 2^32"))
-    wheel_ticks: int = field(metadata=wire("i", "", "wheel ticks since the start, down in reverse"))
+    wheel_ticks: int = field(metadata=wire("i", "", "wheel ticks since the start, decreasing in reverse"))
     yaw_rate_radps: float | None = field(
         metadata=wire("h", "rad/s", "anticlockwise positive; none without a gyro", scale=2e-4, none=-0x8000)
     )
@@ -305,7 +304,7 @@ _BY_TYPE = {entry.type_id: entry.codec for entry in TABLE}
 
 
 def table_text(table: Iterable[Entry] = TABLE) -> str:
-    """The table as the hash sees it: names and values of bits; per message its fields' names, types, units, scales."""
+    """The text that is hashed: names and values of bits; names, types, units and scales of each message's fields."""
     lines = [f"version {PROTOCOL_VERSION}"]
     for numbers in (CommandFlag, StatusFlag, Fault, ResetCause):
         lines += [f"{numbers.__name__} {number.name} {int(number)}" for number in numbers]
@@ -319,12 +318,12 @@ TABLE_HASH = int.from_bytes(hashlib.sha256(table_text().encode()).digest()[:2], 
 
 
 def limits_crc(limits: Limits) -> int:
-    """What `Hello.limits_crc` says when these limits are in force."""
+    """The value of `Hello.limits_crc` for these limits."""
     return framing.crc16_dnp(_BY_CLASS[Limits].codec.pack(limits))
 
 
 def encode(message: Message, counter: int, table_hash: int = TABLE_HASH) -> bytes:
-    """The frame of `message`; raises ValueError for values that have no place on the wire."""
+    """The frame of `message`; raises ValueError for values that cannot be encoded."""
     type_id, codec = _BY_CLASS[type(message)]
     return framing.encode(type_id, counter, codec.pack(message), _seed(type_id, table_hash))
 
@@ -335,7 +334,7 @@ def decode(frame: framing.RawFrame) -> Message:
 
 
 def decoder(*, on_board: bool, table_hash: int = TABLE_HASH) -> framing.Decoder:
-    """A decoder for what the board receives, or for what the host receives."""
+    """A decoder for the messages that the board receives, or for those that the host receives."""
     return framing.Decoder(
         {
             entry.type_id: framing.FrameFormat(entry.codec.payload_bytes, _seed(entry.type_id, table_hash))

@@ -1,4 +1,4 @@
-"""Pulse width <-> angle or speed, by the tables of car.toml."""
+"""Conversion between pulse width and angle or speed by the tables of car.toml."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from firmware_link.messages import PULSE_STEP_US
 
 
 class PulseTable:
-    """Piecewise linear, strictly monotonic: `pulse_us[i]` [us] makes `values[i]` (rising or falling throughout).
+    """Piecewise linear and strictly monotonic: `pulse_us[i]` [us] gives `values[i]`.
 
-    Values and pulses beyond the ends are taken to the ends. `zero_us` is the pulse for the value 0.
+    Values and pulses are limited to the ends of the table. `zero_us` is the pulse for the value 0.
     """
 
     def __init__(self, pulse_us: Sequence[float], values: Sequence[float]) -> None:
@@ -29,7 +29,7 @@ class PulseTable:
         return _on_grid(_interpolate(value, self._values, self._pulses_of_values))
 
     def value(self, pulse_us: float) -> float:
-        """The angle or speed that a pulse [us] makes."""
+        """The angle or speed for a pulse [us]."""
         return _interpolate(pulse_us, self._pulses, self._values_of_pulses)
 
 

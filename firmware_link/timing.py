@@ -1,4 +1,4 @@
-"""The board's time seen from the host, and the speed by the board's time or by its rhythm."""
+"""Estimation of the board's time from the host, and the speed from wheel ticks."""
 
 from __future__ import annotations
 
@@ -8,34 +8,33 @@ _WRAP_US = 1 << 32
 _BUCKET_NS = 500_000_000
 _WINDOW_NS = 50_000_000
 _GAP_NS = 500_000_000
-_RHYTHM_NS = 1_000_000_000
-_RHYTHM_MIN_NS = 200_000_000
+_PERIODIC_NS = 1_000_000_000
+_PERIODIC_MIN_NS = 200_000_000
 
 
 class BoardClock:
-    """Host time -> board time, from the least delay seen.
+    """Converts host time to board time by the smallest observed delay.
 
-    A message that says board time b arrives at host time h, later than b by an unknown delay: h - b is the offset of
-    the clocks plus that delay. The least of the last 0.5 to 1 s is taken, so the board time derived from it is behind
-    the true one by the shortest delay, never ahead but for the clocks' drift in that second. When everything is
-    delayed, it falls behind, and deadlines written in it are past when they arrive: late commands do not pass for
-    fresh ones.
+    A message with board time b arrives at host time h with an unknown delay: h - b is the offset of the clocks plus the
+    delay. The minimum of the last 0.5 to 1 s is used, so that the derived board time is behind the true one by the
+    shortest delay, and never ahead except for the clocks' drift in that second. If all messages are delayed, it falls
+    behind, and deadlines in board time have passed on arrival: late commands are not taken for fresh ones.
     """
 
     def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the offset, as for another board or after its restart."""
+        """Forget the offset, for another board or after a restart."""
         self._last_us: int | None = None
         self._bucket_end_ns = 0
-        self._least_ns: int | None = None  # of the bucket that is being filled
-        self._least_before_ns: int | None = None  # of the bucket before
+        self._least_ns: int | None = None  # of the current bucket
+        self._least_before_ns: int | None = None  # of the previous bucket
 
     def observe(self, time_us: int, host_ns: int) -> int | None:
-        """Take in a board time (modulo 2^32 us) that arrived at `host_ns`.
+        """Process a board time (modulo 2^32 us) that arrived at `host_ns`.
 
-        Gives the board time [ns] unwrapped, or None where the board's time went back: it has restarted.
+        Gives the unwrapped board time [ns], or None if it went back: the board has restarted.
         """
         if self._last_us is None:
             self._last_us = time_us
@@ -61,7 +60,7 @@ class BoardClock:
 
 
 class SpeedMeter:
-    """Speed [m/s] from wheel ticks: the way of the last 50 ms of board time over just that time, signed."""
+    """Signed speed [m/s] from wheel ticks over the last 50 ms of board time."""
 
     def __init__(self, ticks_per_m: float) -> None:
         self._ticks_per_m = ticks_per_m
@@ -72,7 +71,7 @@ class SpeedMeter:
         self._readings.clear()
 
     def step(self, board_ns: int, ticks: int) -> float | None:
-        """Take in a reading; the speed, or None until two readings lie apart in time."""
+        """Process a reading; gives the speed, or None until there are two readings at different times."""
         readings = self._readings
         if readings and not 0 < board_ns - readings[-1][0] < _GAP_NS:
             readings.clear()
@@ -86,10 +85,10 @@ class SpeedMeter:
 
 
 class LineSpeedMeter:
-    """Speed [m/s] from wheel ticks that come in an even rhythm without saying when.
+    """Speed [m/s] from periodic wheel ticks without timestamps.
 
-    A host that looks now and then sees their times only roughly. So their mean distance is taken from the last second,
-    and the speed is the way of the last 50 ms over the number of readings in it times that distance.
+    The times of arrival are inaccurate, as the host polls. The period of the readings is therefore averaged over the
+    last second, and the speed is computed from the ticks of about the last 50 ms and the number of readings in it.
     """
 
     def __init__(self, ticks_per_m: float) -> None:
@@ -101,19 +100,19 @@ class LineSpeedMeter:
         self._readings.clear()
 
     def step(self, count: int, ticks: int, now_ns: int) -> float | None:
-        """Take in the newest reading, the `count`-th, at `now_ns`; the speed, or None in the first 200 ms."""
+        """Process the newest reading, number `count`, at `now_ns`; gives the speed, or None in the first 200 ms."""
         readings = self._readings
         if readings and now_ns - readings[-1][0] > _GAP_NS:
             readings.clear()
         readings.append((now_ns, count, ticks))
-        while now_ns - readings[1 if len(readings) > 1 else 0][0] >= _RHYTHM_NS:
+        while now_ns - readings[1 if len(readings) > 1 else 0][0] >= _PERIODIC_NS:
             readings.popleft()
         first_ns, first_count, _ = readings[0]
-        if now_ns - first_ns < _RHYTHM_MIN_NS or count == first_count:
+        if now_ns - first_ns < _PERIODIC_MIN_NS or count == first_count:
             return None
         period_ns = (now_ns - first_ns) / (count - first_count)
         for _, before, ticks_before in reversed(readings):
-            way_ns = (count - before) * period_ns
-            if way_ns >= _WINDOW_NS:
-                return (ticks - ticks_before) / self._ticks_per_m / (way_ns * 1e-9)
+            elapsed_ns = (count - before) * period_ns
+            if elapsed_ns >= _WINDOW_NS:
+                return (ticks - ticks_before) / self._ticks_per_m / (elapsed_ns * 1e-9)
         return None

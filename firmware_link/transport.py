@@ -1,7 +1,4 @@
-"""The pipe to a board: bytes out, bytes in, never blocking.
-
-What a board says, written down as it goes by: for measurements that need the board's own times.
-"""
+"""The byte pipe to a board, non-blocking: a serial port, a board in the same process, and a logger of board times."""
 
 from __future__ import annotations
 
@@ -11,20 +8,23 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from automodel.types import IntArray
 from firmware_link import messages
 from firmware_link.errors import PortLost, PortNotFound, PortRefused
 
 if TYPE_CHECKING:
     import serial
 
+STATUS_LATE_NS = 1_000_000  # delay of a status after the start of the servo frame that it reports
 _READ_BYTES = 4096
-_BACKLOG_BYTES = 256  # 18 commands; more than the line carries while a command is valid
+_BACKLOG_BYTES = 256  # 18 commands; more than the line transmits while a command is valid
+_WRAP_US = 1 << 32
+_BUCKET_NS = 1_000_000_000
 
 
 class Clock(Protocol):
-    """Integer nanoseconds that never go back; the runner's clocks are such."""
+    """A monotonic clock in integer nanoseconds, such as the runner's."""
 
     def now_ns(self) -> int:
         """The time now [ns]."""
@@ -39,23 +39,23 @@ class Transport(Protocol):
         ...
 
     def write(self, data: bytes) -> None:
-        """Hand `data` over for sending."""
+        """Send `data`."""
         ...
 
     def read(self) -> bytes:
-        """What has arrived since the last call, empty when nothing has."""
+        """The bytes that have arrived since the last call."""
         ...
 
     def close(self) -> None:
-        """Close the pipe; may be called twice, and opened again afterwards."""
+        """Close the pipe; may be called twice. It can be opened again."""
         ...
 
 
 class SerialTransport:
     """A serial port (or pty) through pyserial.
 
-    What the port does not take at once is kept, 256 bytes at most: a port that takes nothing for longer is lost.
-    Unread input is bounded by the system's own buffer; a read takes 4096 bytes at most.
+    At most 256 bytes that the port does not accept at once are queued; then the port is lost. Unread input is limited
+    by the system's buffer; a read gives at most 4096 bytes.
     """
 
     def __init__(self, port: str, baud: int) -> None:
@@ -71,7 +71,7 @@ class SerialTransport:
         self.close()
         try:
             self._serial = serial.Serial(self._port, self._baud, timeout=0, write_timeout=0, exclusive=True)
-        except (OSError, ValueError) as error:  # SerialException is an OSError; termios.error is none, see below
+        except (OSError, ValueError) as error:  # SerialException is an OSError
             raise self._not_opened(error) from None
 
     def _not_opened(self, error: Exception) -> PortNotFound | PortRefused:
@@ -81,11 +81,11 @@ class SerialTransport:
         if number in (errno.EACCES, errno.EPERM):
             return PortRefused(f"{self._port}: permission denied; add the user to the group that owns it (dialout)")
         if number in (errno.EBUSY, errno.EAGAIN):
-            return PortRefused(f"{self._port}: another program holds the port; close it")
+            return PortRefused(f"{self._port}: another program uses the port; close it")
         return PortRefused(f"{self._port}: cannot be opened as a serial port at {self._baud} baud: {error}")
 
     def write(self, data: bytes) -> None:
-        """Send `data`, or keep what does not go out at once; raises PortLost."""
+        """Send `data`, or queue what the port does not accept at once; raises PortLost."""
         if self._serial is None:
             raise PortLost(f"{self._port}: not open")
         self._backlog += data
@@ -97,10 +97,10 @@ class SerialTransport:
             raise self._lost(error) from None
         self._backlog = self._backlog[sent:]
         if len(self._backlog) > _BACKLOG_BYTES:
-            raise PortLost(f"{self._port}: takes no more bytes; check the cable, then it is opened again")
+            raise PortLost(f"{self._port}: accepts no more bytes; check the cable, then it is opened again")
 
     def read(self) -> bytes:
-        """What has arrived, 4096 bytes at most; raises PortLost."""
+        """The bytes that have arrived, at most 4096; raises PortLost."""
         if self._serial is None:
             raise PortLost(f"{self._port}: not open")
         try:
@@ -109,7 +109,7 @@ class SerialTransport:
             raise self._lost(error) from None
 
     def _lost(self, error: Exception) -> PortLost:
-        return PortLost(f"{self._port}: vanished ({error}); check the cable, then it is opened again")
+        return PortLost(f"{self._port}: disappeared ({error}); check the cable, then it is opened again")
 
     def close(self) -> None:
         """Close the port."""
@@ -120,7 +120,7 @@ class SerialTransport:
 
 
 def likely_ports() -> str:
-    """One phrase for error messages: the ports that a board is likely to be at, and where to write it."""
+    """A phrase for error messages: the likely ports of a board, and where to configure the port."""
     from serial.tools import list_ports
 
     found = [f"{p.device} ({p.description})" for p in list_ports.comports() if p.vid is not None]
@@ -130,18 +130,18 @@ def likely_ports() -> str:
 
 
 class Board(Protocol):
-    """A board in this process, on time that is passed in; `emulator.board.EmulatedArduino` is one."""
+    """A board in this process, such as `emulator.board.EmulatedArduino`; time is an argument."""
 
     def reset(self, now_ns: int) -> None:
-        """Restart, as when its port is opened."""
+        """Restart, as on opening the port."""
         ...
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        """Put bytes on the line to the board; how many there was room for."""
+        """Put bytes on the line to the board; gives the number of accepted bytes."""
         ...
 
     def transmit(self, now_ns: int) -> bytes:
-        """The bytes that have come from the board since the last call."""
+        """The bytes from the board since the last call."""
         ...
 
     def advance(self, now_ns: int) -> None:
@@ -150,10 +150,7 @@ class Board(Protocol):
 
 
 class MemoryTransport:
-    """A board in this process behind the same bytes as a serial line, on any clock.
-
-    `unplug` and `replug` do what they say to the cable.
-    """
+    """A board in this process behind the same bytes as a serial line, on any clock."""
 
     def __init__(self, board: Board, clock: Clock) -> None:
         self._board = board
@@ -172,36 +169,31 @@ class MemoryTransport:
         """Put `data` on the line; raises PortLost."""
         self._check()
         if self._board.receive(data, self._clock.now_ns()) < len(data):
-            raise PortLost("memory: takes no more bytes; the board's line is full")
+            raise PortLost("memory: accepts no more bytes; the board's line is full")
 
     def read(self) -> bytes:
-        """Run the board up to now; what it has sent. Raises PortLost."""
+        """Run the board up to now; gives the bytes that it has sent. Raises PortLost."""
         self._check()
         now_ns = self._clock.now_ns()
         self._board.advance(now_ns)
         return self._board.transmit(now_ns)
 
     def close(self) -> None:
-        """Close; the board goes on."""
+        """Close; the board keeps running."""
         self._open = False
 
     def unplug(self) -> None:
-        """Take the cable out."""
+        """Unplug the cable."""
         self._plugged = False
 
     def replug(self) -> None:
-        """Put the cable in again; the port must be opened again."""
+        """Plug the cable in again; the port must be opened again."""
         self._open = False
         self._plugged = True
 
     def _check(self) -> None:
         if not (self._open and self._plugged):
-            raise PortLost("memory: vanished; the cable is unplugged or the port is not open")
-
-
-_WRAP_US = 1 << 32
-_BUCKET_NS = 1_000_000_000
-STATUS_LATE_NS = 1_000_000  # a status is said so long after the servo frame that it tells of has begun
+            raise PortLost("memory: disappeared; the cable is unplugged or the port is not open")
 
 
 class Pins(NamedTuple):
@@ -221,9 +213,9 @@ class Rolled(NamedTuple):
 
 
 class LoggedTransport:
-    """A transport that passes everything on and keeps `pins` and `rolled`, the board's own words.
+    """A transport that forwards everything and logs the board's reports in `pins` and `rolled`.
 
-    They begin anew when the pipe is opened and when the board restarts.
+    The logs are cleared when the pipe is opened and when the board restarts.
     """
 
     def __init__(self, transport: Transport, clock: Clock) -> None:
@@ -234,7 +226,7 @@ class LoggedTransport:
     def _forget(self) -> None:
         self.pins: list[Pins] = []
         self.rolled: list[Rolled] = []
-        self._heard: list[tuple[int, int]] = []  # the board's time, and the host's when it came
+        self._heard: list[tuple[int, int]] = []  # the board's time, and the host's time of arrival
         self._last_us: int | None = None
 
     def open(self) -> None:
@@ -261,14 +253,14 @@ class LoggedTransport:
         return data
 
     def close(self) -> None:
-        """As the transport's; what was written down stays."""
+        """As the transport's; the logs are kept."""
         self._transport.close()
 
-    def host_ns(self, board_ns: Sequence[int]) -> NDArray[np.int64]:
-        """The host's times [ns] of the board's.
+    def host_ns(self, board_ns: Sequence[int]) -> IntArray:
+        """The host times [ns] of board times.
 
-        A line through the least delays of each second: a board's resonator may be half a percent off, and nothing that
-        is held up on the way counts. The shortest way over the wire, a millisecond or two, stays in.
+        From a line through the smallest delay of each second: a board's resonator may be off by half a percent, and
+        delayed messages do not count. The shortest transmission delay, a millisecond or two, is not corrected.
         """
         heard = np.array(self._heard, dtype=np.int64).reshape(-1, 2)
         start_ns, offsets = int(heard[0, 0]), heard[:, 1] - heard[:, 0]

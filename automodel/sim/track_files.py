@@ -19,8 +19,16 @@ from numpy.typing import ArrayLike
 from automodel.config.toml_reader import ConfigError, parse_toml, read_section, read_text, where
 from automodel.curves import Curve, JoinedCurve, OffsetCurve, SplineCurve
 from automodel.geometry import SE2
-from automodel.sim.paint import Grain, Paint, broken_spans, find_crossings, on_line, paint_line, paint_road
-from automodel.sim.roadside import build_roadside
+from automodel.sim.paint import (
+    Grain,
+    Paint,
+    broken_spans,
+    build_roadside,
+    find_crossings,
+    on_line,
+    paint_line,
+    paint_road,
+)
 from automodel.sim.track import Lane, Obstacle, Track, constant, lane_between, reversed_lane
 from automodel.sim.track_sections import (
     PIECES,

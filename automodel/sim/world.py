@@ -23,6 +23,9 @@ from automodel.sim.track import Lane
 from automodel.sim.truth import Truth, TruthFollower
 from automodel.types import Image
 
+BEHIND_LANES, AHEAD_LANES = 0.3, 3.5  # extent of the estimate about the reference point, in lane widths
+SEEN_LANES = 1.5  # at a larger offset the lane is out of sight
+_STEP_LANES = 0.1  # between two points
 MAX_M = 4.0
 MIN_M = 0.02
 CONE_HALF_RAD = math.radians(15.0)
@@ -165,11 +168,6 @@ class Eye(Protocol):
     ) -> Image:
         """The image from a pose of the body frame."""
         ...
-
-
-BEHIND_LANES, AHEAD_LANES = 0.3, 3.5  # extent of the estimate about the reference point, in lane widths
-SEEN_LANES = 1.5  # at a larger offset the lane is out of sight
-_STEP_LANES = 0.1  # between two points
 
 
 class TrueLane:

@@ -1,9 +1,7 @@
-"""The boards of the AutoNOMOS cars, not there: they answer real text, on time that is passed in.
+"""Emulated boards of the AutoNOMOS cars with their text protocol; time is an argument.
 
-They are as careless as the real programs: no checksum, no timer, and a byte that is lost may be another number. What
-they do with damaged text is what the programs of `autonomos_text`'s sources do with it.
-
-A board that speaks text and is not there: power, serial line, time; what it says and does comes from a subclass.
+They have the weaknesses of the real programs: no checksum, no timer, and a lost byte may give another number. Damaged
+text has the same effect as in the sources that `firmware_link.autonomos` names.
 """
 
 from __future__ import annotations
@@ -17,13 +15,19 @@ from firmware_link.emulator.logic import BoardCounters
 from firmware_link.emulator.uart import UartLine
 
 NEUTRAL_US = 1500.0
-BOOT_NS = 1_000_000_000  # bootloader, and the gyro's start
+BOOT_NS = 1_000_000_000  # bootloader and start of the gyro
+REPORT_NS = 10_000_000  # the period of the gyro's readings
+SERVO_US = (900, 1900)  # the pulses of 0 and 180
+FULL_US = 400.0  # motor pulse above neutral for the motor number 1000: the simulated car's motor has pulse inputs
 NEVER = sys.maxsize
 _WIRE_BYTES = 4096
+_FULL_DUTY = 250
+_WHOLE = re.compile(r"\s*(-?\d+)")
+_BANNER = b"Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 connection successful\r\n"
 
 
 class Pins:
-    """The servo's and the motor's pulses, which may come from two boards; 0 is none."""
+    """The pulses of servo and motor, which may come from two boards; 0 is no pulse."""
 
     def __init__(self, peripherals: Peripherals) -> None:
         self.peripherals = peripherals
@@ -31,7 +35,7 @@ class Pins:
         self.servo_us, self.motor_us = 0.0, NEUTRAL_US
 
     def set(self, t_ns: int, *, servo_us: float | None = None, motor_us: float | None = None) -> None:
-        """The pulses from `t_ns` on; None leaves one as it is."""
+        """Set the pulses from `t_ns` on; None keeps a pulse."""
         self._t_ns = max(t_ns, self._t_ns)
         self.servo_us = self.servo_us if servo_us is None else servo_us
         self.motor_us = self.motor_us if motor_us is None else motor_us
@@ -39,9 +43,9 @@ class Pins:
 
 
 class TextBoard(abc.ABC):
-    """What the boards have in common: power, serial line, time. A `Board` for `MemoryTransport` and `PtyBoard`.
+    """The common part of the boards: power, serial line, time. A `Board` for `MemoryTransport` and `PtyBoard`.
 
-    A board that hangs leaves its pins as they are for good: none has a watchdog.
+    A board that hangs keeps its pins: there is no watchdog.
     """
 
     def __init__(self, pins: Pins, baud: int = 115200, boot_ns: int = BOOT_NS) -> None:
@@ -75,24 +79,24 @@ class TextBoard(abc.ABC):
         self._hung = True
 
     def room(self, now_ns: int) -> int:
-        """How many bytes `receive` takes at `now_ns`."""
+        """The number of bytes that `receive` accepts at `now_ns`."""
         return self._rx.room(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        """Put the host's bytes on the line; how many there was room for, the others are lost."""
+        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
         taken = data[: self._rx.room(now_ns)]
         if taken:
             self._rx.put(taken, now_ns)
         return len(taken)
 
     def transmit(self, now_ns: int) -> bytes:
-        """The bytes whose last bit has left by `now_ns`, since the last call; 4096 at most, the newest are lost."""
+        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
         self._collect(now_ns)
         sent, self._sent = self._sent, b""
         return sent
 
     def advance(self, now_ns: int) -> None:
-        """Do all that happens up to `now_ns`; times never go back. The first call switches the power on."""
+        """Run up to `now_ns`; times never decrease. The first call switches the power on."""
         if not self._on:
             self.reset(now_ns)
         while (t_ns := self._next_ns()) <= now_ns:
@@ -125,31 +129,23 @@ class TextBoard(abc.ABC):
 
     @abc.abstractmethod
     def _stop(self, t_ns: int) -> None:
-        """A reset: everything forgotten, and what becomes of the pins."""
+        """Reset the program's state and the pins."""
 
     @abc.abstractmethod
     def _begin(self, t_ns: int) -> None:
-        """The program begins."""
+        """Start the program."""
 
     @abc.abstractmethod
     def _due_ns(self) -> int:
-        """When the program does something by itself; NEVER where it does not."""
+        """The time of the program's next own action; NEVER without one."""
 
     @abc.abstractmethod
     def _act(self, t_ns: int) -> None:
-        """Do it."""
+        """Perform that action."""
 
     @abc.abstractmethod
     def _hear(self, char: str, t_ns: int) -> None:
-        """A byte from the host."""
-
-
-REPORT_NS = 10_000_000  # each time the gyro has a reading
-SERVO_US = (900, 1900)  # the pulses of 0 and 180
-FULL_US = 400.0  # motor pulse above neutral, of the motor's number 1000: the simulated car's motor takes pulses
-_FULL_DUTY = 250
-_WHOLE = re.compile(r"\s*(-?\d+)")
-_BANNER = b"Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 connection successful\r\n"
+        """Process a byte from the host."""
 
 
 class _ServoPin:
@@ -164,7 +160,7 @@ class _ServoPin:
         self.due_ns, self._us = NEVER, NEUTRAL_US
 
     def order(self, word: str, t_ns: int, *, in_range: bool) -> None:
-        """`en`, `di`, or a number; what is no number counts as 0. `in_range`: numbers beyond 0 .. 180 are ignored."""
+        """`en`, `di`, or a number, 0 if invalid. `in_range`: numbers outside 0 .. 180 are ignored."""
         if word == "en":
             self.due_ns = min(self.due_ns, t_ns)
         elif word == "di":
@@ -182,10 +178,10 @@ class _ServoPin:
 
 
 class EmulatedAutonomos(TextBoard):
-    """The Arduino of 2017: servo and motor by one line, the encoder told 100 times a second.
+    """The Arduino of 2017: servo and motor by one line, the encoder reported 100 times a second.
 
-    The motor's number moves it at once, whatever became of the servo, and the last one holds for ever. The direction
-    in which the encoder counts is the ordered one.
+    The motor's number takes effect at once, independently of the servo, and the last one is kept. The encoder counts in
+    the commanded direction.
     """
 
     def __init__(self, peripherals: Peripherals, baud: int = 115200, boot_ns: int = BOOT_NS) -> None:
@@ -200,7 +196,7 @@ class EmulatedAutonomos(TextBoard):
 
     @property
     def boot_id(self) -> int:
-        """How often it has started."""
+        """The number of starts."""
         return self.counters.starts
 
     @property
@@ -241,7 +237,7 @@ class EmulatedAutonomos(TextBoard):
             self._word = max(self._word, 1)
         elif char == "M":
             self._word = 2
-        if self._word < 2 or char not in "M\r":  # without an S ahead it all goes on behind the motor's number
+        if self._word < 2 or char not in "M\r":  # without an S everything is appended to the motor's number
             self._words[self._word] += char
         if char == "\r" and self._word == 2:
             self._obey(t_ns)
@@ -258,7 +254,7 @@ class EmulatedAutonomos(TextBoard):
 
 
 class EmulatedServoBoard(TextBoard):
-    """The Arduino of 2015: the servo alone; says nothing."""
+    """The Arduino of 2015: only the servo, without answers."""
 
     def __init__(self, pins: Pins, baud: int = 115200, boot_ns: int = BOOT_NS) -> None:
         super().__init__(pins, baud, boot_ns)
@@ -302,7 +298,7 @@ class EmulatedMotorController(TextBoard):
         return self._enabled and self._rpm != 0
 
     def reset(self, now_ns: int) -> None:
-        """Only the first time, as the power comes on."""
+        """Only the first time, at power-on."""
         if not self._on:
             super().reset(now_ns)
 
@@ -316,13 +312,13 @@ class EmulatedMotorController(TextBoard):
         self._pins.set(t_ns, motor_us=NEUTRAL_US)
 
     def _begin(self, t_ns: int) -> None:
-        """It waits for orders."""
+        """It waits for commands."""
 
     def _due_ns(self) -> int:
         return NEVER
 
     def _act(self, t_ns: int) -> None:
-        """It does nothing by itself."""
+        """It has no actions of its own."""
 
     def _hear(self, char: str, t_ns: int) -> None:
         if char not in "\r\n":
@@ -344,7 +340,7 @@ class EmulatedMotorController(TextBoard):
 
 
 def whole(word: str) -> int:
-    """As Arduino's `String.toInt` into an int: the digits at the beginning, 0 where there are none, 16 bits."""
+    """As Arduino's `String.toInt` into an int: the leading digits, 0 without digits, 16 bits."""
     match = _WHOLE.match(word)
     return int16(int(match[1])) if match else 0
 

@@ -1,11 +1,9 @@
-"""The board's real program on a simulated ATmega328P, behind the same calls as the emulated board.
+"""The real firmware on a simulated ATmega328P, with the interface of the emulated board; and its build.
 
-simavr runs in a process of its own (it is under the GPL), `firmware/simavr/`, and is told over a pipe how far to run;
-what it did comes back: bytes sent, pulses measured at the pins, writes to the pulse registers, resets, each with its
-cycle. Commands: `A` advance to a cycle with these sensor readings, `R` bytes from the host, `X` reset with these flags
-in MCUSR, `H` hang, `S` statistics.
-
-Builds what `AvrBoard` runs: the firmware by avr-gcc, the simulated board around it by gcc and simavr.
+simavr runs in a separate process (it is under the GPL), `firmware/simavr/`, and is controlled over a pipe. It returns
+the bytes sent, pulses at the pins, writes to the pulse registers and resets, each with its cycle. Commands: `A` advance
+to a cycle with these sensor readings, `R` bytes from the host, `X` reset with these flags in MCUSR, `H` hang, `S`
+statistics. The firmware is built by avr-gcc, the simulated board by gcc with simavr.
 """
 
 from __future__ import annotations
@@ -33,23 +31,23 @@ _HEADERS = (("avr-g++", "avr/io.h"), ("gcc", "simavr/sim_avr.h"), ("gcc", "libel
 
 
 class AvrMissing(LinkError):
-    """The simulated AVR cannot be built here; the text says what to install."""
+    """The simulated AVR cannot be built; the text names the missing packages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvrProgram:
-    """The firmware for the chip, and the program for this machine that simulates the board."""
+    """The firmware for the chip, and the simulator of the board for this machine."""
 
     firmware: Path
     simulator: Path
 
 
 def build_avr(folder: Path, baud: int = 115200) -> AvrProgram:
-    """Build both into `folder` (about 2 s); raises AvrMissing where a tool is not there or does not do its work."""
+    """Build both into `folder` (about 2 s); raises AvrMissing if a tool is missing or fails."""
     simulator = FIRMWARE / "simavr"
     if not simulator.is_dir():
         raise AvrMissing(
-            f"{simulator}: not there; the simulated AVR is no part of the installed package, use a checkout"
+            f"{simulator}: no such folder; the simulated AVR is not part of the installed package, use a checkout"
         )
     missing = missing_tools()
     if missing:
@@ -80,13 +78,12 @@ def _make(source: Path, target: Path, *variables: str) -> None:
         raise AvrMissing(f"{target.name}: cannot be built: {errors[0] if errors else 'make failed'}")
 
 
-CLOCK_HZ = 16_000_000
 CYCLES_PER_US = 16
-SLICE_NS = 5_000_000  # how often the sensors are read for the simulation, as the firmware reads its gyro
-SILENT_NS = 30_000_000  # a servo that has had no pulse for so long has none
-_NS, _CYCLES = 125, 2  # of the same time
+SLICE_NS = 5_000_000  # interval of the sensor readings for the simulation, as the firmware reads its gyro
+SILENT_NS = 30_000_000  # after this time without a pulse a servo has none
+_NS, _CYCLES = 125, 2  # the same time in both units
 _STEP_CYCLES = int(CYCLES_PER_US * PULSE_STEP_US)
-_WIRE_BYTES = 4096  # waiting on either side of the line, as in a tty's buffer
+_WIRE_BYTES = 4096  # queued on either side of the line, as in a tty's buffer
 _LOG = 100_000
 
 _ADVANCE = struct.Struct("<cQih3HHBBB")
@@ -115,12 +112,12 @@ class Pulse(NamedTuple):
 
     @property
     def us(self) -> float:
-        """Its width [us], on the grid of 0.5 us: simavr tells of a pin up to three cycles late."""
+        """Its width [us] on the grid of 0.5 us: simavr reports a pin up to three cycles late."""
         return round(self.cycles / _STEP_CYCLES) * PULSE_STEP_US
 
 
 class RegisterWrite(NamedTuple):
-    """A pulse register has been given another value; `us` is the pulse that it makes."""
+    """A change of a pulse register; `us` is the resulting pulse."""
 
     t_ns: int
     motor: bool
@@ -129,21 +126,21 @@ class RegisterWrite(NamedTuple):
 
 @dataclass(slots=True, kw_only=True)
 class SensorFaults:
-    """What is wrong with the sensors around the board; assign to it. The bits are left, centre, right."""
+    """Faults of the sensors at the board, to be assigned. The bits are left, centre, right."""
 
-    gyro: str = ""  # "gone": the bus is not answered; "asleep": its supply has dipped
+    gyro: str = ""  # "gone": no answer on the bus; "asleep": its supply has dipped
     echoes_stuck: int = 0  # bits of sensors whose echo stays high
     sonars_gone: int = 0  # bits of sensors that do not answer
 
 
 class AvrBoard:
-    """The firmware on time that is passed in; a `Board` for `MemoryTransport` and `PtyBoard`.
+    """The simulated board; a `Board` for `MemoryTransport` and `PtyBoard`. Time is an argument.
 
-    The chip's crystal is exact. The sensors are read every 5 ms; wheel ticks come as edges spread over the next 5 ms,
-    a yaw rate of None takes the gyro off its bus. Pulses go to `peripherals` as each ends, 0 for a channel that has
-    had none for 30 ms, as while the bootloader runs (`boot_ns` after each reset).
+    The chip's crystal is exact. The sensors are read every 5 ms; wheel ticks are edges spread over the next 5 ms, and a
+    yaw rate of None removes the gyro from its bus. Pulses are passed to `peripherals` at their end, and 0 for a channel
+    without pulses for 30 ms, as while the bootloader runs (`boot_ns` after each reset).
 
-    `pulses`, `registers` and `resets` note the newest 100,000 of each. Raises LinkError where the simulator dies.
+    `pulses`, `registers` and `resets` have the newest 100,000 of each. Raises LinkError if the simulator dies.
     """
 
     def __init__(
@@ -156,7 +153,7 @@ class AvrBoard:
             [str(program.simulator), str(program.firmware), boot_cycles, str(baud)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            start_new_session=True,  # Ctrl-C is for us: it ends when its pipe does
+            start_new_session=True,  # Ctrl-C must not reach it: it ends with its pipe
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -186,7 +183,7 @@ class AvrBoard:
         self._command(b"X" + bytes((_MCUSR[cause],)))
 
     def hang(self, now_ns: int, *, deaf: bool = False) -> None:
-        """Fault: the program goes round in a loop; a deaf one does not answer interrupts either."""
+        """Fault: the program is in an endless loop; if `deaf`, with interrupts disabled."""
         self.advance(now_ns)
         self._command(b"H" + bytes((deaf,)))
 
@@ -195,11 +192,11 @@ class AvrBoard:
         self.reset(now_ns, ResetCause.BROWN_OUT)
 
     def room(self, now_ns: int) -> int:
-        """How many bytes `receive` takes at `now_ns`."""
+        """The number of bytes that `receive` accepts at `now_ns`."""
         return self._line.room(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        """Put the host's bytes on the line; how many there was room for, the others are lost."""
+        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
         self._power(now_ns)
         taken = data[: self._line.room(now_ns)]
         if taken:
@@ -209,14 +206,14 @@ class AvrBoard:
         return len(taken)
 
     def transmit(self, now_ns: int) -> bytes:
-        """The bytes whose last bit has left by `now_ns`, since the last call; 4096 at most, the newest are lost."""
+        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
         sent = bytearray()
         while self._sent and self._sent[0][0] <= now_ns:
             sent.append(self._sent.popleft()[1])
         return bytes(sent)
 
     def advance(self, now_ns: int) -> None:
-        """Run the chip up to `now_ns`; times never go back. The first call switches the power on."""
+        """Run the chip up to `now_ns`; times never decrease. The first call switches the power on."""
         self._power(now_ns)
         while self._now_ns < now_ns:
             if self._now_ns >= self._slice_due_ns or self._sensors is None:
@@ -227,7 +224,7 @@ class AvrBoard:
             self._run(min(now_ns, self._slice_due_ns), self._sensors)
 
     def measure(self) -> dict[str, int]:
-        """The longest time without sleep since the last call [cycles], the lowest stack pointer."""
+        """The longest time without sleep since the last call [cycles], and the lowest stack pointer."""
         self._command(b"S")
         self._take_events()
         return dict(self.statistics)
@@ -293,7 +290,7 @@ class AvrBoard:
             elif kind == _RESET:
                 self.resets.append((t_ns, value))
             elif kind == _CRASH:
-                raise LinkError(f"the simulated AVR has lost its way at {value:#06x}")
+                raise LinkError(f"the simulated AVR has crashed at {value:#06x}")
             elif kind in (_AWAKE, _STACK):
                 self.statistics["longest_awake" if kind == _AWAKE else "lowest_stack"] = value
 

@@ -1,4 +1,4 @@
-"""An Arduino that is not there: answers real bytes, on time that is passed in."""
+"""An emulated Arduino with the real wire format; time is an argument."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ TICK_NS = 1_000_000  # the main loop
 SERVO_FRAME_NS = 20_000_000
 REPORT_NS = 20_000_000
 HELLO_NS = 500_000_000
-_STATUS_PHASE_NS = 1_000_000  # after the servo frame's start, so that it tells of this frame's pulses
+_STATUS_PHASE_NS = 1_000_000  # after the servo frame's start, so that it reports this frame's pulses
 _SENSOR_PHASE_NS = 11_000_000  # halfway between two statuses
 _RX_RING_BYTES = 64
 _TX_RING_BYTES = 128
-_WIRE_BYTES = 4096  # waiting on the host's side, as in a tty's buffer
+_WIRE_BYTES = 4096  # queued on the host's side, as in a tty's buffer
 
 
 class Peripherals(Protocol):
-    """What hangs on the board's pins. Times never go back."""
+    """The devices at the board's pins. Times never decrease."""
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
         """The pulses [us] at the pins from `t_ns` on; called at each servo frame."""
         ...
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
-        """What the sensors read at `t_ns`."""
+        """The sensor readings at `t_ns`."""
         ...
 
 
@@ -43,36 +43,35 @@ class _State(enum.Enum):
 
 
 class EmulatedArduino:
-    """The board: UART, 1 ms main loop, 50 Hz servo pulses, watchdog. The real program behaves like this, too.
+    """The board: UART, 1 ms main loop, 50 Hz servo pulses, watchdog. The real firmware behaves in the same way.
 
-    In BOOT only: a real board has no pulses at all while its bootloader runs, which `AvrBoard` shows.
+    Except in BOOT: a real board has no pulses while its bootloader runs, as `AvrBoard`.
 
     ===========  ==========================================  =====================================================
     state        event                                       becomes
     ===========  ==========================================  =====================================================
-    any          power, reset line, brown-out, watchdog      BOOT: straight and neutral, deaf and dumb, new boot id
-    BOOT         `boot_ns` over                              DISARMED, new nonce; says Hello
-    any but BOOT HelloRequest; every 500 ms                  the same; says Hello
-    DISARMED     Arm with the nonce and boot id in force     ARMED, command timer starts, counter taken over
+    any          power, reset line, brown-out, watchdog      BOOT: straight and neutral, no communication, new boot id
+    BOOT         `boot_ns` over                              DISARMED, new nonce; sends Hello
+    any but BOOT HelloRequest; every 500 ms                  unchanged; sends Hello
+    DISARMED     Arm with the current nonce and boot id      ARMED, command timer starts, counter set
     DISARMED     Arm with others                             DISARMED, fault ARM_REFUSED
-    DISARMED     Limits that fit                             DISARMED, limits kept over restarts; says Hello
-    DISARMED     Command                                     DISARMED, does nothing
-    ARMED        Command, fresh, counter 1..127 ahead,       ARMED, timer starts anew; the pulses, clamped and
+    DISARMED     valid Limits                                DISARMED, limits kept over restarts; sends Hello
+    DISARMED     Command                                     DISARMED, ignored
+    ARMED        Command, fresh, counter 1..127 ahead,       ARMED, timer restarts; the pulses, clamped and
                  deadline 0..150 ms ahead                    slewed, from the next servo frame on
-    ARMED        Command, not fresh, counter ahead           ARMED, straight and neutral; the timer runs on
-    ARMED        Command that is late, repeated, impossible  ARMED, a fault; else as if it had not come
+    ARMED        Command, not fresh, counter ahead           ARMED, straight and neutral; the timer keeps running
+    ARMED        Command that is late, repeated, invalid     ARMED, a fault; otherwise ignored
     ARMED        Limits; Arm                                 ARMED, fault LIMITS_REFUSED; nothing
     ARMED        command timer: 100 ms without a fresh one   DISARMED (latched), new nonce, fault COMMAND_TIMEOUT
     any but BOOT Disarm                                      DISARMED, new nonce
     ===========  ==========================================  =====================================================
 
-    DISARMED always means straight and neutral, without slewing, from the next servo frame on. Leaving it takes an Arm,
-    which the host sends only on a person's wish: the nonce changes with every disarming, so no older Arm works.
-    COMMAND_TIMEOUT is reported until the next Arm that works.
+    DISARMED always means straight and neutral, without slewing, from the next servo frame on. It ends with an Arm that
+    the host sends on a person's request: the nonce changes with every disarming, so that no older Arm is valid.
+    COMMAND_TIMEOUT is reported until the next valid Arm.
 
-    `advance` runs the main loop's ticks in which something happens and skips the others. The first call switches the
-    power on. A program that hangs leaves its last pulses at the pins (a timer makes them) until the watchdog restarts
-    it.
+    `advance` runs only the ticks of the main loop in which something happens. The first call switches the power on. A
+    program that hangs leaves its last pulses at the pins (a timer generates them) until the watchdog restarts it.
     """
 
     def __init__(self, peripherals: Peripherals, baud: int = 115200, options: BoardOptions | None = None) -> None:
@@ -92,12 +91,12 @@ class EmulatedArduino:
         self._until_ns = 0  # end of booting, or the watchdog's time
         self._servo_due_ns = self._status_due_ns = self._sensors_due_ns = self._hello_due_ns = 0
         self._counter = 0
-        self._errors_told = 0
+        self._errors_reported = 0
         self.counters = BoardCounters()
 
     @property
     def armed(self) -> bool:
-        """Whether commands move anything."""
+        """Whether commands take effect."""
         return self._logic.arming.armed
 
     @property
@@ -123,24 +122,24 @@ class EmulatedArduino:
         self.reset(now_ns, ResetCause.BROWN_OUT)
 
     def room(self, now_ns: int) -> int:
-        """How many bytes `receive` takes at `now_ns`."""
+        """The number of bytes that `receive` accepts at `now_ns`."""
         return self._rx.room(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        """Put the host's bytes on the line; how many there was room for, the others are lost."""
+        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
         taken = data[: self._rx.room(now_ns)]
         if taken:
             self._rx.put(taken, now_ns)
         return len(taken)
 
     def transmit(self, now_ns: int) -> bytes:
-        """The bytes whose last bit has left by `now_ns`, since the last call; 4096 at most, the newest are lost."""
+        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
         self._collect(now_ns)
         sent, self._sent = self._sent, b""
         return sent
 
     def advance(self, now_ns: int) -> None:
-        """Do all that happens up to `now_ns`; times never go back."""
+        """Run up to `now_ns`; times never decrease."""
         if self._state is _State.OFF:
             self._restart(now_ns, ResetCause.POWER_ON)
         while (t_ns := self._next_ns()) <= now_ns:
@@ -184,10 +183,10 @@ class EmulatedArduino:
         self._status_due_ns = t_ns + _STATUS_PHASE_NS
         self._sensors_due_ns = t_ns + _SENSOR_PHASE_NS
         self._counter = 0
-        self._errors_told = self._decoder.errors.total
+        self._errors_reported = self._decoder.errors.total
 
     def _loop(self, t_ns: int) -> None:
-        """One turn of the main loop, in the order of the real one."""
+        """One iteration of the main loop, in the order of the real one."""
         t_ms = (t_ns - self._start_ns) // TICK_NS
         data = self._rx.take(t_ns)
         if data:
@@ -248,8 +247,8 @@ class EmulatedArduino:
         self._say(hello, t_ns)
 
     def _say_status(self, t_ns: int) -> None:
-        if self._decoder.errors.total != self._errors_told:
-            self._errors_told = self._decoder.errors.total
+        if self._decoder.errors.total != self._errors_reported:
+            self._errors_reported = self._decoder.errors.total
             self._logic.event(Fault.FRAME_ERRORS)
         servo_us, motor_us = self._at_pin
         status = messages.Status(
@@ -292,4 +291,4 @@ class EmulatedArduino:
     def _collect(self, now_ns: int) -> None:
         arrived = self._tx.take(now_ns)
         if arrived:
-            self._sent = (self._sent + arrived)[:_WIRE_BYTES]  # a full tty throws the newest away
+            self._sent = (self._sent + arrived)[:_WIRE_BYTES]  # a full tty drops the newest

@@ -1,4 +1,4 @@
-"""A board behind a line that fails: bytes lost, changed, late; and what happens to the board at set times."""
+"""A board behind a faulty line: lost, changed and late bytes, and events at planned times."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ PulseHook = Callable[[float, float], tuple[float, float]]
 
 
 class FaultyBoard:
-    """Implements `Board` around another one; hooks are called for what is sent from `begin_ns` to `end_ns`.
+    """Implements `Board` around another one; hooks are called for bytes that are sent from `start_ns` to `end_ns`.
 
-    `to_board` and `from_board` get bytes and the time when they were sent, and say when which bytes arrive instead;
-    bytes do not overtake each other. `pulses` gets the servo's and the motor's pulse [us] of each command and gives
-    others. `at` plans a call. All of it happens at its own time, between two steps of the board inside, which is
-    `board`; assign another one to change it.
+    `to_board` and `from_board` get bytes and their time of sending, and give the bytes that arrive instead with their
+    times; bytes do not overtake each other. `pulses` replaces the servo's and the motor's pulse [us] of each command.
+    `at` plans a call. Everything happens at its time between two steps of the inner board `board`, which may be
+    replaced by assignment.
     """
 
     def __init__(
         self,
         board: Board,
-        begin_ns: int,
+        start_ns: int,
         end_ns: int,
         *,
         to_board: WireHook | None = None,
@@ -32,7 +32,7 @@ class FaultyBoard:
         pulses: PulseHook | None = None,
     ) -> None:
         self.board = board
-        self._begin_ns, self._end_ns = begin_ns, end_ns
+        self._start_ns, self._end_ns = start_ns, end_ns
         self._hooks = (to_board, from_board)
         self._pulses = pulses
         self._last_ns = [0, 0]  # when the last bytes arrive, to the board and from it
@@ -51,7 +51,7 @@ class FaultyBoard:
         self.board.reset(now_ns)
 
     def receive(self, data: bytes, now_ns: int) -> int:
-        """Put bytes on the line; they get lost on the way, not here."""
+        """Put bytes on the line; gives their number, even if they get lost on the line."""
         for t_ns, piece in self._changed(0, self._with_pulses(data, now_ns), now_ns):
             if t_ns <= now_ns:
                 self.board.receive(piece, now_ns)
@@ -60,7 +60,7 @@ class FaultyBoard:
         return len(data)
 
     def transmit(self, now_ns: int) -> bytes:
-        """What has come out of the line at this end by now."""
+        """The bytes that have arrived at this end."""
         sent = self.board.transmit(now_ns)
         if sent:
             self._from.extend(self._changed(1, sent, now_ns))
@@ -69,7 +69,7 @@ class FaultyBoard:
         return arrived
 
     def advance(self, now_ns: int) -> None:
-        """Run the board up to `now_ns`, and do what was planned until then."""
+        """Run the board up to `now_ns` with the calls that are planned until then."""
         while self._planned and self._planned[0][0] <= now_ns:
             t_ns, _, call = heapq.heappop(self._planned)
             self.board.advance(t_ns)
@@ -79,15 +79,15 @@ class FaultyBoard:
     def _put(self, piece: bytes, t_ns: int) -> None:
         self.board.receive(piece, t_ns)
 
-    def _changed(self, way: int, data: bytes, now_ns: int) -> Iterable[tuple[int, bytes]]:
-        hook = self._hooks[way]
+    def _changed(self, direction: int, data: bytes, now_ns: int) -> Iterable[tuple[int, bytes]]:
+        hook = self._hooks[direction]
         if hook is None or not self._lasts(now_ns):
             pieces: Iterable[tuple[int, bytes]] = ((now_ns, data),)
         else:
             pieces = hook(data, now_ns)
         for t_ns, piece in pieces:
-            self._last_ns[way] = max(t_ns, self._last_ns[way])
-            yield self._last_ns[way], piece
+            self._last_ns[direction] = max(t_ns, self._last_ns[direction])
+            yield self._last_ns[direction], piece
 
     def _with_pulses(self, data: bytes, now_ns: int) -> bytes:
         if self._pulses is None or not self._lasts(now_ns):
@@ -105,4 +105,4 @@ class FaultyBoard:
         return out
 
     def _lasts(self, t_ns: int) -> bool:
-        return self._begin_ns <= t_ns < self._end_ns
+        return self._start_ns <= t_ns < self._end_ns

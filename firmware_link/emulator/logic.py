@@ -1,9 +1,7 @@
-"""The board's decisions, apart from its registers: what the emulated board does and the real one must.
+"""The logic of the board without its registers: the reference for the real firmware; and the emulator's options.
 
-Time is the board's own, in whole milliseconds since its program started, passed in. Nothing here allocates, blocks or
-needs more than integer arithmetic on half microseconds.
-
-How an emulated board differs from the usual one, and what it counts.
+Time is an argument: the board's time in whole milliseconds since its program started. Integer arithmetic on half
+microseconds is sufficient.
 """
 
 from __future__ import annotations
@@ -13,33 +11,34 @@ from dataclasses import dataclass
 from firmware_link import messages
 from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fault, Limits
 
+COMMAND_TIMEOUT_MS = 100
+MAX_DEADLINE_MS = 150  # a deadline further ahead is a past one, wrapped around
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardOptions:
-    """How the board differs from the usual one. `table_hash` is that of its program's message table."""
+    """Options of an emulated board; `table_hash` is that of its program's message table."""
 
-    boot_ns: int = 300_000_000  # bootloader: deaf and dumb
-    watchdog_ns: int = 60_000_000  # a program that hangs is restarted after so long
+    boot_ns: int = 300_000_000  # duration of the bootloader, which neither receives nor sends
+    watchdog_ns: int = 60_000_000  # time until a program that hangs is restarted
     boot_id: int = 1  # of the first start
     table_hash: int = messages.TABLE_HASH
 
     def __post_init__(self) -> None:
         if self.boot_ns < 0 or self.watchdog_ns <= 0:
-            raise ValueError("boot_ns, watchdog_ns: a time >= 0 and one > 0 are wanted")
+            raise ValueError(f"boot_ns, watchdog_ns: expected >= 0 and > 0, got {self.boot_ns}, {self.watchdog_ns}")
 
 
 @dataclass(slots=True, kw_only=True)
 class BoardCounters:
-    """What went wrong on the board's side since power came on."""
+    """Error counters of the board since power-on."""
 
     rx_in_boot: int = 0  # bytes that came while the bootloader ran
-    rx_lost: int = 0  # bytes that found the ring buffer full
-    tx_skipped: int = 0  # frames that did not fit into the ring buffer
+    rx_lost: int = 0  # bytes that were lost: the ring buffer was full
+    tx_skipped: int = 0  # frames that were not sent: the ring buffer was full
     starts: int = 0
 
 
-COMMAND_TIMEOUT_MS = 100
-MAX_DEADLINE_MS = 150  # a deadline further ahead is one of the past, wrapped around
 DEFAULT_LIMITS = Limits(
     servo_min_us=1000.0,
     servo_straight_us=1500.0,
@@ -50,11 +49,11 @@ DEFAULT_LIMITS = Limits(
     servo_slew_us=200.0,
     motor_slew_us=100.0,
 )
-NONCE_STEP = 0x9E37  # odd: all 65536 nonces come before one comes again
+NONCE_STEP = 0x9E37  # odd, so that all 65536 nonces are used before one repeats
 
 
 def limits_fit(limits: Limits) -> bool:
-    """Whether the limits are pulses, in order, and let the pulses move at all."""
+    """Whether the limits are valid pulses, in order, and allow the pulses to change."""
     low, high = PULSE_RANGE_US
     return (
         low <= limits.servo_min_us <= limits.servo_straight_us <= limits.servo_max_us <= high
@@ -65,26 +64,26 @@ def limits_fit(limits: Limits) -> bool:
 
 
 class CommandTimer:
-    """Runs out 100 ms after it was last fed; stands still until it is fed first."""
+    """Expires 100 ms after it was last fed; stopped until it is first fed."""
 
     def __init__(self) -> None:
         self.due_ms: int | None = None
 
     def feed(self, t_ms: int) -> None:
-        """Begin the 100 ms anew."""
+        """Restart the 100 ms."""
         self.due_ms = t_ms + COMMAND_TIMEOUT_MS
 
     def stop(self) -> None:
-        """Stand still."""
+        """Stop the timer."""
         self.due_ms = None
 
     def expired(self, t_ms: int) -> bool:
-        """Whether the time is over."""
+        """Whether the timer has expired."""
         return self.due_ms is not None and t_ms >= self.due_ms
 
 
 class Arming:
-    """Armed or not. Each arming needs the nonce of its own: an Arm from before a Disarm or restart is worth nothing."""
+    """The arming state. Each arming requires a new nonce: an Arm from before a Disarm or restart is invalid."""
 
     def __init__(self, boot_id: int) -> None:
         self._boot_id = boot_id
@@ -92,20 +91,20 @@ class Arming:
         self.nonce = boot_id
 
     def arm(self, message: Arm) -> bool:
-        """Arm, if nonce and boot id are right; whether they were."""
+        """Arm if nonce and boot id are correct; gives whether they were."""
         if (message.nonce, message.boot_id) != (self.nonce, self._boot_id):
             return False
         self.armed = True
         return True
 
     def disarm(self) -> None:
-        """Disarm, and void every Arm that is under way."""
+        """Disarm, and invalidate every Arm in transmission."""
         self.armed = False
         self.nonce = (self.nonce + NONCE_STEP) & 0xFFFF
 
 
 class CommandGate:
-    """Tells a fresh, possible command from others; gives the fault, or None where the command is good."""
+    """Checks commands; gives the fault, or None for a valid command."""
 
     def __init__(self) -> None:
         self._counter = 0
@@ -115,7 +114,7 @@ class CommandGate:
         self._counter = counter
 
     def fault_of(self, command: Command, counter: int, t_ms: int) -> Fault | None:
-        """What is wrong with the command: its values, its counter (must be 1 .. 127 ahead) or its deadline."""
+        """The fault of the command: its values, its counter (must be 1 .. 127 ahead) or its deadline; None if valid."""
         low, high = PULSE_RANGE_US
         if not (low <= command.servo_us <= high and low <= command.motor_us <= high):
             return Fault.COMMAND_REFUSED
@@ -130,42 +129,39 @@ class CommandGate:
 
 
 class Pulses:
-    """Wanted pulses -> pulses at the pin: clamped to the limits when wanted, slewed at each 20 ms servo frame.
+    """Limits the commanded pulses: clamped on command, slew-rate limited at each 20 ms servo frame.
 
-    Towards neutral the motor is not slewed: nothing delays a stop.
+    Towards neutral the motor has no slew limit, so that a stop is never delayed.
     """
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
         self.straighten()
 
-    def want(self, servo_us: float, motor_us: float) -> None:
-        """Take pulses over from the next servo frame on."""
+    def set_target(self, servo_us: float, motor_us: float) -> None:
+        """Set the pulses from the next servo frame on."""
         limits = self.limits
-        self._servo_want_us = min(max(servo_us, limits.servo_min_us), limits.servo_max_us)
-        self._motor_want_us = min(max(motor_us, limits.motor_min_us), limits.motor_max_us)
+        self._servo_target_us = min(max(servo_us, limits.servo_min_us), limits.servo_max_us)
+        self._motor_target_us = min(max(motor_us, limits.motor_min_us), limits.motor_max_us)
 
     def straighten(self) -> None:
         """Straight and neutral from the next servo frame on, without slewing."""
-        self.servo_us = self._servo_want_us = self.limits.servo_straight_us
-        self.motor_us = self._motor_want_us = self.limits.motor_neutral_us
+        self.servo_us = self._servo_target_us = self.limits.servo_straight_us
+        self.motor_us = self._motor_target_us = self.limits.motor_neutral_us
 
     def frame(self) -> None:
-        """Begin a servo frame: `servo_us` and `motor_us` are its pulses."""
+        """Start a servo frame: `servo_us` and `motor_us` are its pulses."""
         limits = self.limits
         slew = limits.servo_slew_us
-        self.servo_us = min(max(self._servo_want_us, self.servo_us - slew), self.servo_us + slew)
+        self.servo_us = min(max(self._servo_target_us, self.servo_us - slew), self.servo_us + slew)
         now = self.motor_us - limits.motor_neutral_us
-        want = self._motor_want_us - limits.motor_neutral_us
-        reach = (abs(now) if now * want > 0 else 0.0) + limits.motor_slew_us
-        self.motor_us = limits.motor_neutral_us + min(max(want, -reach), reach)
+        target = self._motor_target_us - limits.motor_neutral_us
+        reach = (abs(now) if now * target > 0 else 0.0) + limits.motor_slew_us
+        self.motor_us = limits.motor_neutral_us + min(max(target, -reach), reach)
 
 
 class BoardLogic:
-    """The state machine between the messages and the pulses; the table is in `EmulatedArduino`.
-
-    `faults` gathers what went wrong since the last status; `limits` are those in force.
-    """
+    """The state machine between messages and pulses; its table is in `EmulatedArduino`."""
 
     def __init__(self, boot_id: int, limits: Limits) -> None:
         self.arming = Arming(boot_id)
@@ -177,7 +173,7 @@ class BoardLogic:
         self._timed_out = False
 
     def on_command(self, command: Command, counter: int, t_ms: int) -> None:
-        """Follow a good command while armed; only a fresh one feeds the timer."""
+        """Follow a valid command while armed; only a fresh one feeds the timer."""
         self.command_counter = counter
         if not self.arming.armed:
             return
@@ -186,7 +182,7 @@ class BoardLogic:
             self.event(fault)
         elif command.flags & CommandFlag.FRESH:
             self.timer.feed(t_ms)
-            self.pulses.want(command.servo_us, command.motor_us)
+            self.pulses.set_target(command.servo_us, command.motor_us)
         else:
             self.pulses.straighten()
 
@@ -208,7 +204,7 @@ class BoardLogic:
         self.pulses.straighten()
 
     def on_limits(self, limits: Limits) -> bool:
-        """Take other limits over while disarmed; whether they were."""
+        """Accept new limits while disarmed; gives whether they were accepted."""
         if self.arming.armed or not limits_fit(limits):
             self.event(Fault.LIMITS_REFUSED)
             return False
@@ -216,16 +212,16 @@ class BoardLogic:
         return True
 
     def tick(self, t_ms: int) -> None:
-        """Each millisecond, after the messages: armed -> disarmed when the timer has run out."""
+        """Each millisecond, after the messages: disarm if the timer has expired."""
         if self.timer.expired(t_ms):
             self.on_disarm()
             self._timed_out = True
 
     def event(self, fault: Fault) -> None:
-        """Note a fault for the next status."""
+        """Record a fault for the next status."""
         self._events |= int(fault)
 
     def take_faults(self) -> int:
-        """The faults for a status; what it has told is forgotten."""
+        """The faults for a status; they are cleared."""
         events, self._events = self._events, 0
         return events | (int(Fault.COMMAND_TIMEOUT) if self._timed_out else 0)

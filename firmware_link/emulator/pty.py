@@ -1,7 +1,4 @@
-"""A board on a pseudo terminal: what opens a serial port opens this.
-
-A board on the bench: nothing moves, the pulses are noted, the sensors read what they are told to.
-"""
+"""A board on a pseudo terminal, which can be opened like a serial port, and peripherals for a board on the bench."""
 
 from __future__ import annotations
 
@@ -23,30 +20,30 @@ from firmware_link.transport import Board
 
 STEP_S = 0.001
 _READ_BYTES = 4096
-_UNREAD_BYTES = 4096  # kept for a host that does not read, beside what the kernel keeps
+_UNREAD_BYTES = 4096  # queued for a host that does not read, in addition to the kernel's buffer
 
 
 class ServedBoard(Board, Protocol):
-    """A board that can say how much its line takes."""
+    """A board that reports the free space of its line."""
 
     def room(self, now_ns: int) -> int:
-        """How many bytes `receive` takes at `now_ns`."""
+        """The number of bytes that `receive` accepts at `now_ns`."""
         ...
 
 
 class PtyBoard:
     """Serves a board at `path`, a symbolic link that stays the same over `unplug` and `replug`.
 
-    `step` does everything once and never blocks; call it about each millisecond, or `start` a thread that does so
-    against the monotonic clock. A call of `step` holds a lock, as `unplug`, `replug` and `call` do, so that the
-    board and its peripherals are only touched by one thread at a time.
+    `step` runs one step without blocking; call it about each millisecond, or `start` a thread that does so with the
+    monotonic clock. `step`, `unplug`, `replug` and `call` hold a lock, so that only one thread uses the board and its
+    peripherals at a time.
 
-    Opening resets the board as a real one's DTR line does: the kernel reports POLLHUP on the master while nobody has
-    the slave open, and the step that sees it gone resets. (A close and an open between two steps go unseen; then the
-    board runs on, like one without the reset line.) While nobody has it open, the board's bytes are lost.
+    Opening the port resets the board, as the DTR line of a real one: the kernel reports POLLHUP on the master while the
+    slave is closed, and the step in which it is gone resets the board. (A close and an open between two steps are not
+    detected; the board keeps running, as without a reset line.) While the port is closed, the board's bytes are lost.
 
-    Host -> board: bytes stay in the kernel's buffer until the board's line has room, so a host that writes too much
-    is held up. Board -> host: the kernel's buffer and 4096 bytes more, then the newest are lost.
+    Host to board: bytes stay in the kernel's buffer until the board's line has room, which blocks a host that writes
+    too much. Board to host: the kernel's buffer and 4096 more bytes, then the newest are lost.
     """
 
     def __init__(
@@ -79,7 +76,7 @@ class PtyBoard:
         self.close()
 
     def step(self, now_ns: int) -> None:
-        """Run the board up to `now_ns`, and move bytes both ways."""
+        """Run the board up to `now_ns`, and transfer bytes in both directions."""
         with self._lock:
             if self._master is None:
                 self.board.advance(now_ns)
@@ -89,25 +86,25 @@ class PtyBoard:
             if there and not self._host_there:
                 self._unread = b""
                 self.board.reset(now_ns)
-                self.board.transmit(now_ns)  # what it said before is not for this host, as a tty's buffer is flushed
+                self.board.transmit(now_ns)  # earlier bytes are not for this host, as a tty's buffer is flushed
             self._host_there = there
-            self._take_in(self._master, now_ns)  # also the last words of a host that has just closed
+            self._take_in(self._master, now_ns)  # also the last bytes of a host that has just closed the port
             self.board.advance(now_ns)
             self._give_out(self._master, self.board.transmit(now_ns))
 
     def call(self, function: Callable[[], None]) -> None:
-        """Call `function` between two steps, as to inject a fault into the board."""
+        """Call `function` between two steps, for example to inject a fault into the board."""
         with self._lock:
             function()
 
     def start(self) -> None:
-        """Step each millisecond in a thread of its own until `close`."""
+        """Call `step` each millisecond in a thread until `close`."""
         if self._thread is None:
             self._thread = threading.Thread(target=self._serve, name="board", daemon=True)
             self._thread.start()
 
     def unplug(self) -> None:
-        """Take the cable out: the path vanishes, and what the host has open hangs up. The board runs on."""
+        """Unplug the cable: the path disappears, and the host's open port hangs up. The board keeps running."""
         with self._lock:
             if self._master is None:
                 return
@@ -118,13 +115,13 @@ class PtyBoard:
             self._unread = b""
 
     def replug(self) -> None:
-        """Put the cable in: the path is there again, on another pseudo terminal."""
+        """Plug the cable in: the path is restored, on another pseudo terminal."""
         with self._lock:
             if self._master is not None:
                 return
             master, slave = os.openpty()
             try:
-                tty.setraw(slave)  # else what the board says before the host sets its port up comes back as an echo
+                tty.setraw(slave)  # else bytes that the board sends before the host configures its port are echoed
                 os.symlink(os.ttyname(slave), self.path)
             except OSError:
                 os.close(master)
@@ -151,12 +148,12 @@ class PtyBoard:
             while not self._stop.wait(STEP_S):
                 self.step(self._clock())
         finally:
-            self.unplug()  # a board that is dead must look so
+            self.unplug()  # a dead board must not look alive
 
     def _take_in(self, master: int, now_ns: int) -> None:
         room = min(self.board.room(now_ns), _READ_BYTES)
         if room:
-            with contextlib.suppress(OSError):  # nothing there, or nobody
+            with contextlib.suppress(OSError):  # no data, or no host
                 self.board.receive(os.read(master, room), now_ns)
 
     def _give_out(self, master: int, data: bytes) -> None:
@@ -169,10 +166,9 @@ class PtyBoard:
 
 
 class BenchPeripherals:
-    """Peripherals of a board on the bench.
+    """Peripherals of a board on the bench, where nothing moves.
 
-    `pulses` has the (t_ns, servo_us, motor_us) of the newest 10,000 servo frames. `sensors` is what is read; assign to
-    it.
+    `pulses` has the (t_ns, servo_us, motor_us) of the newest 10,000 servo frames; assign the readings to `sensors`.
     """
 
     def __init__(self) -> None:
@@ -186,7 +182,7 @@ class BenchPeripherals:
         return servo_us, motor_us
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """Note the pulses."""
+        """Record the pulses."""
         self.pulses.append((t_ns, servo_us, motor_us))
 
     def read_sensors(self, t_ns: int) -> BoardSensors:

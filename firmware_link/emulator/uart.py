@@ -1,4 +1,4 @@
-"""One direction of a serial line: bytes take their time, 10 bits each."""
+"""One direction of a serial line with transmission times of 10 bits per byte."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ _BITS_NS = 10 * 1_000_000_000  # start, 8 data, stop
 
 
 class UartLine:
-    """Bytes handed over at any time leave one after the other at the baud rate, and arrive when the last bit has left.
+    """Bytes are sent one after the other at the baud rate, and arrive when their last bit is sent.
 
-    `capacity` bytes may wait or be on their way.
+    At most `capacity` bytes are queued or in transmission.
     """
 
     def __init__(self, baud: int, capacity: int) -> None:
         if not baud > 0:
-            raise ValueError(f"baud: {baud} where a positive number is wanted")
+            raise ValueError(f"baud: expected a positive number, got {baud}")
         self._baud = baud
         self._capacity = capacity
-        self._free_ns = 0  # when all that was handed over has left
-        self._bursts: deque[tuple[int, bytes]] = deque()  # start of the first byte, bytes back to back
+        self._free_ns = 0  # when all queued bytes have been sent
+        self._bursts: deque[tuple[int, bytes]] = deque()  # start of the first byte, contiguous bytes
         self._gone = 0  # bytes of the first burst that were taken
 
     def put(self, data: bytes, now_ns: int) -> int:
-        """Hand over `data`; when its first bit leaves."""
+        """Queue `data`; gives the time at which its first bit is sent."""
         start_ns = max(now_ns, self._free_ns)
         self._free_ns = start_ns + len(data) * _BITS_NS // self._baud
         self._bursts.append((start_ns, data))
         return start_ns
 
     def room(self, now_ns: int) -> int:
-        """How many bytes may be handed over at `now_ns`."""
+        """The number of bytes that can be queued at `now_ns`."""
         waiting = -(-max(self._free_ns - now_ns, 0) * self._baud // _BITS_NS)
         return max(self._capacity - waiting, 0)
 
     def next_ns(self) -> int | None:
-        """When the next byte arrives."""
+        """The time at which the next byte arrives."""
         if not self._bursts:
             return None
         return self._bursts[0][0] + (self._gone + 1) * _BITS_NS // self._baud
@@ -57,7 +57,7 @@ class UartLine:
         return out
 
     def clear(self) -> None:
-        """Lose all that has not arrived."""
+        """Drop all bytes that have not arrived."""
         self._bursts.clear()
         self._gone = 0
         self._free_ns = 0

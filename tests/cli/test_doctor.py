@@ -188,7 +188,7 @@ def test_a_board_that_vanishes_while_the_servo_moves(
     assert said.code == 1
     rows = by_name(said)
     assert rows["servo"]["verdict"] == "FAIL"
-    assert "vanished" in str(rows["servo"]["what"])
+    assert "disappeared" in str(rows["servo"]["what"])
     assert rows["camera"]["verdict"] == "OK"  # the others were looked at all the same
 
 

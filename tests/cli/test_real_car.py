@@ -197,7 +197,7 @@ def test_a_board_that_says_nothing(camera: None, tmp_path: Path, monkeypatch: py
         os.close(slave)
     assert (said.code, said.out) == (2, "")
     line = said.err.splitlines()[-1]
-    assert "no hello from the board; check port, baud rate and firmware; " in line
+    assert "no Hello from the board; check port, baud rate and firmware; " in line
     assert line.endswith("set [link] port in car.toml")
 
 
@@ -205,4 +205,4 @@ def test_a_board_with_other_messages(camera: None, tmp_path: Path, cli) -> None:
     with PtyBoard(EmulatedArduino(BenchPeripherals(), 115200, BoardOptions(table_hash=0x1234))) as board:
         said = cli("run", "--car", car_toml(tmp_path, board.path))
     assert (said.code, said.out) == (2, "")
-    assert "the board speaks message table 0x1234" in said.err.splitlines()[-1]
+    assert "the board has message table 0x1234" in said.err.splitlines()[-1]

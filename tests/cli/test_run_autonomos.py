@@ -114,5 +114,5 @@ def test_a_car_that_says_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         boards.servo.close()
     assert (said.code, said.out) == (2, "")
     line = said.err.splitlines()[-1]
-    assert "the car says nothing; check ports, baud rate and [link] kind; " in line
+    assert "the car sends nothing; check ports, baud rate and [link] kind; " in line
     assert line.endswith("set [link] port in car.toml")

@@ -36,7 +36,7 @@ def test_closed_link_does_nothing(make_rig: Callable[..., Any]) -> None:
 def test_no_hello_is_a_handshake_error(make_rig: Callable[..., Any]) -> None:
     rig = make_rig(BoardOptions(boot_ns=3600 * 1000 * MS))
     rig.link.open()
-    with pytest.raises(HandshakeError, match="no hello"):
+    with pytest.raises(HandshakeError, match="no Hello"):
         rig.ready()
 
 

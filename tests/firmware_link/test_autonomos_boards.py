@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
-from firmware_link.autonomos import OneBoard, Said, TwoBoards
+from firmware_link.autonomos import OneBoard, Report, TwoBoards
 from firmware_link.emulator.autonomos import (
     EmulatedAutonomos,
     EmulatedMotorController,
@@ -74,11 +74,11 @@ def test_what_damage_does_is_what_the_docs_say(of_2017: Bench) -> None:
 
 def test_it_tells_its_start_and_its_encoder(of_2017: Bench) -> None:
     lines = of_2017.said.split(b"\r\n")
-    assert OneBoard().heard(0, lines[0]) == Said(started=True)
-    assert OneBoard().heard(0, lines[1]) == Said()
+    assert OneBoard().heard(0, lines[0]) == Report(started=True)
+    assert OneBoard().heard(0, lines[1]) == Report()
     said = of_2017.after(b"", 1000)
     assert said.count(b"\n") == 100
-    assert OneBoard().heard(0, said.splitlines()[-1]) == Said(ticks=0)
+    assert OneBoard().heard(0, said.splitlines()[-1]) == Report(ticks=0)
 
 
 def test_the_servo_board_of_2015() -> None:
@@ -126,24 +126,24 @@ def test_sixteen_bits() -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        (b"y-12.34s512e-7", Said(ticks=0xFFF9)),
-        (b"ynans0e300", Said(ticks=300)),
-        (b"s77e5", Said(ticks=5)),
-        (b"FIFO overflow!", Said()),
-        (b"DMP ready! Waiting for first interrupt...", Said()),
+        (b"y-12.34s512e-7", Report(ticks=0xFFF9)),
+        (b"ynans0e300", Report(ticks=300)),
+        (b"s77e5", Report(ticks=5)),
+        (b"FIFO overflow!", Report()),
+        (b"DMP ready! Waiting for first interrupt...", Report()),
         (b"y1.0s5e", None),
         (b"1.0s5e7", None),
         (b"y1.0s5e7\x00", None),
         (b"", None),
     ],
 )
-def test_lines_of_2017(line: bytes, said: Said | None) -> None:
+def test_lines_of_2017(line: bytes, said: Report | None) -> None:
     assert OneBoard().heard(0, line) == said
 
 
 def test_lines_of_2015() -> None:
     text = TwoBoards()
-    assert text.heard(1, b"-1234") == Said(motor=-1234)
-    assert text.heard(1, b"OK") == Said()
+    assert text.heard(1, b"-1234") == Report(motor=-1234)
+    assert text.heard(1, b"OK") == Report()
     assert text.heard(1, b"O\xcb") is None
-    assert text.heard(0, b"12") == Said()
+    assert text.heard(0, b"12") == Report()

@@ -138,7 +138,7 @@ def test_a_car_that_says_nothing_is_a_handshake_error(make_autonomos: Callable[[
     rig.link.close()
     rig.board.reset = lambda now_ns: None
     rig.link.open()
-    with pytest.raises(HandshakeError, match="the car says nothing; check ports"):
+    with pytest.raises(HandshakeError, match="the car sends nothing; check ports"):
         rig.ready()
 
 

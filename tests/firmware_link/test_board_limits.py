@@ -74,20 +74,20 @@ def test_limits_that_do_not_fit_are_refused(make_bench: Callable[..., Any], limi
 
 def test_pulses_are_clamped_and_slewed_but_never_delay_a_stop() -> None:
     pulses = Pulses(LIMITS)
-    pulses.want(2500.0, 2500.0)
+    pulses.set_target(2500.0, 2500.0)
     seen = []
     for _ in range(12):
         pulses.frame()
         seen.append((pulses.servo_us, pulses.motor_us))
     assert seen[:3] == [(1560.0, 1520.0), (1600.0, 1540.0), (1640.0, 1560.0)]
     assert seen[-1] == (1900.0, 1600.0)
-    pulses.want(1900.0, 1500.0)
+    pulses.set_target(1900.0, 1500.0)
     pulses.frame()
     assert pulses.motor_us == 1500.0  # neutral at once
-    pulses.want(1900.0, 1600.0)
+    pulses.set_target(1900.0, 1600.0)
     for _ in range(5):
         pulses.frame()
-    pulses.want(1900.0, 1400.0)
+    pulses.set_target(1900.0, 1400.0)
     pulses.frame()
     assert pulses.motor_us == 1480.0  # through neutral at once, then as slowly as from neutral
     pulses.straighten()
@@ -100,7 +100,7 @@ def test_pulses_never_leave_the_limits_nor_jump(wanted: list[tuple[float, float]
     pulses = Pulses(LIMITS)
     for servo_us, motor_us in wanted:
         before = pulses.servo_us, abs(pulses.motor_us - 1500.0)
-        pulses.want(servo_us, motor_us)
+        pulses.set_target(servo_us, motor_us)
         pulses.frame()
         assert 1100.0 <= pulses.servo_us <= 1900.0
         assert 1400.0 <= pulses.motor_us <= 1600.0

@@ -102,7 +102,7 @@ def test_not_open(pty: PtyBoard) -> None:
 def test_port_that_takes_nothing_is_lost_and_never_blocks(pty: PtyBoard) -> None:
     port = SerialTransport(pty.path, 115200)
     port.open()
-    with pytest.raises(PortLost, match="takes no more bytes"):
+    with pytest.raises(PortLost, match="accepts no more bytes"):
         repeat(lambda: port.write(b"x" * 14), 100_000)  # nobody steps the board
     port.close()
 
@@ -209,7 +209,7 @@ def test_unplug_and_replug_keep_the_path(pty: PtyBoard) -> None:
     pty.unplug()
     t_ms = stepped(pty, t_ms, 10)
     assert not os.path.lexists(path)
-    with pytest.raises(PortLost, match="vanished"):
+    with pytest.raises(PortLost, match="disappeared"):
         repeat(port.read, 2)  # the first may still have bytes
     with pytest.raises(PortLost):
         port.write(b"x")

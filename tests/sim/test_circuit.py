@@ -17,9 +17,8 @@ from automodel.config.toml_reader import ConfigError
 from automodel.curves import arc, line
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
-from automodel.sim.paint import broken_spans
+from automodel.sim.paint import broken_spans, build_roadside
 from automodel.sim.renderer import Renderer
-from automodel.sim.roadside import build_roadside
 from automodel.sim.track import Track
 from automodel.sim.track_files import load_track, parse_track, read_racetrack
 from automodel.sim.track_sections import BrokenLines, LaneWidth, RoadsideSection, WidthAt

@@ -232,7 +232,7 @@ def test_a_network_that_fails_its_self_test_is_no_success(cli: Cli, tmp_path: Pa
     ("arguments", "said"),
     [
         (["--minutes", 1, "--steps", 3], "automodel train: give --minutes or --steps, not both"),
-        (["--minutes", "nan"], "'--minutes': nan where a finite number is wanted"),
+        (["--minutes", "nan"], "'--minutes': expected a finite number, got nan"),
         (["--samples", 0], "'--samples'"),
         (["--resume", "missing.pt"], "automodel: --resume missing.pt: no such file"),
     ],

@@ -132,8 +132,8 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
 
 
 def _unlimited(self: logic.Pulses, servo_us: float, motor_us: float) -> None:
-    self.servo_us = self._servo_want_us = servo_us
-    self.motor_us = self._motor_want_us = motor_us
+    self.servo_us = self._servo_target_us = servo_us
+    self.motor_us = self._motor_target_us = motor_us
 
 
 def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_ns: int) -> tuple[object, ...]:

@@ -49,7 +49,7 @@ struct Command {
   static constexpr uint8_t kBytes = 7;
   uint16_t servo_us;  // [0.5 us] steering pulse
   uint16_t motor_us;  // [0.5 us] motor pulse
-  uint16_t deadline_ms;  // [ms] board time, modulo 65536, after which it is ignored
+  uint16_t deadline_ms;  // [ms] board time, modulo 65536, after which the command is ignored
   uint8_t flags;  // [bits] CommandFlag
 
   static Command read(const uint8_t* payload) {
@@ -65,14 +65,14 @@ struct Command {
 struct Limits {
   static constexpr uint8_t kType = 0x02;
   static constexpr uint8_t kBytes = 14;
-  uint16_t servo_min_us;  // [0.5 us] least steering pulse
+  uint16_t servo_min_us;  // [0.5 us] smallest steering pulse
   uint16_t servo_straight_us;  // [0.5 us] steering pulse for straight ahead
-  uint16_t servo_max_us;  // [0.5 us] greatest steering pulse
-  uint16_t motor_min_us;  // [0.5 us] least motor pulse
+  uint16_t servo_max_us;  // [0.5 us] largest steering pulse
+  uint16_t motor_min_us;  // [0.5 us] smallest motor pulse
   uint16_t motor_neutral_us;  // [0.5 us] motor pulse for neutral
-  uint16_t motor_max_us;  // [0.5 us] greatest motor pulse
-  uint8_t servo_slew_us;  // [4 us] steering change per 20 ms servo frame, at most
-  uint8_t motor_slew_us;  // [4 us] motor change away from neutral per servo frame
+  uint16_t motor_max_us;  // [0.5 us] largest motor pulse
+  uint8_t servo_slew_us;  // [4 us] maximum steering change per 20 ms servo frame
+  uint8_t motor_slew_us;  // [4 us] maximum motor change away from neutral per servo frame
 
   static Limits read(const uint8_t* payload) {
     Limits message;
@@ -118,7 +118,7 @@ struct Hello {
   uint16_t table_hash;  // hash of the message table
   uint8_t version;  // protocol version
   uint8_t reset_cause;  // ResetCause
-  uint16_t boot_id;  // another one after every start
+  uint16_t boot_id;  // new after every start
   uint16_t limits_crc;  // CRC-16/DNP of the payload of the Limits in force
 
   void write(uint8_t* payload) const {
@@ -137,7 +137,7 @@ struct Status {
   uint16_t servo_us;  // [0.5 us] steering pulse at the pin
   uint16_t motor_us;  // [0.5 us] motor pulse at the pin
   uint16_t faults;  // [bits] Fault
-  uint16_t nonce;  // what the next Arm must say; new after every start and disarming
+  uint16_t nonce;  // required in the next Arm; new after every start and disarming
   uint8_t command_counter;  // counter of the last Command received
   uint8_t flags;  // [bits] StatusFlag
 
@@ -156,7 +156,7 @@ struct Odometry {
   static constexpr uint8_t kType = 0x83;
   static constexpr uint8_t kBytes = 10;
   uint32_t time_us;  // [us] board time of the reading, modulo 2^32
-  int32_t wheel_ticks;  // wheel ticks since the start, down in reverse
+  int32_t wheel_ticks;  // wheel ticks since the start, decreasing in reverse
   int16_t yaw_rate_radps;  // [0.0002 rad/s] anticlockwise positive; none without a gyro
   static constexpr int16_t kNoYawRateRadps = -32767 - 1;
 
