@@ -1,4 +1,4 @@
-// The decisions as a C library for this machine: what the tests drive from Python.
+// The logic as a C library for this machine, which the tests call from Python.
 
 #include <stdint.h>
 #include <string.h>
@@ -19,7 +19,7 @@ namespace {
 constexpr uint16_t kRxCapacity = 64;
 constexpr uint16_t kTxCapacity = 256;
 
-// One turn of the loop: what goes in, what comes out. The layout is known to tests/support/compiled_board.py.
+// The inputs and outputs of one iteration of the loop. tests/support/compiled_board.py has the same layout.
 struct Turn {
   uint32_t t_ms;
   uint16_t rx_count, tx_room;
@@ -100,7 +100,7 @@ void board_turn(HostBoard* board, Turn* turn, const uint8_t* rx) {
   board->board.loop(turn->t_ms);
 }
 
-// `count` commands that come each to the same armed logic at `t_ms`; its fault and the pulses of the next servo frame.
+// Each of `count` commands in the same armed state at `t_ms`; its fault and the pulses of the next servo frame.
 void sweep_commands(const uint8_t* payloads, const uint8_t* counters, uint32_t count, uint32_t t_ms, uint16_t* faults,
                     uint16_t* servo_us, uint16_t* motor_us) {
   Logic armed(1, protocol::Limits::read(protocol::kDefaultLimits));
@@ -115,14 +115,14 @@ void sweep_commands(const uint8_t* payloads, const uint8_t* counters, uint32_t c
   }
 }
 
-// Which of `count` limits fit.
+// Which of `count` limits are valid.
 void sweep_limits(const uint8_t* payloads, uint32_t count, uint8_t* fit) {
   for (uint32_t i = 0; i < count; ++i)
     fit[i] = limits_fit(protocol::Limits::read(payloads + i * protocol::Limits::kBytes));
 }
 
-// Feeds a stream; writes type, counter and payload of each frame taken, one after the other, and counts those thrown
-// away.
+// Feeds a stream; writes type, counter and payload of each accepted frame, one after the other, and counts the rejected
+// ones.
 uint32_t decode_stream(const uint8_t* bytes, uint32_t count, uint8_t* out, uint32_t* errors) {
   frame::Decoder decoder;
   uint32_t taken = 0;
@@ -141,8 +141,8 @@ uint32_t decode_stream(const uint8_t* bytes, uint32_t count, uint8_t* out, uint3
   return taken;
 }
 
-// All errors of exactly `bits` bits (4 at most) of a frame on the wire, each followed by a zero: how many were tried,
-// and how many gave a frame at all.
+// All errors of exactly `bits` bits (4 at most) of a frame on the wire, each followed by a zero: the number of trials,
+// and of those that gave a frame.
 void flip_bits(const uint8_t* wire, uint8_t length, uint8_t bits, uint32_t* tried, uint32_t* accepted) {
   const uint16_t total = length * 8;
   uint16_t at[4] = {0, 1, 2, 3};
@@ -234,7 +234,7 @@ bool gyro_failed(Gyro* gyro) {
   return gyro->failed();
 }
 
-// What the bus is to do in the low byte, the byte to send above it.
+// The bus's action in the low byte, the byte to send above it.
 uint16_t gyro_tick(Gyro* gyro, uint32_t t_ms) {
   const TwiAction action = gyro->tick(t_ms);
   return static_cast<uint16_t>(static_cast<uint8_t>(action.what) | action.data << 8);

@@ -3,13 +3,13 @@
 
 #include <stdint.h>
 
-// Smoothed over 16 readings, a millisecond each: the motor's current makes the voltage jump.
+// Smoothed over 16 readings, one per millisecond: the motor's current causes voltage jumps.
 class Battery {
  public:
-  // `full_scale_mv` is the voltage at the battery that reads as 1024.
+  // `full_scale_mv` is the battery voltage for a reading of 1024.
   explicit Battery(uint16_t full_scale_mv) : full_scale_mv_(full_scale_mv) {}
 
-  // Takes a reading of 10 bits in.
+  // Adds a 10-bit reading.
   void take(uint16_t reading) {
     sum_ = started_ ? sum_ - sum_ / kReadings + reading : reading * kReadings;
     started_ = true;

@@ -8,9 +8,9 @@ namespace {
 constexpr uint8_t kServoFrameMs = 20;
 constexpr uint8_t kReportMs = 20;
 constexpr uint16_t kHelloMs = 500;
-constexpr uint8_t kStatusPhaseMs = 1;  // after the servo frame's start, so that it tells of this frame's pulses
+constexpr uint8_t kStatusPhaseMs = 1;  // after the servo frame's start, so that it reports this frame's pulses
 constexpr uint8_t kSensorPhaseMs = 11;  // halfway between two statuses
-constexpr uint8_t kMaxBytesALoop = 64;  // six times what the line brings in a millisecond: the loop always ends
+constexpr uint8_t kMaxBytesALoop = 64;  // six times the bytes of a millisecond: the loop always ends
 
 uint32_t time_us(uint32_t t_ms) {
   return t_ms * 1000;
@@ -42,7 +42,7 @@ void Board::loop(uint32_t t_ms) {
   receive(t_ms);
   logic_.tick(t_ms);
   if (servo_frame_.due(t_ms)) move();
-  // In every turn: what stops the car is in the timer's registers at once, not only with the next servo frame.
+  // In every iteration: a stop is in the timer's registers at once, not only with the next servo frame.
   port_.set_pulses(logic_.pulses().servo_us(), logic_.pulses().motor_us());
   if (status_.due(t_ms)) say_status(t_ms);
   if (sensors_.due(t_ms)) say_sensors(t_ms);
@@ -75,7 +75,7 @@ void Board::obey(uint32_t t_ms) {
       port_.keep_limits(payload);
       say_hello();
       break;
-    default:  // the decoder lets only one other through: HelloRequest
+    default:  // the decoder accepts only one other: HelloRequest
       say_hello();
   }
 }

@@ -6,7 +6,7 @@
 #include "frame.h"
 #include "logic.h"
 
-// What the sensors read, in the units of the wire.
+// The sensor readings in the units of the wire.
 struct SensorReadings {
   int32_t wheel_ticks;
   int16_t yaw_rate;  // protocol::Odometry::kNoYawRateRadps without a gyro
@@ -14,19 +14,19 @@ struct SensorReadings {
   uint16_t battery_v;
 };
 
-// What the loop needs of its surroundings. No call waits.
+// The hardware interface of the loop. No call blocks.
 class Port {
  public:
   // The next byte that has arrived, if there is one.
   virtual bool receive(uint8_t& byte) = 0;
 
-  // Whether bytes were lost since the last call for want of room.
+  // Whether bytes were lost since the last call because the buffer was full.
   virtual bool take_rx_overflow() = 0;
 
-  // How many bytes can be handed over for sending.
+  // The number of bytes that can be queued for sending.
   virtual uint8_t transmit_room() = 0;
 
-  // Hands a frame over; there is room for it.
+  // Queues a frame; there is room for it.
   virtual void transmit(const uint8_t* bytes, uint8_t count) = 0;
 
   // The pulses from the next servo frame on [0.5 us].
@@ -34,17 +34,17 @@ class Port {
 
   virtual SensorReadings read_sensors() = 0;
 
-  // Faults of sensors, as bits of a status, as long as they last.
+  // The current faults of sensors, as bits of a status.
   virtual uint16_t sensor_faults() = 0;
 
-  // Keeps the payload of limits over restarts; may take its time.
+  // Stores the payload of limits over restarts; may finish later.
   virtual void keep_limits(const uint8_t* payload) = 0;
 
  protected:
   ~Port() = default;
 };
 
-// Comes round every `period_ms`; rounds that were missed are left out.
+// Due every `period_ms`; missed periods are skipped.
 class Periodic {
  public:
   Periodic(uint16_t first_ms, uint16_t period_ms) : next_ms_(first_ms), period_ms_(period_ms) {}
@@ -57,10 +57,10 @@ class Periodic {
 
 class Board {
  public:
-  // `limits` is the payload of limits that fit.
+  // `limits` is the payload of valid limits.
   Board(Port& port, uint16_t boot_id, uint8_t reset_cause, const uint8_t* limits);
 
-  // One turn of the main loop at `t_ms` since the program started; the first one at 0.
+  // One iteration of the main loop at `t_ms` since the program started; the first one at 0.
   void loop(uint32_t t_ms);
 
  private:

@@ -26,7 +26,7 @@ uint8_t stuff(const uint8_t* raw, uint8_t count, uint8_t* out) {
   return at;
 }
 
-// Undoes `stuff` in place (what is read always lies ahead of what is written); the length, or kNotCobs.
+// The inverse of `stuff` in place (reading is always ahead of writing); the length, or kNotCobs.
 uint8_t unstuff(uint8_t* bytes, uint8_t count) {
   uint8_t from = 0;
   uint8_t to = 0;
@@ -69,7 +69,7 @@ bool Decoder::push(uint8_t byte) {
     if (count_ <= kMaxChunk) ++count_;
     return false;
   }
-  if (count_ == 0) return false;  // the zeros of two frames side by side
+  if (count_ == 0) return false;  // the zeros of two adjacent frames
   const bool is_good = good();
   count_ = 0;
   error_ |= !is_good;

@@ -1,4 +1,4 @@
-// Frames on the serial line: 00, COBS(type, counter, payload), check, 00. What the check is and why: see
+// Frames on the serial line: 00, COBS(type, counter, payload), check, 00. The check is described in
 // firmware_link/framing.py.
 #pragma once
 
@@ -15,13 +15,13 @@ constexpr uint8_t kMaxWire = kMaxChunk + 2;
 // Writes a frame of `payload` (`count` bytes, kMaxPayload at most) to `out` (kMaxWire bytes); its length.
 uint8_t encode(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint16_t seed, uint8_t* out);
 
-// Bytes in, frames to the board out. Needs the memory of one frame; whatever is damaged is thrown away.
+// Bytes in, frames to the board out. Needs the memory of one frame; damaged frames are rejected.
 class Decoder {
  public:
-  // Takes a byte in; true where it completes a good frame, which can be read until the next call.
+  // Processes a byte; true if it completes a valid frame, which can be read until the next call.
   bool push(uint8_t byte);
 
-  // Whether a frame was thrown away since the last call.
+  // Whether a frame was rejected since the last call.
   bool take_error();
 
   uint8_t type() const { return bytes_[0]; }
@@ -32,7 +32,7 @@ class Decoder {
   bool good();
 
   uint8_t bytes_[kMaxChunk];
-  uint8_t count_ = 0;  // kMaxChunk + 1: too long already
+  uint8_t count_ = 0;  // kMaxChunk + 1: already too long
   bool error_ = false;
 };
 

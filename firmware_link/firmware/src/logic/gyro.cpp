@@ -25,11 +25,11 @@ constexpr uint8_t kReadsPerCheck = 32;
 constexpr uint8_t kReadMs = 5;
 constexpr uint8_t kTransferMs = 3;  // it takes 0.2 ms
 constexpr uint8_t kRetryMs = 100;
-constexpr uint16_t kLookMs = 1000;  // for one that was never there
-constexpr uint8_t kHalfClocks = 18;  // nine clocks end any byte that a device is in the middle of
+constexpr uint16_t kLookMs = 1000;  // for one that never answered
+constexpr uint8_t kHalfClocks = 18;  // nine clocks end any byte of a device
 constexpr int16_t kMaxYawRate = 32767;
 
-// The MPU-6050 says 0x68; its relatives with the same registers (6500, 9250, 9255) something else.
+// The MPU-6050 answers 0x68; others with the same registers (6500, 9250, 9255) have other numbers.
 bool is_gyro(uint8_t who) {
   return who == 0x68 || who == 0x70 || who == 0x71 || who == 0x73;
 }
@@ -72,7 +72,7 @@ TwiAction Gyro::begin_transfer() {
   return transfer_.read(kDevice, kGyroZ, 2);
 }
 
-// What a transfer has brought; false where it cannot be right.
+// Processes the result of a transfer; false if it is implausible.
 bool Gyro::taken() {
   pause_ms_ = 0;
   if (step_ < kSettingCount) {
@@ -85,7 +85,7 @@ bool Gyro::taken() {
   }
   if (step_ == kCheck) {
     step_ = kRead;
-    return transfer_.byte(0) == kRange500;  // else its supply has dipped, it sleeps and reads 0
+    return transfer_.byte(0) == kRange500;  // otherwise its supply has dipped; it sleeps and reads 0
   }
   fitted_ = true;
   pause_ms_ = kReadMs;

@@ -1,4 +1,4 @@
-// An MPU-6050's yaw rate. None fitted is normal; one that was there and stops answering is a fault.
+// The yaw rate of an MPU-6050. A missing gyro is normal; one that stops answering is a fault.
 #pragma once
 
 #include <stdint.h>
@@ -8,7 +8,7 @@
 
 class Gyro {
  public:
-  // Each millisecond, while the bus's interrupt is held back.
+  // Each millisecond, with the bus's interrupt disabled.
   TwiAction tick(uint32_t t_ms);
 
   // From the bus's interrupt.
@@ -17,7 +17,7 @@ class Gyro {
   // Anticlockwise positive, as on the wire; protocol::Odometry::kNoYawRateRadps without a gyro.
   int16_t yaw_rate() const { return yaw_rate_; }
 
-  // Whether a gyro that was there gives no yaw rate.
+  // Whether a gyro that worked gives no yaw rate.
   bool failed() const { return fitted_ && yaw_rate_ == protocol::Odometry::kNoYawRateRadps; }
 
  private:
@@ -27,10 +27,10 @@ class Gyro {
 
   TwiTransfer transfer_;
   int16_t yaw_rate_ = protocol::Odometry::kNoYawRateRadps;
-  uint32_t since_ms_ = 0;  // when what is going on began
+  uint32_t since_ms_ = 0;  // start of the current action
   uint16_t pause_ms_ = 0;  // before the next transfer
-  uint8_t step_ = 0;  // of setting it up; then: reading
-  uint8_t reads_ = 0;  // since it was last asked whether it is still set up
-  uint8_t half_clocks_ = 0;  // left, to make a device let go of the data wire
+  uint8_t step_ = 0;  // of the set-up; then: reading
+  uint8_t reads_ = 0;  // since its set-up was last checked
+  uint8_t half_clocks_ = 0;  // left, to make a device release the data wire
   bool fitted_ = false;
 };

@@ -35,7 +35,7 @@ uint16_t next_boot_id(const uint8_t* slots) {
     const uint16_t boot_id = wire::get16(slots + i * kSlotBytes);
     if (slot_of(boot_id) == i && slot_holds(slots, boot_id) && !slot_holds(slots, boot_id + 1)) return boot_id + 1;
   }
-  return 1;  // the first start of all
+  return 1;  // the very first start
 }
 
 void slot_record(uint16_t boot_id, uint8_t* record) {

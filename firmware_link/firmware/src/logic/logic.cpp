@@ -2,7 +2,7 @@
 
 namespace {
 
-constexpr uint8_t kMaxCounterStep = 127;  // what is further ahead is behind
+constexpr uint8_t kMaxCounterStep = 127;  // a counter further ahead is an old one
 
 bool is_pulse(uint16_t pulse_us) {
   return protocol::kPulseMin <= pulse_us && pulse_us <= protocol::kPulseMax;
@@ -50,7 +50,7 @@ void Logic::on_command(const protocol::Command& command, uint8_t counter, uint32
     event(fault);
   } else if (command.flags & protocol::command_flag::kFresh) {
     timer_.feed(t_ms);
-    pulses_.want(command.servo_us, command.motor_us);
+    pulses_.set_target(command.servo_us, command.motor_us);
   } else {
     pulses_.straighten();
   }

@@ -1,5 +1,5 @@
 // The state machine between the messages and the pulses. The table of its states is in the docstring of
-// firmware_link.emulator.board.EmulatedArduino; this and firmware_link/emulator/logic.py do the same to the bit.
+// firmware_link.emulator.board.EmulatedArduino; firmware_link/emulator/logic.py is identical to the bit.
 // Time is the board's own: milliseconds since the program started, modulo 2^32.
 #pragma once
 
@@ -8,7 +8,7 @@
 #include "protocol.h"
 #include "pulses.h"
 
-// Runs out 100 ms after it was last fed; stands still until it is fed first.
+// Expires 100 ms after it was last fed; stopped until it is first fed.
 class CommandTimer {
  public:
   void feed(uint32_t t_ms);
@@ -20,15 +20,15 @@ class CommandTimer {
   bool running_ = false;
 };
 
-// Armed or not. Each arming needs the nonce of its own: an Arm from before a Disarm or restart is worth nothing.
+// The arming state. Each arming requires a new nonce: an Arm from before a Disarm or restart is invalid.
 class Arming {
  public:
   explicit Arming(uint16_t boot_id) : boot_id_(boot_id), nonce_(boot_id) {}
 
-  // Arms, if nonce and boot id are right; whether they were.
+  // Arms if nonce and boot id are correct; returns whether they were.
   bool arm(const protocol::Arm& message);
 
-  // Disarms, and voids every Arm that is under way.
+  // Disarms, and invalidates every Arm in transmission.
   void disarm();
 
   bool armed() const { return armed_; }
@@ -40,14 +40,13 @@ class Arming {
   bool armed_ = false;
 };
 
-// Tells a fresh, possible command from others.
+// Checks commands.
 class CommandGate {
  public:
   // Counts from `counter` on.
   void start(uint8_t counter) { counter_ = counter; }
 
-  // What is wrong with the command: its values, its counter (must be 1 .. 127 ahead) or its deadline; 0 where it is
-  // good.
+  // The fault of the command: its values, its counter (must be 1 .. 127 ahead) or its deadline; 0 if it is valid.
   uint16_t fault_of(const protocol::Command& command, uint8_t counter, uint32_t t_ms);
 
  private:
@@ -58,7 +57,7 @@ class Logic {
  public:
   Logic(uint16_t boot_id, const protocol::Limits& limits) : arming_(boot_id), pulses_(limits) {}
 
-  // Follows a good command while armed; only a fresh one feeds the timer.
+  // Follows a valid command while armed; only a fresh one feeds the timer.
   void on_command(const protocol::Command& command, uint8_t counter, uint32_t t_ms);
 
   // Disarmed to armed; the first fresh command must follow within the timer's 100 ms.
@@ -67,16 +66,16 @@ class Logic {
   // Any state to disarmed.
   void on_disarm();
 
-  // Takes other limits over while disarmed; whether they were.
+  // Accepts new limits while disarmed; returns whether they were accepted.
   bool on_limits(const protocol::Limits& limits);
 
-  // After the messages: armed to disarmed when the timer has run out.
+  // After the messages: armed to disarmed if the timer has expired.
   void tick(uint32_t t_ms);
 
-  // Notes a fault for the next status.
+  // Records a fault for the next status.
   void event(uint16_t fault) { events_ |= fault; }
 
-  // The faults for a status; what it has told is forgotten, but for the timeout, which stays until the next arming.
+  // The faults for a status; they are cleared, except for the timeout, which is kept until the next arming.
   uint16_t take_faults();
 
   const Arming& arming() const { return arming_; }

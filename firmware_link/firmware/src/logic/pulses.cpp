@@ -25,24 +25,24 @@ Pulses::Pulses(const protocol::Limits& limits) : limits_(limits) {
   straighten();
 }
 
-void Pulses::want(uint16_t servo_us, uint16_t motor_us) {
-  servo_want_us_ = clamped(servo_us, limits_.servo_min_us, limits_.servo_max_us);
-  motor_want_us_ = clamped(motor_us, limits_.motor_min_us, limits_.motor_max_us);
+void Pulses::set_target(uint16_t servo_us, uint16_t motor_us) {
+  servo_target_us_ = clamped(servo_us, limits_.servo_min_us, limits_.servo_max_us);
+  motor_target_us_ = clamped(motor_us, limits_.motor_min_us, limits_.motor_max_us);
 }
 
 void Pulses::straighten() {
-  servo_us_ = servo_want_us_ = limits_.servo_straight_us;
-  motor_us_ = motor_want_us_ = limits_.motor_neutral_us;
+  servo_us_ = servo_target_us_ = limits_.servo_straight_us;
+  motor_us_ = motor_target_us_ = limits_.motor_neutral_us;
 }
 
 void Pulses::frame() {
   const int16_t slew = limits_.servo_slew_us * kStepsPerSlew;
-  servo_us_ = clamped(servo_want_us_, servo_us_ - slew, servo_us_ + slew);
+  servo_us_ = clamped(servo_target_us_, servo_us_ - slew, servo_us_ + slew);
   const int16_t neutral = limits_.motor_neutral_us;
   const int16_t now = motor_us_ - neutral;
-  const int16_t want = motor_want_us_ - neutral;
+  const int16_t target = motor_target_us_ - neutral;
   int16_t reach = limits_.motor_slew_us * kStepsPerSlew;
-  if (now > 0 && want > 0) reach += now;
-  if (now < 0 && want < 0) reach -= now;
-  motor_us_ = neutral + clamped(want, -reach, reach);
+  if (now > 0 && target > 0) reach += now;
+  if (now < 0 && target < 0) reach -= now;
+  motor_us_ = neutral + clamped(target, -reach, reach);
 }

@@ -5,7 +5,7 @@
 namespace {
 
 constexpr uint16_t kMaxWidth = 5831;  // 4 m there and back at 343 m/s, in 4 us
-constexpr uint16_t kMinRange = 20;  // what is nearer than 0.02 m reads as that
+constexpr uint16_t kMinRange = 20;  // shorter ranges read as 0.02 m
 
 uint16_t millimetres(uint16_t width) {
   const uint32_t range = width * 686UL / 1000;  // 0.686 mm in 4 us, there and back

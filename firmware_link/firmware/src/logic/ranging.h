@@ -1,12 +1,12 @@
-// Three HC-SR04 in turn: when to trigger which, and what their echoes mean.
+// Three HC-SR04 in turn: their triggers and the ranges from their echoes.
 #pragma once
 
 #include <stdint.h>
 
 constexpr uint8_t kSensors = 3;
 
-// A slot for each sensor: 30 ms of sound are 5.1 m, so that an echo of the sensor before is over. No echo is no range:
-// `ranges()` never says that the way is clear, only how far the nearest thing heard is.
+// A slot for each sensor: in 30 ms sound travels 5.1 m, so that the echo of the previous sensor is over. No echo means
+// no range: `ranges()` never reports free space, only the distance of the nearest echo.
 class Ranging {
  public:
   static constexpr uint8_t kSlotMs = 30;
@@ -28,7 +28,7 @@ class Ranging {
   void finish();
 
   uint16_t ranges_[kSensors];
-  uint32_t slot_ms_ = 0;  // when the slot began
+  uint32_t slot_ms_ = 0;  // start of the slot
   uint16_t rise_ = 0;
   uint16_t width_ = 0;
   uint8_t sensor_ = kSensors - 1;

@@ -18,8 +18,8 @@ uint8_t reset_cause_of(uint8_t mcusr, uint8_t from_bootloader) {
   if (flags == 0 && (from_bootloader & ~kAll) == 0) flags = from_bootloader;
   if (flags & kPowerOn) return protocol::reset_cause::kPowerOn;  // the supply's rise sets the brown-out flag, too
   if (flags & kBrownOut) return protocol::reset_cause::kBrownOut;
-  // A bootloader that runs after the reset line may leave by the watchdog: the reset line is what began it.
+  // A bootloader that runs after the reset line may exit by the watchdog: the cause is the reset line.
   if (flags & kExternal) return protocol::reset_cause::kExternal;
   if (flags & kWatchdog) return protocol::reset_cause::kWatchdog;
-  return protocol::reset_cause::kExternal;  // hidden by an old bootloader, which runs for the reset line only
+  return protocol::reset_cause::kExternal;  // cleared by an old bootloader, which runs only for the reset line
 }

@@ -1,4 +1,4 @@
-// Why the board started.
+// The cause of the board's start.
 #pragma once
 
 #include <stdint.h>

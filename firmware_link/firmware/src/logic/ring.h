@@ -9,7 +9,7 @@ class Ring {
                 "counts of 8 bits wrap around as they must with powers of two up to 128");
 
  public:
-  // False where there is no room: the byte is lost.
+  // False if the ring is full: the byte is lost.
   bool put(uint8_t byte) {
     const uint8_t in = in_;
     if (static_cast<uint8_t>(in - out_) == kCapacity) return false;
@@ -18,7 +18,7 @@ class Ring {
     return true;
   }
 
-  // False where there is none.
+  // False if the ring is empty.
   bool take(uint8_t& byte) {
     const uint8_t out = out_;
     if (out == in_) return false;

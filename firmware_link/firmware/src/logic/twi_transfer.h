@@ -1,5 +1,5 @@
-// A register of a device on the two-wire bus, written or read step by step: the bus's status codes in, what the bus is
-// to do next out.
+// Writes or reads a register of a device on the two-wire bus step by step: the bus's status codes in, its next action
+// out.
 #pragma once
 
 #include <stdint.h>
@@ -8,10 +8,10 @@ enum class Twi : uint8_t {
   kNothing,
   kStart,
   kSend,
-  kReceive,  // and acknowledge: more are wanted
-  kReceiveLast,  // and do not
+  kReceive,  // and acknowledge: more bytes follow
+  kReceiveLast,  // and do not acknowledge
   kStop,
-  kOff,  // let go of both wires
+  kOff,  // release both wires
   kClockLow,  // pull the clock down by hand, with the bus off
   kClockHigh,
 };
@@ -26,14 +26,14 @@ class TwiTransfer {
   enum State : uint8_t { kIdle, kBusy, kDone, kFailed };
   static constexpr uint8_t kMaxBytes = 2;
 
-  // Begin; what to do first.
+  // Starts; returns the first action.
   TwiAction write(uint8_t device, uint8_t reg, uint8_t value);
   TwiAction read(uint8_t device, uint8_t reg, uint8_t count);
 
-  // The bus has done what it was told.
+  // The bus has completed its action.
   TwiAction on_status(uint8_t status, uint8_t received);
 
-  // Forget it.
+  // Abandons the transfer.
   void abandon() { state_ = kIdle; }
 
   State state() const { return state_; }

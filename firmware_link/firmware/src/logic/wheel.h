@@ -3,8 +3,8 @@
 
 #include <stdint.h>
 
-// The tick at a rising edge of A: forward where B is high. With one channel only, B stays open and its pull-up makes
-// every tick a forward one.
+// The tick at a rising edge of A: forward if B is high. With only one channel, B stays open and its pull-up makes every
+// tick a forward one.
 inline int8_t wheel_tick(bool b_high) {
   return b_high ? 1 : -1;
 }

@@ -7,7 +7,7 @@ namespace battery_sensor {
 
 void begin();
 
-// Each millisecond: takes a conversion that is done, starts the next.
+// Each millisecond: reads a finished conversion, and starts the next.
 void tick();
 
 // [0.001 V]

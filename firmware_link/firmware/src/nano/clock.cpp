@@ -42,7 +42,7 @@ uint32_t wait_beyond(uint32_t t_ms) {
     cli();
     if (milliseconds != t_ms) break;
     sleep_enable();
-    sei();  // takes hold after the next instruction: no interrupt comes between it and the sleep
+    sei();  // takes effect after the next instruction: no interrupt can come between it and the sleep
     sleep_cpu();
     sleep_disable();
   }
@@ -53,7 +53,7 @@ uint32_t wait_beyond(uint32_t t_ms) {
 uint16_t stamp() {
   uint8_t count = TCNT2;
   uint16_t now = static_cast<uint16_t>(milliseconds);
-  if (TIFR2 & 1 << OCF2A) {  // a millisecond is over, and its interrupt waits for ours to end
+  if (TIFR2 & 1 << OCF2A) {  // a millisecond has passed, and its interrupt is pending
     count = TCNT2;
     ++now;
   }

@@ -14,7 +14,7 @@ uint32_t ms();
 // Sleeps until `ms` is no longer `t_ms`; the new time.
 uint32_t wait_beyond(uint32_t t_ms);
 
-// [4 us], modulo 2^16; for interrupts, which nothing interrupts.
+// [4 us], modulo 2^16; for use in interrupts.
 uint16_t stamp();
 
 }  // namespace clock

@@ -1,4 +1,4 @@
-// What differs from car to car. The wiring table is in ../../README.md.
+// The constants that depend on the car. The wiring table is in ../../README.md.
 #pragma once
 
 #include <stdint.h>
@@ -10,8 +10,8 @@
 
 namespace config {
 
-// The voltage at the battery that makes 1.1 V at A6: with 100 kOhm above and 10 kOhm below, eleven times that.
-// Compare `battery_v` with a meter and correct it: the chip's 1.1 V are within 10 % only.
+// The battery voltage for 1.1 V at A6: with 100 kOhm above and 10 kOhm below, eleven times 1.1 V. Compare `battery_v`
+// with a meter and correct it: the chip's reference is only accurate to 10 %.
 constexpr uint16_t kBatteryFullScaleMv = 12100;
 
 }  // namespace config

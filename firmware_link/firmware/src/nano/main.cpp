@@ -1,4 +1,4 @@
-// The board's program. What it does is decided in ../logic; here are the registers.
+// The board's program: the registers. The decisions are in ../logic.
 
 #include <avr/interrupt.h>
 #include <avr/wdt.h>
@@ -63,7 +63,7 @@ int main() {
     yaw_sensor::tick(t_ms);
     battery_sensor::tick();
     store::tick();
-    wdt_reset();  // here only: whatever holds the loop up for 60 ms ends in a restart, which is straight and neutral
+    wdt_reset();  // only here: a loop that is blocked for 60 ms restarts the board, which is straight and neutral
     t_ms = clock::wait_beyond(t_ms);
   }
 }

@@ -14,7 +14,7 @@ namespace servos {
 void begin(uint16_t steering, uint16_t motor) {
   TCCR1B = 0;  // a bootloader may have used the timer
   TCCR1A = 0;
-  set(steering, motor);  // at once: only the mode below keeps the values back
+  set(steering, motor);  // at once: the values are only buffered in the mode below
   TCCR1A = 1 << COM1A1 | 1 << COM1B1 | 1 << WGM11;  // mode 14: high from 0 to the match, up to ICR1
   TCCR1B = 1 << WGM13 | 1 << WGM12;
   ICR1 = kPeriod - 1;  // can be written in this mode only

@@ -37,7 +37,7 @@ void begin() {
   PCICR = 1 << PCIE1;
 }
 
-// A trigger stays high until the next millisecond, where 10 us are the least: so nobody has to wait for it.
+// A trigger stays high until the next millisecond (at least 10 us are required), so that no code has to wait.
 void tick(uint32_t t_ms) {
   PORTD &= ~kTriggers;
   ATOMIC_BLOCK(ATOMIC_RESTORESTATE) {

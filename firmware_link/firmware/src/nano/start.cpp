@@ -9,8 +9,8 @@
 static uint8_t saved_mcusr __attribute__((section(".noinit")));
 static uint8_t saved_r2 __attribute__((section(".noinit")));
 
-// Before main: after a watchdog reset the watchdog runs on with its shortest time, and would bite again. It can only be
-// stopped once its flag in MCUSR is cleared. r2 is where Optiboot leaves the flags that it has cleared itself.
+// Before main: after a watchdog reset the watchdog keeps running with its shortest time and would reset again. It can
+// only be stopped after its flag in MCUSR is cleared. Optiboot leaves the flags that it has cleared in r2.
 extern "C" void save_reset_cause() __attribute__((naked, used, section(".init3")));
 extern "C" void save_reset_cause() {
   asm volatile("sts %0, r2" : "=m"(saved_r2));

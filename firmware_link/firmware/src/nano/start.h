@@ -1,4 +1,4 @@
-// How the program starts: the reset's cause is saved before anything else runs, and the watchdog stopped.
+// The start of the program: the reset cause is saved before anything else runs, and the watchdog is stopped.
 #pragma once
 
 #include <stdint.h>

@@ -6,7 +6,7 @@
 #include "../logic/ring.h"
 #include "config.h"
 
-#define BAUD_TOL 3  // 115200 is 2.1 % off at 16 MHz; what counts is the other end, which is usually exact
+#define BAUD_TOL 3  // 115200 is 2.1 % off at 16 MHz; the other end is usually exact
 #include <util/setbaud.h>
 
 namespace {
@@ -57,7 +57,7 @@ uint8_t transmit_room() {
 void transmit(const uint8_t* bytes, uint8_t count) {
   while (count--) to_send.put(*bytes++);
   const uint8_t status = SREG;
-  cli();  // the interrupt clears this very bit
+  cli();  // the interrupt clears the same bit
   UCSR0B |= 1 << UDRIE0;
   SREG = status;
 }

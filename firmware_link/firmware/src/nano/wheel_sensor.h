@@ -7,7 +7,7 @@ namespace wheel_sensor {
 
 void begin();
 
-// Since the start, down in reverse.
+// Since the start, decreasing in reverse.
 int32_t ticks();
 
 }  // namespace wheel_sensor

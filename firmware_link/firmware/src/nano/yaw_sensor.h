@@ -13,7 +13,7 @@ void tick(uint32_t t_ms);
 // As on the wire; protocol::Odometry::kNoYawRateRadps without one.
 int16_t yaw_rate();
 
-// Whether one that was there has failed.
+// Whether a gyro that worked has failed.
 bool failed();
 
 }  // namespace yaw_sensor
