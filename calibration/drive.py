@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from automodel.config import CarConfig
-from automodel.console.messages import EventTeller, say
+from automodel.console.messages import EventPrinter, say
 from automodel.control.limits import Limits
 from automodel.control.longitudinal import ObstacleGuard
 from automodel.curves import line
@@ -325,7 +325,7 @@ def run_chain(
     loop = Loop(NoLane(look), controller, limits, validity_s=safety.command_validity_s)
     config = RunConfig(command_validity_s=safety.command_validity_s, period_s=PERIOD_S, collector_off=False)
     quiet = QUIET | ({"arming", "driving"} if rig.auto_arm else set())
-    teller = EventTeller(rig.clock, frozenset(quiet))
+    teller = EventPrinter(rig.clock, frozenset(quiet))
     result = Runner(rig.run_parts(loop), config, observer=watch, arm_requested=arm, on_event=teller).run(stop=stop)
     if result.traceback is not None:
         say(result.traceback.rstrip())

@@ -13,7 +13,7 @@ from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Wa
 from automodel.assembly.simulated_car import Simulation, board_of, lock_step, real_time
 from automodel.config import CarConfig, ConfigError
 from automodel.console.keys import ArmKey
-from automodel.console.messages import EventTeller, say
+from automodel.console.messages import EventPrinter, say
 from automodel.console.progress import progress
 from automodel.interfaces import Clock
 from automodel.recording.writer import McapRecorder
@@ -86,7 +86,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
             loop=make_loop(car, checks=checks),
             recorder=recorder,
         )
-        teller = EventTeller(simulated.clock, _QUIET_SIMULATED)
+        teller = EventPrinter(simulated.clock, _QUIET_SIMULATED)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(parts, config, observer=watcher, on_event=teller)
         result = _run(runner, watcher, simulated.clock, options.duration_s)
@@ -124,7 +124,7 @@ def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
             observer=watcher,
             arm_requested=key.pressed,
             reopen=lambda: CaptureThread(make_camera(car)),
-            on_event=EventTeller(parts.clock, _QUIET_REAL),
+            on_event=EventPrinter(parts.clock, _QUIET_REAL),
         )
         try:
             result = _run(runner, watcher, parts.clock, options.duration_s)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from automodel.assembly import drive
-from automodel.console.messages import EventTeller
+from automodel.console.messages import EventPrinter
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event
 from firmware_link import arduino
@@ -52,14 +52,14 @@ class Person:
 
             pressed = person.pressed
 
-        tell = EventTeller.__call__
+        tell = EventPrinter.__call__
 
-        def note(teller: EventTeller, event: Event) -> None:
+        def note(teller: EventPrinter, event: Event) -> None:
             person.events.append(event)
             tell(teller, event)
 
         monkeypatch.setattr(drive, "ArmKey", Key)
-        monkeypatch.setattr(EventTeller, "__call__", note)
+        monkeypatch.setattr(EventPrinter, "__call__", note)
 
     def pressed(self, *_: object) -> bool:
         self._turns += 1
