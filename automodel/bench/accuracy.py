@@ -150,16 +150,9 @@ class Choice:
 
     def cases(self) -> list[Case]:
         """All drives, in this order."""
+        rest: dict[str, Any] = {"look": self.look, "direction": self.direction, "speed_mps": self.speed_mps}
         return [
-            Case(
-                pipeline=pipeline,
-                track=track,
-                style=style,
-                seed=seed,
-                look=self.look,
-                direction=self.direction,
-                speed_mps=self.speed_mps,
-            )
+            Case(pipeline=pipeline, track=track, style=style, seed=seed, **rest)
             for pipeline, track, style, seed in itertools.product(
                 self.pipelines or PIPELINE_NAMES, self.tracks or TRACKS, self.styles or STYLES, self.seeds
             )

@@ -272,18 +272,8 @@ def measure(car: CarConfig, choice: Choice, jobs: int | None) -> dict[str, list[
 
     Of `choice` the first seed, the look and the speed count.
     """
-    cases = [
-        Case(
-            pipeline="windows",
-            track="tmr",
-            style="centred",
-            seed=choice.seeds[0],
-            look=choice.look,
-            direction=direction,
-            speed_mps=choice.speed_mps,
-        )
-        for direction in ("forward", "reverse")
-    ]
+    choice = replace(choice, pipelines=("windows",), tracks=("tmr",), styles=("centred",), seeds=choice.seeds[:1])
+    cases = [case for direction in ("forward", "reverse") for case in replace(choice, direction=direction).cases()]
     whole, *others = spread("bench accuracy", functools.partial(measure_case, car), cases, jobs)
     for other in others:
         whole.include(other)
