@@ -12,6 +12,7 @@ import numpy as np
 from automodel.config import ConfigError
 from automodel.console.messages import say
 from automodel.geometry import CameraModel, GroundCamera
+from automodel.output_files import output_path
 from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.ground import distances_m
@@ -36,20 +37,17 @@ def picture_folder(out: Path | None, car_file: Path) -> Path:
 
 
 def write_pictures(folder: Path, pictures: Mapping[str, Image], *, quiet: bool = False) -> None:
-    """Write each as `<name>.png`, replacing an old one in one step, and report its path; raises ConfigError."""
+    """Write each as `<name>.png` and report its path; raises ConfigError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, picture in pictures.items():
-            path, part = folder / f"{name}.png", folder / f".{name}.part"
-            try:
-                part.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-                os.replace(part, path)
-            finally:
-                part.unlink(missing_ok=True)
-            if not quiet:
-                say(str(path))
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written: {error.strerror}") from None
+    for name, picture in pictures.items():
+        path = folder / f"{name}.png"
+        with output_path(path) as part:
+            part.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        if not quiet:
+            say(str(path))
 
 
 def in_bgr(image: Image) -> Image:

@@ -3,24 +3,14 @@
 from __future__ import annotations
 
 import functools
-import re
 from pathlib import Path
 from typing import Any
 
 import click
 
+from automodel.cli.calibrate import board_size, output_options
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
 from calibration.boards import DICTIONARIES, Board
-
-
-def board_size(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[int, int] | None:
-    """A callback that reads "9x6"."""
-    if value is None:
-        return None
-    size = re.fullmatch(r"(\d{1,3})[xX](\d{1,3})", value)
-    if not size:
-        raise click.BadParameter(f"expected columns x rows of inner corners, as 9x6, got {value!r}", ctx, param)
-    return int(size.group(1)), int(size.group(2))
 
 
 @click.command("camera")
@@ -33,10 +23,8 @@ def board_size(ctx: click.Context, param: click.Parameter, value: str | None) ->
 @click.option(
     "--car", "car_file", type=FILE, default="car.toml", show_default=True, help="Where the camera is written."
 )
-@click.option("--out", type=FILE, help="Folder for the pictures.  [calibration_pictures beside car.toml]")
 @click.option("--views", type=click.IntRange(4, 200), default=20, show_default=True, help="Live: views to take.")
-@click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
-@click.option("--dry-run", is_flag=True, help="Measure and draw, but leave car.toml unchanged.")
+@output_options
 def command(sources: tuple[str, ...], car_file: Path, **given: Any) -> int:
     """The camera's lens from SOURCE: images, a folder, a glob or a video of a board, or `live` for the camera itself.
 

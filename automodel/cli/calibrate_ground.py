@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from automodel.cli.calibrate_camera import board_size
+from automodel.cli.calibrate import board_size, output_options
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
 from calibration.boards import DICTIONARIES, Board
 
@@ -39,9 +39,7 @@ if TYPE_CHECKING:
 @click.option(
     "--car", "car_file", type=FILE, default="car.toml", show_default=True, help="Where the camera is written."
 )
-@click.option("--out", type=FILE, help="Folder for the picture.  [calibration_pictures beside car.toml]")
-@click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
-@click.option("--dry-run", is_flag=True, help="Measure and draw, but leave car.toml unchanged.")
+@output_options
 def command(
     sources: tuple[str, ...], car_file: Path, out: Path | None, as_json: bool, dry_run: bool, **given: Any
 ) -> int:

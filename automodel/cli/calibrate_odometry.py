@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from automodel.cli.calibrate import output_options
 from automodel.cli.options import FILE, finite
 
 
@@ -44,9 +45,7 @@ def numbers(ctx: click.Context, param: click.Parameter, value: str) -> tuple[flo
 )
 @click.option("--sim", "simulated", is_flag=True, help="A simulated car with a hidden motor and hidden wheels.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Simulated: draws the car.")
-@click.option("--out", type=FILE, help="Folder for the picture.  [calibration_pictures beside car.toml]")
-@click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
-@click.option("--dry-run", is_flag=True, help="Measure, but leave car.toml unchanged.")
+@output_options
 def command(simulated: bool, **given: Any) -> int:
     """Wheel ticks a metre, and which motor pulse makes which speed.
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from automodel.cli.calibrate import output_options
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
 
 
@@ -46,9 +47,7 @@ from automodel.cli.options import ABOVE_ZERO, FILE, finite
 )
 @click.option("--left-deg", type=ABOVE_ZERO, callback=finite, help="By hand: the angle at the left end, if known.")
 @click.option("--right-deg", type=ABOVE_ZERO, callback=finite, help="By hand: the angle at the right end, if known.")
-@click.option("--out", type=FILE, help="Folder for the picture.  [calibration_pictures beside car.toml]")
-@click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
-@click.option("--dry-run", is_flag=True, help="Measure, but leave car.toml unchanged.")
+@output_options
 def command(auto: bool, manual: bool, **given: Any) -> int:
     """The steering servo: which pulse makes which angle of the front wheels, left positive.
 
