@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.types import FloatArray
-from calibration.servo import ServoTable
-from calibration.servo_log import MOVING_MPS, ServoLog
+from calibration.servo import MOVING_MPS, ServoLog, ServoTable
 
 _STEP_NS = 2_500_000  # of the time grid of the model
 _BLOCK_NS = 1_000_000_000  # readings within this time have correlated errors

@@ -13,8 +13,7 @@ from automodel.types import Image
 from calibration.actuator import Actuator, modelled_yaw_rates
 from calibration.camera import CameraCalibration
 from calibration.odometry import MeasuredRun, MotorTable, SteadySpeed, TicksPerMetre
-from calibration.servo import ServoTable
-from calibration.servo_log import ServoLog, holds_of
+from calibration.servo import ServoLog, ServoTable, holds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -94,8 +93,7 @@ def servo_picture(log: ServoLog, table: ServoTable, actuator: Actuator, wheelbas
     top.legend(fontsize=8)
     left.axhline(half, color="tab:blue", linewidth=0.8, linestyle=":")
     left.axhline(-half, color="tab:blue", linewidth=0.8, linestyle=":")
-    left.set_ylabel("from the table [deg]")
-    left.set_xlabel("pulse [us]")
+    left.set(xlabel="pulse [us]", ylabel="from the table [deg]")
     _plot_steps(steps, log, table, actuator, wheelbase_m)
     return _image_of(figure)
 
@@ -104,7 +102,7 @@ def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator
     """The part of the drive with the largest steps: commanded, measured and modelled yaw rate."""
     t_ns, model = modelled_yaw_rates(log, table, actuator, wheelbase_m)
     seconds = (log.t_ns - t_ns[0]) * 1e-9
-    wanted = np.interp((t_ns - t_ns[0]) * 1e-9, (log.pulse_t_ns - t_ns[0]) * 1e-9, table.angle_rad(log.pulse_us))
+    commanded = np.interp((t_ns - t_ns[0]) * 1e-9, (log.pulse_t_ns - t_ns[0]) * 1e-9, table.angle_rad(log.pulse_us))
     gain = np.interp((t_ns - t_ns[0]) * 1e-9, seconds, log.speed_mps) / wheelbase_m
     jumps = np.abs(np.diff(table.angle_rad(log.pulse_us)))
     score = np.convolve(jumps, np.ones(int(_SHOWN_S / 0.02)), mode="valid")
@@ -112,7 +110,7 @@ def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator
     seen = [a & b for a, b in ((s >= first_s, s <= first_s + _SHOWN_S) for s in (seconds, (t_ns - t_ns[0]) * 1e-9))]
     draw = axis.plot
     shown_s = ((t_ns - t_ns[0]) * 1e-9)[seen[1]]
-    draw(shown_s, (gain * np.tan(wanted))[seen[1]], color="grey", linewidth=0.8, label="pulse at the pin")
+    draw(shown_s, (gain * np.tan(commanded))[seen[1]], color="grey", linewidth=0.8, label="pulse at the pin")
     draw(seconds[seen[0]], log.yaw_rate_radps[seen[0]], ".", color="tab:green", markersize=4, label="measured")
     draw(shown_s, model[seen[1]], color="tab:blue", linewidth=1.2, label="model")
     rate = actuator.rate_max_radps
@@ -120,8 +118,7 @@ def _plot_steps(axis: Axes, log: ServoLog, table: ServoTable, actuator: Actuator
     axis.set_title(
         f"dead time {1e3 * actuator.delay_s:.0f} ms   lag {1e3 * actuator.lag_s:.0f} ms   {limit}", loc="left"
     )
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel("yaw rate [rad/s]")
+    axis.set(xlabel="time [s]", ylabel="yaw rate [rad/s]")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
 
@@ -144,12 +141,9 @@ def odometry_picture(
         label="run, one tick either way",
     )
     axes[0].axhline(ticks.ticks_per_m, color="tab:blue", label="mean")
-    axes[0].axhspan(
-        ticks.ticks_per_m - ticks.scatter_per_m, ticks.ticks_per_m + ticks.scatter_per_m, color="tab:blue", alpha=0.15
-    )
-    axes[0].set_xticks(numbers)
-    axes[0].set_xlabel("run")
-    axes[0].set_ylabel("ticks a metre")
+    low, high = ticks.ticks_per_m - ticks.scatter_per_m, ticks.ticks_per_m + ticks.scatter_per_m
+    axes[0].axhspan(low, high, color="tab:blue", alpha=0.15)
+    axes[0].set(xticks=numbers, xlabel="run", ylabel="ticks a metre")
     axes[0].set_title(f"{ticks.ticks_per_m:.1f} +/- {ticks.sd_per_m:.1f} ticks a metre", loc="left")
     if motor is not None:
         axes[1].plot(motor.pulse_us, motor.speed_mps, "o-", color="tab:blue", markersize=4, label="table")
@@ -157,12 +151,9 @@ def odometry_picture(
             [s.pulse_us for s in steady], [s.speed_mps for s in steady], "^", color="tab:green", label="driven"
         )
         reach = 1.3 * max(s.speed_mps for s in steady)
-        far = max(abs(s.pulse_us - motor.pulse_us[motor.speed_mps.index(0.0)]) for s in steady)
         middle = motor.pulse_us[motor.speed_mps.index(0.0)]
-        axes[1].set_xlim(middle - 2.0 * far, middle + 2.0 * far)
-        axes[1].set_ylim(-reach, reach)
-        axes[1].set_xlabel("pulse [us]")
-        axes[1].set_ylabel("speed [m/s]")
+        far = 2.0 * max(abs(s.pulse_us - middle) for s in steady)
+        axes[1].set(xlim=(middle - far, middle + far), ylim=(-reach, reach), xlabel="pulse [us]", ylabel="speed [m/s]")
         axes[1].set_title(f"band {motor.band_us:.0f} us   scatter {motor.rms_mps:.3f} m/s", loc="left")
     for axis in axes:
         axis.grid(alpha=0.3)

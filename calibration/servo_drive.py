@@ -26,8 +26,7 @@ from calibration.drive import PlanFollower, Rig, RigMaker, follow_plan, nobody, 
 from calibration.odometry import speeds
 from calibration.pictures import picture_folder, write_pictures
 from calibration.plots import servo_picture
-from calibration.servo import ServoError, ServoTable, fit_table
-from calibration.servo_log import ServoLog, without_bias
+from calibration.servo import ServoError, ServoLog, ServoTable, fit_table, without_bias
 from calibration.visual_odometry import floor_view, motion_of
 from firmware_link.pulses import PulseTable
 

@@ -6,7 +6,6 @@ import contextlib
 import datetime
 import math
 from collections.abc import Callable, Generator, Iterator
-from dataclasses import dataclass
 
 from automodel.assembly.parts import is_live_camera, make_camera, make_link
 from automodel.assembly.simulated_car import Simulation, board_of, lock_step
@@ -28,15 +27,6 @@ COMMANDS = {  # calibration record -> (the command that makes it, what is wrong 
 }
 NARROW_RAD, WIDE_RAD = math.radians(25.0), math.radians(150.0)  # fields of view of cameras that see lanes
 CENTRE_OFF = 0.12  # share of the image size by which the principal point may be off the middle
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Devices:
-    """How to open the car's camera, its link, and the clock of both."""
-
-    open_camera: Callable[[], Source]
-    link: VehicleLink
-    clock: SleepingClock
 
 
 def examine(car: CarConfig, consent: Consent | None) -> Generator[Finding, None, None]:
@@ -64,35 +54,34 @@ def _device_findings(car: CarConfig, consent: Consent | None, frames: list[Frame
         do = '"csi" or "usb" drives; for a recording see automodel replay'
         yield warn("car.toml", f'[camera] source "{source}" is not a camera', do)
     with contextlib.ExitStack() as leaving:
-        devices = _devices(car, leaving)
-        link = devices.link
+        open_camera, link, clock = _devices(car, leaving)
         if isinstance(link, Board):
-            answers = yield from board_findings(car, link, devices.clock)
+            answers = yield from board_findings(car, link, clock)
             if consent is None:
                 yield skip("servo", "not moved", "--move turns it, and asks first")
             elif answers:
-                yield servo_finding(car, link, devices.clock, consent)
+                yield servo_finding(car, link, clock, consent)
             else:
                 yield skip("servo", "not moved: the board does not answer")
         else:
             yield skip("board", f'not checked: no checks are known for [link] kind = "{car.link.kind}"')
         yield can_finding()
         link.close()
-        yield from camera_findings(car, devices.open_camera, frames)
+        yield from camera_findings(car, open_camera, frames)
         if frames:
             yield lane_finding(car, frames)
 
 
-def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> Devices:
-    """The car's own devices, or those of the simulated car in virtual time; `leaving` closes them."""
+def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> tuple[Callable[[], Source], VehicleLink, SleepingClock]:
+    """How to open the camera, the link, and the clock of both: the car's, or a simulated car's in virtual time."""
     if car.link.port == "sim":
         simulated = lock_step(car, Simulation(link=board_of(car)), lambda scene: None)
         leaving.callback(simulated.close)
-        devices = Devices(open_camera=lambda: simulated.source, link=simulated.link, clock=simulated.clock)
-    else:
-        devices = Devices(open_camera=lambda: make_camera(car), link=make_link(car), clock=MonotonicClock())
-    leaving.callback(devices.link.close)
-    return devices
+        leaving.callback(simulated.link.close)
+        return lambda: simulated.source, simulated.link, simulated.clock
+    link = make_link(car)
+    leaving.callback(link.close)
+    return lambda: make_camera(car), link, MonotonicClock()
 
 
 def judge_records(car: CarConfig, today: datetime.date) -> list[Finding]:

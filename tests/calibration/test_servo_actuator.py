@@ -10,8 +10,7 @@ import pytest
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.randomised_plant import randomised_servo
 from calibration.actuator import Actuator, fit_actuator, wheel_angles
-from calibration.servo import ServoTable, fit_table
-from calibration.servo_log import ServoLog, without_bias
+from calibration.servo import ServoLog, ServoTable, fit_table, without_bias
 from tests.support.servo_drives import WHEELBASE_M, changed, driven
 
 MS = 1_000_000
@@ -99,5 +98,5 @@ def test_some_wild_readings_do_no_harm() -> None:
 
 def test_a_car_that_hardly_moved_tells_no_delay() -> None:
     _, log, table = fitted(randomised_servo(2, PlantConfig(seed=2)))
-    with pytest.raises(ValueError, match="too few to tell"):
+    with pytest.raises(ValueError, match="too few to measure"):
         fit_actuator(changed(log, speed_mps=np.zeros(len(log.t_ns))), table, WHEELBASE_M)

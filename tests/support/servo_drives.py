@@ -9,7 +9,7 @@ import numpy as np
 
 from automodel.sim.plant import Plant, PlantConfig
 from calibration.drive import DrivePlan, servo_plan
-from calibration.servo_log import ServoLog
+from calibration.servo import ServoLog
 
 FRAME_NS = 20_000_000
 WHEELBASE_M = 0.26
