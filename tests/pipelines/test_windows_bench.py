@@ -67,7 +67,9 @@ def check(meter: AccuracyMeter) -> None:
     assert row["false_lane_pct"] == 0.0
 
 
-@pytest.mark.parametrize(("rate_hz", "speed_mps"), [(60.0, 1.0), (20.0, 1.0), (30.0, 2.0)])
+@pytest.mark.parametrize(
+    ("rate_hz", "speed_mps"), [pytest.param(60.0, 1.0, marks=pytest.mark.slow), (20.0, 1.0), (30.0, 2.0)]
+)
 def test_over_an_intersection(rate_hz: float, speed_mps: float) -> None:
     crossing_m = first_crossing_m()
     meter, statuses = drive("centred", 3, rate_hz, speed_mps, crossing_m - 1.6, crossing_m + 1.5)
