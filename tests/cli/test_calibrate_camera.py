@@ -77,6 +77,7 @@ def video(drawn: list[np.ndarray], folder: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_video_and_its_repeated_views(video: Path, cli) -> None:
     said = cli("calibrate", "camera", video, *BOARD, "--car", "new.toml")
     assert said.code == 0, said.err
@@ -173,6 +174,7 @@ def test_wrong_arguments(arguments: str, named: str, cli) -> None:
     assert said.line().endswith("(see automodel calibrate camera --help)")
 
 
+@pytest.mark.slow
 def test_an_implausible_camera_is_drawn_but_not_written(folder: Path, cli) -> None:
     from tests.support.drawn_boards import PAPER_PX, seen, turned
 

@@ -121,6 +121,7 @@ def test_a_straight_drive_between_lines(place: Path, cli) -> None:
     assert row["errors"][0]["within_mm"] is None
 
 
+@pytest.mark.slow
 def test_a_height_that_is_another_is_questioned(place: Path, cli) -> None:
     paper = np.full((1400, 500), 90, np.uint8)
     paper[:, 197:204] = paper[:, 297:304] = 240

@@ -16,6 +16,7 @@ import pytest
 from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, Frame
 from tests.support.free_cores import Retries
+from tests.support.slow_lane import rest_slow
 from tests.support.terminal_signals import signals_of_a_terminal
 
 pytestmark = pytest.mark.realtime
@@ -79,7 +80,7 @@ def reasons(err: str) -> list[str]:
     return [match[1] for match in found if match]
 
 
-@pytest.mark.parametrize("pipeline", ["windows", "centerline"])
+@pytest.mark.parametrize("pipeline", rest_slow(("windows", "centerline"), "windows"))
 def test_three_seconds_without_a_stop(pipeline: str, cli) -> None:
     """A machine that is too busy for it may be late, and nothing else: no lane is lost by that."""
     retries = Retries()

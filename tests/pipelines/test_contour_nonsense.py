@@ -16,6 +16,7 @@ from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource
 from tests.support.masked_drives import arc, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
+from tests.support.slow_lane import rest_slow
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLACK, WHITE = np.zeros(SIZE, np.uint8), np.full(SIZE, 255, np.uint8)
@@ -57,7 +58,10 @@ def test_black_white_and_plain_noise_are_no_lane() -> None:
             assert reported.status is LaneStatus.LOST
 
 
-@pytest.mark.parametrize("options", [{"precision": "single"}, {"update": "gradient_descent"}], ids=str)
+OPTIONS: tuple[dict[str, Any], ...] = ({"precision": "single"}, {"update": "gradient_descent"})
+
+
+@pytest.mark.parametrize("options", rest_slow(OPTIONS, OPTIONS[1]), ids=str)
 def test_noise_in_a_drive_gives_no_nan(seen: list[Seen], options: dict[str, Any]) -> None:
     car = replace(CAR, pipeline=replace(CAR.pipeline, contour=ContourConfig(**options)))
     for image in noises():
@@ -96,10 +100,11 @@ STEPS = st.tuples(
 )
 
 
-@settings(max_examples=20, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
-@given(steps=st.lists(STEPS, min_size=4, max_size=14), precision=st.sampled_from(["double", "single"]))
+@pytest.mark.parametrize("precision", rest_slow(("double", "single"), "double"))
+@settings(max_examples=12, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(steps=st.lists(STEPS, min_size=4, max_size=14))
 def test_nothing_a_camera_or_gyro_says_raises_or_gives_nan(
-    seen: list[Seen], steps: list[tuple[np.ndarray | None, int, float, float, MotionSource]], precision: str
+    seen: list[Seen], precision: str, steps: list[tuple[np.ndarray | None, int, float, float, MotionSource]]
 ) -> None:
     pipeline = Contour(replace(CAR, pipeline=replace(CAR.pipeline, contour=ContourConfig(precision=precision))))
     t_ns = 10**13

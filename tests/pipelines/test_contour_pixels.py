@@ -242,6 +242,7 @@ def optioned(car: CarConfig, **options: Any) -> CarConfig:
     return replace(car, pipeline=replace(car.pipeline, contour=replace(car.pipeline.contour, **options)))
 
 
+@pytest.mark.slow  # compiles everything once more
 @pytest.mark.parametrize("name", ["scale", "highway"])
 def test_single_floats_give_the_same_lane(name: str) -> None:
     if name == "scale":

@@ -10,6 +10,7 @@ import pytest
 
 from automodel.runtime import os_signals
 from automodel.runtime.os_signals import stop_on_signals
+from tests.support.slow_lane import rest_slow
 
 pytestmark = pytest.mark.realtime
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,7 +40,7 @@ def run_child(tmp_path: Path, what: str, first: signal.Signals, second: signal.S
 
 
 @pytest.mark.parametrize("what", ["frames", "silence"])
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", rest_slow(("SIGINT", "SIGTERM", "SIGHUP"), "SIGINT"))
 def test_a_signal_ends_in_neutral_and_a_closed_recording(tmp_path: Path, what: str, name: str) -> None:
     out, log = run_child(tmp_path, what, signal.Signals[name], None)
     assert out == f"SIGNAL {name} True []"
