@@ -19,6 +19,7 @@ UNITS = {
     "per_m": "1/m", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "ms": "ms", "us": "us", "pct": "%",
     "mps": "m/s", "radps": "rad/s", "px": "px", "hz": "Hz", "v": "V",
 }  # fmt: skip
+SHORT = {"availability": "avail."}  # in the headers of tables
 GAP = "  "
 TEXT_WIDTH = 30  # the least width of a column of sentences, which are wrapped
 
@@ -27,8 +28,8 @@ def show(command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str
     """Print `rows`, all with the same keys: as one JSON object, as lines (one row) or as a table (several).
 
     `columns` are the chief ones, the most important first; the others follow in their own order. A table has as many
-    as fit the terminal, 80 characters where there is none; its last line names those that are only in the JSON. Other
-    columns than the chief ones are left out where no row has a value.
+    as fit the terminal, 80 characters where there is none; its last line names those that are only in the JSON. Where
+    there are chief columns, others without any value are left out.
     """
     if as_json:
         print(json.dumps({"version": __version__, "command": command, "rows": [dict(row) for row in rows]}))
@@ -37,7 +38,8 @@ def show(command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str
         return
     columns = columns or ()
     names = list(dict.fromkeys((*columns, *rows[0])))
-    names = [name for name in names if name in columns or any(row[name] is not None for row in rows)]
+    if columns:
+        names = [name for name in names if name in columns or any(row[name] is not None for row in rows)]
     width = terminal_width()
     lines = _fields(rows[0], names, width) if len(rows) == 1 else _table(rows, names, width)
     for line in lines:
@@ -85,8 +87,8 @@ class _Column:
     def __init__(self, name: str, rows: Sequence[Row]) -> None:
         words, unit = _label(name)
         self.name, self.cells = name, [_text(row[name]) for row in rows]
-        self.left = all(isinstance(row[name], str | None) for row in rows)
-        header = [*words.split(), *([f"[{unit}]"] if unit else [])]
+        self.left = any(isinstance(row[name], str) for row in rows)
+        header = [*(SHORT.get(word, word) for word in words.split()), *([f"[{unit}]"] if unit else [])]
         longest = max(map(len, self.cells))
         self.is_text = longest > TEXT_WIDTH and any(" " in cell for cell in self.cells)
         self.width = max(TEXT_WIDTH if self.is_text else longest, *map(len, header), 1)
