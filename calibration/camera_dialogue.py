@@ -16,7 +16,7 @@ from automodel.config import CarConfig, ConfigError, load_car
 from automodel.config.toml_reader import parse_toml, read_text
 from automodel.console.messages import say
 from automodel.console.progress import progress
-from automodel.console.tables import show
+from automodel.console.tables import show, terminal_width, wrapped
 from automodel.geometry import CameraModel
 from automodel.sources.errors import SourceError
 from automodel.types import Image
@@ -147,7 +147,7 @@ def _show(
     show("calibrate camera", [results], as_json)
     click.echo(f"k1 k2 p1 p2 k3 = {' '.join(f'{k:g}' for k in lens.distortion)}\n")
     for check in checks:
-        click.echo(f"{check.status:4}  {check.name}: {check.text}")
+        click.echo(wrapped(f"{check.status:4}  {check.name}: {check.text}", terminal_width(), 6))
 
 
 def _view_row(error: ViewError, board: Board) -> dict[str, object]:

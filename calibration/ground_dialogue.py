@@ -148,7 +148,7 @@ def _show(found: Found, as_json: bool) -> None:
     show("calibrate ground", rows, as_json)
     click.echo(f"\nresidual {found.residual_px:.2f} px, by {found.method}\n")
     show("calibrate ground", errors, as_json)
-    click.echo("error_mm: root mean square, ahead of the camera; within_mm: in 95 of 100 such calibrations")
+    click.echo("error: root mean square, ahead of the camera; within: 95 of 100 such calibrations")
 
 
 def _mm(length_m: float | None) -> float | None:
