@@ -97,6 +97,7 @@ def test_a_part_of_a_charuco_board_keeps_its_place() -> None:
     assert np.linalg.norm(found.corners_px - truth_px(found.grid, centre), axis=1).max() < 0.6
 
 
+@pytest.mark.slow
 def test_markers_of_another_dictionary_are_named() -> None:
     image = picture(charuco(9, 6, cv2.aruco.DICT_5X5_100))
     assert find_board(image, CHARUCO) is None

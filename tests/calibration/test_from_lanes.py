@@ -17,6 +17,7 @@ from automodel.geometry import GroundCamera, cam_from_body_rotation
 from calibration.from_lanes import LanesCalibration, camera_from_lanes, level, solve_attitude, steepness
 from calibration.vanishing_point_fit import ConvergingLines
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
+from tests.support.slow_lane import rest_slow
 
 BENT = (-0.25, 0.06, 0.0, 0.0, 0.0)
 DRIVE = [(0.3, 0.01), (-0.4, -0.012), (0.1, 0.0), (-0.2, 0.006), (0.5, -0.004)]  # offset [m], heading [rad]
@@ -48,7 +49,7 @@ CAMERAS = [
 ]
 
 
-@pytest.mark.parametrize("extrinsics", CAMERAS)
+@pytest.mark.parametrize("extrinsics", rest_slow(CAMERAS, CAMERAS[0], CAMERAS[-1]))
 def test_the_camera_is_the_one_that_it_was_drawn_with(extrinsics: dict[str, float]) -> None:
     result, camera = found(**extrinsics)
     wanted = {"z_m": 1.6, "pitch_rad": 0.1, "yaw_rad": 0.0, "roll_rad": 0.0, **extrinsics}
@@ -64,7 +65,7 @@ def test_the_camera_is_the_one_that_it_was_drawn_with(extrinsics: dict[str, floa
     np.testing.assert_allclose(result.vanishing_px, vanishing, atol=2.5)
 
 
-@pytest.mark.parametrize("extrinsics", CAMERAS)
+@pytest.mark.parametrize("extrinsics", rest_slow(CAMERAS, CAMERAS[0], CAMERAS[-1]))
 def test_the_told_errors_hold_what_is_missed(extrinsics: dict[str, float]) -> None:
     result, camera = found(**extrinsics)
     assert list(result.ground_error_m) == [5.0, 10.0, 20.0]

@@ -12,6 +12,7 @@ from automodel.sim.randomised_plant import randomised_servo
 from calibration.actuator import Actuator, fit_actuator, wheel_angles
 from calibration.servo import ServoLog, ServoTable, fit_table, without_bias
 from tests.support.servo_drives import WHEELBASE_M, changed, driven
+from tests.support.slow_lane import rest_slow
 
 MS = 1_000_000
 
@@ -56,7 +57,7 @@ def fitted(config: PlantConfig) -> tuple[Actuator, ServoLog, ServoTable]:
     return fit_actuator(log, table, WHEELBASE_M), log, table
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", rest_slow(range(3), 0))
 def test_hidden_actuators_are_found(seed: int) -> None:
     config = randomised_servo(seed, PlantConfig(seed=seed))
     found, _, _ = fitted(config)
@@ -75,6 +76,7 @@ def test_a_rate_limit_that_was_never_reached_is_not_told() -> None:
     assert found.delay_s == pytest.approx(0.06, abs=0.003)
 
 
+@pytest.mark.slow
 def test_readings_that_are_means_over_a_window_are_taken_for_such() -> None:
     config = randomised_servo(1, PlantConfig(seed=1))
     found, log, table = fitted(config)

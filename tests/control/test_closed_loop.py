@@ -15,6 +15,7 @@ from automodel.curves import Curve, JoinedCurve, TabulatedCurve, arc, line
 from automodel.geometry.se2 import SE2
 from automodel.signals import NEUTRAL, Command, LaneEstimate, LanePose, LaneStatus, Motion, VehicleState
 from automodel.sim.plant import Plant, PlantConfig
+from tests.support.slow_lane import rest_slow
 
 CAR = CarConfig()
 FRAME_NS = 16_666_667
@@ -150,7 +151,7 @@ def test_an_offset_dies_out_without_oscillation(law: str, speed: float, kappa: f
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("servo_frames", [False, True])
-@pytest.mark.parametrize("speed", [1.0, 2.0])
+@pytest.mark.parametrize("speed", rest_slow((1.0, 2.0), 2.0))
 def test_s_bends_with_jumps_of_curvature(law: str, servo_frames: bool, speed: float) -> None:
     world = bends(
         (1 / 1.2, 1.0), (-1 / 1.2, 1.2), (1 / 0.6, 0.9), (-1 / 0.6, 1.0), (1 / 0.8, 1.0), (0.0, 0.5), (-1 / 0.6, 2.5)

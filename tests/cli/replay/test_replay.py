@@ -80,6 +80,7 @@ def test_a_replay_gives_the_same_estimates_to_the_bit(driven: Path, cli, ticks: 
     assert row["frames"] == row["tracking"] + row["one_line"] + row["coasting"] + row["lost"] == 120
 
 
+@pytest.mark.slow
 def test_another_pipeline_setting_gives_other_estimates(driven: Path, tmp_path: Path, cli, ticks: list[Tick]) -> None:
     """The comparison above can fail."""
     car = tmp_path / "car.toml"
