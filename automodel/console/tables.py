@@ -109,6 +109,7 @@ def _table(rows: Sequence[Row], names: Sequence[str], width: int) -> list[str]:
         if column.width + len(GAP) <= left or not chosen:
             left -= column.width + len(GAP)
             chosen.append(column)
+    chosen.sort(key=lambda column: column.is_text)  # sentences come last
     texts = [column for column in chosen if column.is_text]
     if texts:
         texts[-1].width += min(max(left, 0), max(map(len, texts[-1].cells)) - texts[-1].width)
