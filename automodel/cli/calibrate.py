@@ -1,4 +1,4 @@
-"""`automodel calibrate`: each calibration is one command that ends in a number, a picture and a section of car.toml."""
+"""`automodel calibrate`: each calibration is one command, with a residual, a picture and a section of car.toml."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from automodel.cli.main import LazyGroup
 from automodel.cli.options import FILE
 
 COMMANDS = {  # each in automodel/cli/calibrate_<name>.py
-    "camera": "The lens: focal lengths, centre and distortion, from pictures of a board.",
+    "camera": "The lens: focal lengths, centre and distortion, from images of a board.",
     "ground": "Where the camera looks: its height, pitch, roll and yaw over the ground.",
     "servo": "The steering: which pulse makes which angle of the front wheels.",
     "odometry": "The wheels: ticks a metre, and which motor pulse makes which speed.",
@@ -28,7 +28,7 @@ class Calibrations(LazyGroup):
 
 @click.group("calibrate", cls=Calibrations)
 def command() -> None:
-    """Calibrate the car, and write what was found, with date and error, into car.toml."""
+    """Calibrate the car, and write the results, with date and error, into car.toml."""
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:

@@ -90,7 +90,7 @@ def bounded(name: str, work: Callable[[], T], timeout_s: float, do: str) -> T | 
         return values[0]
     if errors:
         what, _, own = (" ".join(str(errors[0]).split()) or type(errors[0]).__name__).partition("; ")
-        return fail(name, what, f"{own}; {do}" if own else do)
+        return fail(name, what, f"{own}{' ' if own.endswith('?') else '; '}{do}" if own else do)
     if thread.is_alive():
         return fail(name, f"no answer within {timeout_s:g} s", do)
     return fail(name, "the check itself failed", "report it, with the traceback on stderr")

@@ -109,10 +109,10 @@ def test_markers_of_another_dictionary_are_named() -> None:
     ("wrong", "text"),
     [
         ({"columns": 2}, "3 .. 50 inner corners"),
-        ({"square_m": 0.0}, "a length above 0"),
-        ({"square_m": float("nan")}, "a length above 0"),
-        ({"marker_m": 0.03}, "smaller than its square"),
-        ({"dictionary": "8x8_50"}, "none of 4x4_50"),
+        ({"square_m": 0.0}, "expected squares of 0 .. 10 m"),
+        ({"square_m": float("nan")}, "expected squares of 0 .. 10 m"),
+        ({"marker_m": 0.03}, "expected markers smaller than squares"),
+        ({"dictionary": "8x8_50"}, "expected a dictionary of 4x4_50"),
     ],
 )
 def test_impossible_boards_are_refused(wrong: dict[str, Any], text: str) -> None:

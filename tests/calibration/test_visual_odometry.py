@@ -12,7 +12,7 @@ from automodel.geometry import GroundCamera
 from automodel.geometry.se2 import SE2
 from automodel.sim.appearance import Appearance
 from automodel.sim.renderer import Renderer
-from calibration import visual_odometry as ground_motion
+from calibration import visual_odometry
 from calibration.visual_odometry import FloorError, floor_view, motion_of
 
 CAMERA = GroundCamera.from_config(CarConfig().camera)
@@ -75,9 +75,9 @@ def test_no_pictures_are_refused() -> None:
 @pytest.mark.parametrize(("way_m", "turn_rad"), [(0.03, 0.0), (0.03, 0.08), (-0.02, -0.05), (0.0, 0.1)])
 def test_a_warp_carries_the_floor_as_the_motion_does(way_m: float, turn_rad: float) -> None:
     view = floor_view(CAMERA).view
-    warp = ground_motion._warp_of(way_m, turn_rad, view)
+    warp = visual_odometry._warp_of(way_m, turn_rad, view)
     point = np.array([0.7, 0.1])
     after = SE2.arc(way_m, turn_rad).inverse().apply(point)
     column, row = view.to_px(point)
     assert warp @ (column, row, 1.0) == pytest.approx(view.to_px(after), abs=1e-3)
-    assert ground_motion._motion_of_warp(warp, view) == pytest.approx((way_m, turn_rad), abs=2e-6)
+    assert visual_odometry._motion_of_warp(warp, view) == pytest.approx((way_m, turn_rad), abs=2e-6)

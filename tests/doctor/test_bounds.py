@@ -127,6 +127,21 @@ def test_half_a_simulated_car_is_no_car(cli, tmp_path: Path) -> None:
     assert (said.code, row["verdict"], row["do"]) == (1, "FAIL", 'set both to "sim", or neither')
 
 
+def test_a_link_of_a_team_is_not_checked(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    methods = "".join(
+        f"    def {name}(self, *_): pass\n" for name in ("__init__", "open", "poll", "send", "arm", "disarm", "close")
+    )
+    (tmp_path / "team_link.py").write_text(f"class Link:\n{methods}")
+    (tmp_path / "car.toml").write_text(
+        '[camera]\nsource = "usb"\n[link]\nkind = "team_link:Link"\nport = "x"\n[pipeline]\nname = "windows"\n'
+    )
+    said = cli("doctor", "--car", "car.toml", "--move", "--yes", "--json")
+    rows = {row["check"]: row for row in said.rows}
+    assert (rows["board"]["verdict"], "servo" in rows) == ("SKIP", False)
+    assert 'kind = "team_link:Link"' in str(rows["board"]["what"])
+
+
 def test_a_network_that_is_none(cli, tmp_path: Path) -> None:
     (tmp_path / "my.onnx").write_text("hello")
     (tmp_path / "car.toml").write_text(f'[pipeline.centerline]\nmodel = "{tmp_path}/my.onnx"\n')
