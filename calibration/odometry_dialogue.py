@@ -87,7 +87,7 @@ def calibrate_odometry(car: CarConfig, options: OdometryOptions, open_rig: RigMa
 
 
 def _drive(car: CarConfig, options: OdometryOptions, open_rig: RigMaker, truth: PlantConfig | None) -> list[DrivenRun]:
-    """One run for each speed; a person types in its distance, a simulated car knows it."""
+    """One run for each speed; a person types in its distance, the simulator gives it."""
     runs: list[DrivenRun] = []
     with ExitStack() as leaving:
         pressed = nobody
@@ -133,10 +133,7 @@ def _driven_run(rig: Rig, distance_m: float) -> DrivenRun:
 def _push(car: CarConfig, options: OdometryOptions, open_rig: RigMaker) -> list[MeasuredRun]:
     """Count while a person pushes; the motor stays in neutral and the board disarmed."""
     marks: list[int] = []
-    with (
-        ArmKey(f"push {options.distance_m:g} m: Enter at the start, Enter at the end") as key,
-        open_rig(car) as rig,
-    ):
+    with ArmKey(f"push {options.distance_m:g} m: Enter at the start, Enter at the end") as key, open_rig(car) as rig:
 
         def stop() -> bool:
             if key.pressed() and rig.board.rolled:

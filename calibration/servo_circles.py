@@ -46,7 +46,7 @@ class Circle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CircleTable:
-    """Pulse -> angle as `ServoConfig` has it; `rms_rad` is the scatter of repeated circles, None without repeats."""
+    """Pulse -> angle, as in `ServoConfig`; `rms_rad` is the scatter of repeated circles, None without repeats."""
 
     pulse_us: tuple[float, ...]
     steering_rad: tuple[float, ...]

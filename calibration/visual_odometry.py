@@ -55,12 +55,7 @@ def floor_view(camera: GroundCamera) -> BirdsEye:
     reach = _REACH_HEIGHTS * height
     return BirdsEye(
         camera,
-        View(
-            x_near_m=near,
-            x_far_m=near + reach,
-            half_width_m=_HALF_WIDTH_HEIGHTS * height,
-            m_per_px=reach / _ROWS,
-        ),
+        View(x_near_m=near, x_far_m=near + reach, half_width_m=_HALF_WIDTH_HEIGHTS * height, m_per_px=reach / _ROWS),
     )
 
 

@@ -250,8 +250,7 @@ def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
         # the processor finds the same lines as an accelerator, without its start-up time
         options = dataclasses.replace(car.pipeline.centerline, providers=("cpu",))
         pipeline = make_pipeline(
-            car.pipeline.name,
-            dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, centerline=options)),
+            car.pipeline.name, dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, centerline=options))
         )
         widths = []
         for frame in frames:

@@ -171,7 +171,7 @@ def _packages() -> Finding:
     try:
         requirements = importlib.metadata.requires("automodel") or []
     except importlib.metadata.PackageNotFoundError:
-        return skip("packages", "automodel is not installed by pip: nothing says which it wants", "pip install .")
+        return skip("packages", "automodel is not installed by pip: its requirements are unknown", "pip install .")
     wanted = wanted_packages(requirements)
     return judge_packages(wanted, {package: _version_of(package) for package in wanted})
 
