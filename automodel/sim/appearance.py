@@ -30,8 +30,8 @@ def _sometimes(chance: float, low: float, high: float) -> Draw:
     """A value in low .. high with the given probability, else 0."""
 
     def draw(rng: Generator) -> float:
-        wanted, value = rng.random() < chance, float(rng.uniform(low, high))
-        return value if wanted else 0.0
+        present, value = rng.random() < chance, float(rng.uniform(low, high))
+        return value if present else 0.0
 
     return draw
 

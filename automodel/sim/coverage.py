@@ -32,7 +32,7 @@ class PolygonSet:
         counts = np.array([len(ring) for ring in rings], dtype=np.intp)
         self.count = len(rings)
         self._owner = np.repeat(np.arange(self.count), counts)
-        self._begin = np.concatenate([*rings, np.zeros((0, 2))])
+        self._start = np.concatenate([*rings, np.zeros((0, 2))])
         self._end = np.concatenate([*(np.roll(ring, -1, axis=0) for ring in rings), np.zeros((0, 2))])
         middles = [0.5 * (ring.min(axis=0) + ring.max(axis=0)) for ring in rings]
         self._middle_m = np.array(middles).reshape(-1, 2)
@@ -47,7 +47,7 @@ class PolygonSet:
     def edges(self, picked: Bools, body_from_world: SE2) -> tuple[FloatArray, FloatArray]:
         """Start and end points (n, 2) [m] in the body frame of the edges of the picked polygons (p,)."""
         chosen = np.flatnonzero(picked[self._owner])
-        return body_from_world.apply(self._begin[chosen]), body_from_world.apply(self._end[chosen])
+        return body_from_world.apply(self._start[chosen]), body_from_world.apply(self._end[chosen])
 
 
 def _anticlockwise(ring: FloatArray) -> FloatArray:
@@ -126,15 +126,15 @@ def _left_to_right(
     edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, width: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Edges with a width inside the columns: left and right u, v at the left end, slope, signed weight."""
-    begin, end = edges_px
-    du = end[:, 0] - begin[:, 0]
+    start, end = edges_px
+    du = end[:, 0] - start[:, 0]
     kept = np.flatnonzero(
-        (np.abs(du) > 1e-9) & (np.maximum(begin[:, 0], end[:, 0]) > 0.0) & (np.minimum(begin[:, 0], end[:, 0]) < width)
+        (np.abs(du) > 1e-9) & (np.maximum(start[:, 0], end[:, 0]) > 0.0) & (np.minimum(start[:, 0], end[:, 0]) < width)
     )
-    begin, end, du = begin[kept], end[kept], du[kept]
+    start, end, du = start[kept], end[kept], du[kept]
     rightward = du > 0.0
-    left = np.where(rightward[:, None], begin, end)
-    right = np.where(rightward[:, None], end, begin)
+    left = np.where(rightward[:, None], start, end)
+    right = np.where(rightward[:, None], end, start)
     slope = (right[:, 1] - left[:, 1]) / (right[:, 0] - left[:, 0])
     u0 = np.maximum(left[:, 0], 0.0)
     v0 = left[:, 1] + (u0 - left[:, 0]) * slope
@@ -145,8 +145,8 @@ def _left_to_right(
 def _runs(counts: Ints) -> tuple[Ints, Ints]:
     """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
     owner = np.repeat(np.arange(len(counts)), counts)
-    begins = np.cumsum(counts) - counts
-    return owner, np.arange(len(owner)) - begins[owner]
+    starts = np.cumsum(counts) - counts
+    return owner, np.arange(len(owner)) - starts[owner]
 
 
 COLOURS = ("white", "yellow", "red", "asphalt")  # asphalt: bare ground without paint
@@ -201,18 +201,18 @@ class PaintView:
         shift_px_m2 = self._lift_px_m * abs(travel_m)
         steps = min(max(math.ceil(shift_px_m2 / self._nearest_m**2 / STEP_PX), 1), MAX_STEPS)
         near = picked[1] <= math.sqrt(shift_px_m2 / 0.7)
-        begins, ends, weights = [], [], []
+        starts, ends, weights = [], [], []
         for chosen, count in ((picked[0] & ~near, 1), (picked[0] & near, steps)):
             if not chosen.any():
                 continue
-            begin, end = polygons.edges(chosen, body_from_world)
-            ahead_m = np.repeat(travel_m * ((np.arange(count) + 0.5) / count - 0.5), len(begin))
-            many = np.tile(begin, (count, 1)), np.tile(end, (count, 1))
-            begin, end = self._projection.edges_px(many, ahead_m)
-            begins.append(begin)
+            start, end = polygons.edges(chosen, body_from_world)
+            ahead_m = np.repeat(travel_m * ((np.arange(count) + 0.5) / count - 0.5), len(start))
+            many = np.tile(start, (count, 1)), np.tile(end, (count, 1))
+            start, end = self._projection.edges_px(many, ahead_m)
+            starts.append(start)
             ends.append(end)
-            weights.append(np.full(len(begin), 1.0 / count))
-        edges_px = np.concatenate(begins), np.concatenate(ends)
+            weights.append(np.full(len(start), 1.0 / count))
+        edges_px = np.concatenate(starts), np.concatenate(ends)
         return covered(edges_px, np.concatenate(weights), self._projection.shape)
 
     def _picked(self, polygons: PolygonSet, body_from_world: SE2) -> tuple[Bools, FloatArray]:

@@ -60,26 +60,26 @@ class GroundProjection:
         shift = self._cam_from_ground[:, 2]
         if ahead_m is not None:
             shift = shift - ahead_m[:, None] * self._cam_from_ground[:, 0]
-        begin, end = (edge @ self._cam_from_ground[:, :2].T + shift for edge in edges_m)
-        begin, end = self._in_front(begin, end)
-        begin, end = begin[:, :2] / begin[:, 2:], end[:, :2] / end[:, 2:]
+        start, end = (edge @ self._cam_from_ground[:, :2].T + shift for edge in edges_m)
+        start, end = self._in_front(start, end)
+        start, end = start[:, :2] / start[:, 2:], end[:, :2] / end[:, 2:]
         if self._box is None:
-            return self._pinhole_px(begin), self._pinhole_px(end)
-        begin, end = _into_box(begin, end, self._box[0], self._box[1])
-        begin, end = _subdivided(begin, end, PIECE_PX / float(self.camera.camera.matrix[0, 0]))
-        return self._lens_px(begin, self._box[2]), self._lens_px(end, self._box[2])
+            return self._pinhole_px(start), self._pinhole_px(end)
+        start, end = _into_box(start, end, self._box[0], self._box[1])
+        start, end = _subdivided(start, end, PIECE_PX / float(self.camera.camera.matrix[0, 0]))
+        return self._lens_px(start, self._box[2]), self._lens_px(end, self._box[2])
 
-    def _in_front(self, begin: FloatArray, end: FloatArray) -> Edges:
+    def _in_front(self, start: FloatArray, end: FloatArray) -> Edges:
         """Edges in the camera frame; points behind the near line are moved onto it along the ground."""
-        begin, end = _split(begin, end, begin[:, 2] - self._near_m, end[:, 2] - self._near_m)
+        start, end = _split(start, end, start[:, 2] - self._near_m, end[:, 2] - self._near_m)
         normal = self._cam_from_ground[2, :2]
         steepness = float(normal @ normal)
         if steepness < 1e-12:
-            return begin, end
+            return start, end
         push = self._cam_from_ground[:, :2] @ normal / steepness
-        begin = begin + np.maximum(self._near_m - begin[:, 2:], 0.0) * push
+        start = start + np.maximum(self._near_m - start[:, 2:], 0.0) * push
         end = end + np.maximum(self._near_m - end[:, 2:], 0.0) * push
-        return begin, end
+        return start, end
 
     def _pinhole_px(self, points: FloatArray) -> FloatArray:
         m = self.camera.camera.matrix
@@ -93,33 +93,33 @@ class GroundProjection:
         return self.camera.camera.project(rays) + np.array([0.5, 0.5 - self.row0])
 
 
-def _split(begin: FloatArray, end: FloatArray, side_begin: FloatArray, side_end: FloatArray) -> Edges:
+def _split(start: FloatArray, end: FloatArray, side_start: FloatArray, side_end: FloatArray) -> Edges:
     """Edges, those whose ends lie on different sides cut in two where the side (n,) is 0."""
-    crossing = np.flatnonzero(side_begin * side_end < 0.0)
+    crossing = np.flatnonzero(side_start * side_end < 0.0)
     if not len(crossing):
-        return begin, end
-    t = side_begin[crossing] / (side_begin[crossing] - side_end[crossing])
-    middle = begin[crossing] + t[:, None] * (end[crossing] - begin[crossing])
+        return start, end
+    t = side_start[crossing] / (side_start[crossing] - side_end[crossing])
+    middle = start[crossing] + t[:, None] * (end[crossing] - start[crossing])
     first_end = end.copy()
     first_end[crossing] = middle
-    return np.concatenate((begin, middle)), np.concatenate((first_end, end[crossing]))
+    return np.concatenate((start, middle)), np.concatenate((first_end, end[crossing]))
 
 
-def _into_box(begin: FloatArray, end: FloatArray, low: FloatArray, high: FloatArray) -> Edges:
+def _into_box(start: FloatArray, end: FloatArray, low: FloatArray, high: FloatArray) -> Edges:
     """Edges cut at the sides of a box; the parts outside are moved onto it."""
     for axis in (0, 1):
         for bound in (low[axis], high[axis]):
-            begin, end = _split(begin, end, begin[:, axis] - bound, end[:, axis] - bound)
-    return np.clip(begin, low, high), np.clip(end, low, high)
+            start, end = _split(start, end, start[:, axis] - bound, end[:, axis] - bound)
+    return np.clip(start, low, high), np.clip(end, low, high)
 
 
-def _subdivided(begin: FloatArray, end: FloatArray, length: float) -> Edges:
+def _subdivided(start: FloatArray, end: FloatArray, length: float) -> Edges:
     """Edges cut into equal pieces no longer than `length`."""
-    pieces = np.maximum(np.ceil(np.abs(end - begin).max(axis=1, initial=0.0) / length), 1.0)
-    owner = np.repeat(np.arange(len(begin)), pieces.astype(np.intp))
+    pieces = np.maximum(np.ceil(np.abs(end - start).max(axis=1, initial=0.0) / length), 1.0)
+    owner = np.repeat(np.arange(len(start)), pieces.astype(np.intp))
     step = np.arange(len(owner)) - (np.cumsum(pieces) - pieces)[owner]
-    along = (end - begin)[owner] / pieces[owner, None]
-    start = begin[owner] + step[:, None] * along
+    along = (end - start)[owner] / pieces[owner, None]
+    first = start[owner] + step[:, None] * along
     # the same arithmetic for the end of a piece and the start of the next: no hairline cracks
-    stop = np.where((step + 1 == pieces[owner])[:, None], end[owner], begin[owner] + (step[:, None] + 1.0) * along)
-    return start, stop
+    last = np.where((step + 1 == pieces[owner])[:, None], end[owner], start[owner] + (step[:, None] + 1.0) * along)
+    return first, last

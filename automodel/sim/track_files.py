@@ -264,7 +264,7 @@ def _painted(lane: Lane, mean_width_m: float, broken: BrokenLines | None) -> tup
     spans = {} if broken is None else broken_spans(lane.centerline.length_m, broken)
     painted: list[Paint] = []
     for name, line in (("left", lane.left), ("right", lane.right)):
-        gaps = [(on_line(line, begin), on_line(line, end)) for begin, end in spans.get(name, [])]
+        gaps = [(on_line(line, start), on_line(line, end)) for start, end in spans.get(name, [])]
         painted += paint_line(line, EDGE, gaps, Grain.of_lane(mean_width_m))
     return tuple(painted)
 

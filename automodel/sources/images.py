@@ -39,8 +39,8 @@ def read_image(path: Path, colour: bool) -> Image:
         data = path.read_bytes()
     except OSError as error:
         raise SourceError(f"{path}: cannot be read: {error.strerror}") from error
-    for begin, end in (_JPEG, _PNG):
-        if data.startswith(begin) and end not in data[-_TAIL_BYTES:]:
+    for start, end in (_JPEG, _PNG):
+        if data.startswith(start) and end not in data[-_TAIL_BYTES:]:
             raise SourceError(f"{path}: the image is cut; replace or remove it")
     image: Image | None = None
     if data:

@@ -1,1 +1,1 @@
-"""Training data, the U-Net and its training; needs the extra `train` (torch, onnx) where it says so."""
+"""Training images, the U-Net and its training; parts need the extra `train` (torch, onnx)."""

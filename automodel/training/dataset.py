@@ -70,9 +70,9 @@ def shards(folder: Path, first_seed: int, count: int) -> list[Shard]:
     ]
 
 
-def missing(wanted: list[Shard]) -> list[Shard]:
+def missing(selected: list[Shard]) -> list[Shard]:
     """The shards that are not on disk or have another number of samples."""
-    return [shard for shard in wanted if not _is_whole(shard)]
+    return [shard for shard in selected if not _is_whole(shard)]
 
 
 def write_shard(shard: Shard, make: Maker = make_sample, tick: Callable[[float], None] = lambda share: None) -> None:
@@ -109,8 +109,8 @@ def claim_folder(folder: Path, version: str) -> None:
 class Samples:
     """The samples of several shards by index, each (2, h, w) uint8: grey image and mask. Raises ConfigError."""
 
-    def __init__(self, wanted: list[Shard]) -> None:
-        self._parts = [_opened(shard) for shard in wanted]
+    def __init__(self, selected: list[Shard]) -> None:
+        self._parts = [_opened(shard) for shard in selected]
         self._starts = np.cumsum([0, *(len(part) for part in self._parts)])
 
     def __len__(self) -> int:

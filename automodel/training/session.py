@@ -116,10 +116,10 @@ def _samples(config: SessionConfig) -> tuple[dataset.Samples, dataset.Samples, s
     dataset.claim_folder(config.data, version)
     measure = dataset.shards(config.data, 0, config.validation)
     learn = dataset.shards(config.data, dataset.FIRST_TRAINING_SEED * (config.seed + 1), config.samples)
-    wanted = dataset.missing(measure + learn)
-    if wanted:
-        say(f"drawing {sum(shard.count for shard in wanted)} samples into {config.data}")
-    for _ in spread("drawing", _draw, wanted, config.workers):
+    missing = dataset.missing(measure + learn)
+    if missing:
+        say(f"drawing {sum(shard.count for shard in missing)} samples into {config.data}")
+    for _ in spread("drawing", _draw, missing, config.workers):
         pass
     return dataset.Samples(learn), dataset.Samples(measure), version
 

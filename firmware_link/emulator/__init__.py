@@ -1,1 +1,1 @@
-"""Vehicles that answer real bytes without hardware."""
+"""Emulated boards with the real wire formats."""

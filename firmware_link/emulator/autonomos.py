@@ -103,7 +103,7 @@ class TextBoard(abc.ABC):
             if self._boot_end_ns is not None:
                 self.counters.rx_in_boot += len(self._rx.take(t_ns))
                 self._boot_end_ns = None
-                self._begin(t_ns)
+                self._start(t_ns)
                 continue
             for byte in self._rx.take(t_ns):
                 if not self._hung:
@@ -132,7 +132,7 @@ class TextBoard(abc.ABC):
         """Reset the program's state and the pins."""
 
     @abc.abstractmethod
-    def _begin(self, t_ns: int) -> None:
+    def _start(self, t_ns: int) -> None:
         """Start the program."""
 
     @abc.abstractmethod
@@ -210,7 +210,7 @@ class EmulatedAutonomos(TextBoard):
         self._words, self._word = ["", "", ""], 0
         self._pins.set(t_ns, servo_us=0.0, motor_us=NEUTRAL_US)
 
-    def _begin(self, t_ns: int) -> None:
+    def _start(self, t_ns: int) -> None:
         self._say(_BANNER, t_ns)
         self._servo.order("en", t_ns, in_range=True)
         self._report_due_ns = t_ns + 2 * REPORT_NS
@@ -266,7 +266,7 @@ class EmulatedServoBoard(TextBoard):
         self._text = ""
         self._pins.set(t_ns, servo_us=0.0)
 
-    def _begin(self, t_ns: int) -> None:
+    def _start(self, t_ns: int) -> None:
         self._servo.order("en", t_ns, in_range=False)
 
     def _due_ns(self) -> int:
@@ -311,7 +311,7 @@ class EmulatedMotorController(TextBoard):
         self._text, self._enabled, self._rpm = "", False, 0
         self._pins.set(t_ns, motor_us=NEUTRAL_US)
 
-    def _begin(self, t_ns: int) -> None:
+    def _start(self, t_ns: int) -> None:
         """It waits for commands."""
 
     def _due_ns(self) -> int:
