@@ -28,58 +28,43 @@ CAR_TOML, CALIBRATION, METADATA, END_METADATA = "car.toml", "calibration.json", 
 
 _Schema = dict[str, Any]
 
-_NUMBER: _Schema = {"type": "number"}
-_INTEGER: _Schema = {"type": "integer"}
-_BOOLEAN: _Schema = {"type": "boolean"}
-_STRING: _Schema = {"type": "string"}
-_NUMBERS: _Schema = {"type": "array", "items": _NUMBER}
+_TYPES: dict[str, _Schema] = {
+    **{name: {"type": name} for name in ("number", "integer", "boolean", "string")},
+    **{f"{name}s": {"type": "array", "items": {"type": name}} for name in ("number", "string")},
+}
 
 
-def _object(**properties: _Schema) -> _Schema:
-    return {"type": "object", "properties": properties}
+def _object(fields: str, **objects: _Schema) -> _Schema:
+    """The schema of an object with fields "name:type ..." and further objects."""
+    simple = {name: _TYPES[kind] for name, _, kind in (field.partition(":") for field in fields.split())}
+    return {"type": "object", "properties": {**simple, **objects}}
 
 
-_CURVE = _object(kind=_STRING, coefficients=_NUMBERS, points_x_m=_NUMBERS, points_y_m=_NUMBERS)
-_LINE = _object(seen=_BOOLEAN, points_x_m=_NUMBERS, points_y_m=_NUMBERS, curve=_CURVE)
-_POSE = _object(offset_m=_NUMBER, heading_rad=_NUMBER, width_m=_NUMBER, curvature_per_m=_NUMBER, covariance=_NUMBERS)
+_CURVE = _object("kind:string coefficients:numbers points_x_m:numbers points_y_m:numbers")
+_LINE = _object("seen:boolean points_x_m:numbers points_y_m:numbers", curve=_CURVE)
+_POSE = _object("offset_m:number heading_rad:number width_m:number curvature_per_m:number covariance:numbers")
+_CROSSING = _object("distance_m:number angle_rad:number")
+_ESTIMATE_PARTS = {"pose": _POSE, "crossing": _CROSSING, "left": _LINE, "right": _LINE, "centerline": _CURVE}
+_STATE = (
+    "t_ns:integer speed_mps:number yaw_rate_radps:number steering_rad:number ranges_m:numbers battery_v:number"
+    " armed:boolean faults:strings boot_id:integer"
+)
 
 SCHEMAS: dict[str, tuple[str, _Schema]] = {
     "/motion": (
         "automodel.Motion",
-        _object(t_ns=_INTEGER, speed_mps=_NUMBER, yaw_rate_radps=_NUMBER, source=_STRING),
+        _object("t_ns:integer speed_mps:number yaw_rate_radps:number source:string"),
     ),
-    "/vehicle_state": (
-        "automodel.VehicleState",
-        _object(
-            t_ns=_INTEGER,
-            speed_mps=_NUMBER,
-            yaw_rate_radps=_NUMBER,
-            steering_rad=_NUMBER,
-            ranges_m=_NUMBERS,
-            battery_v=_NUMBER,
-            armed=_BOOLEAN,
-            faults={"type": "array", "items": _STRING},
-            boot_id=_INTEGER,
-        ),
-    ),
+    "/vehicle_state": ("automodel.VehicleState", _object(_STATE)),
     "/estimate": (
         "automodel.LaneEstimate",
-        _object(
-            t_ns=_INTEGER,
-            status=_STRING,
-            frame_age_ns=_INTEGER,
-            pose=_POSE,
-            crossing=_object(distance_m=_NUMBER, angle_rad=_NUMBER),
-            left=_LINE,
-            right=_LINE,
-            centerline=_CURVE,
-        ),
+        _object("t_ns:integer status:string frame_age_ns:integer", **_ESTIMATE_PARTS),
     ),
     "/command": (
         "automodel.Command",
-        _object(t_ns=_INTEGER, steering_rad=_NUMBER, speed_mps=_NUMBER, valid_until_ns=_INTEGER),
+        _object("t_ns:integer steering_rad:number speed_mps:number valid_until_ns:integer"),
     ),
-    "/event": ("automodel.Event", _object(t_ns=_INTEGER, kind=_STRING, text=_STRING)),
+    "/event": ("automodel.Event", _object("t_ns:integer kind:string text:string")),
 }
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from automodel.config import RecordingConfig
 from automodel.recording.codec import Value
 from automodel.recording.run_file import RunFile
-from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import Frame, StereoFrame
 
 _SYNC_NS = 500_000_000  # a power cut loses less than a second, including the disk's delay
 _POLL_S = 0.02  # the thread wakes up for batches: each wake-up takes the interpreter's lock
@@ -49,25 +49,14 @@ class McapRecorder:
         self._bytes_in += _bytes_of(frame)
         self._waiting.append((frame.index, frame))
 
-    def motion(self, motion: Motion) -> None:
-        """Record the motion that the pipeline got with the previous frame."""
-        self._put(motion)
+    def _value(self, value: Value) -> None:
+        """Record any other value as belonging to the last frame."""
+        if self._closed or len(self._waiting) >= _MAX_WAITING:
+            self.dropped_values += 1
+        else:
+            self._waiting.append((self._frame_index, value))
 
-    def state(self, state: VehicleState) -> None:
-        """Record a state from the vehicle."""
-        self._put(state)
-
-    def estimate(self, estimate: LaneEstimate) -> None:
-        """Record an estimate of the pipeline."""
-        self._put(estimate)
-
-    def command(self, command: Command) -> None:
-        """Record a command as it was sent, after the limits."""
-        self._put(command)
-
-    def event(self, event: Event) -> None:
-        """Record a safety event."""
-        self._put(event)
+    motion = state = estimate = command = event = _value  # the methods of `Recorder`
 
     def close(self) -> None:
         """Write the remaining values and the index, and close the file; may be called twice."""
@@ -89,12 +78,6 @@ class McapRecorder:
     @property
     def _closed(self) -> bool:
         return self.error is not None or self._stopping.is_set()
-
-    def _put(self, value: Value) -> None:
-        if self._closed or len(self._waiting) >= _MAX_WAITING:
-            self.dropped_values += 1
-        else:
-            self._waiting.append((self._frame_index, value))
 
     def _run(self) -> None:
         self._synced_ns = time.monotonic_ns()

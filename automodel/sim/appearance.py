@@ -184,37 +184,26 @@ STYLES: dict[str, dict[str, Draw]] = {
         "background_grey": _within(150.0, 220.0),
         "clutter": _within(0.3, 1.0),
     },
-    "wet": {  # rain: dark, no shadows, the sky and lights mirrored in the film of water, little contrast, drops, noise
-        "floor_grey": _within(45.0, 75.0),
-        "floor_tint": _tint(0.03),
-        "floor_texture": _choice("asphalt"),
-        "floor_contrast": _within(0.2, 0.6),
-        "surround_grey": _within(42.0, 75.0),
-        "marking_grey": _within(135.0, 195.0),
-        "marking_tint": _tint(0.03),
-        "wear": _within(0.03, 0.3),
-        "dirt": _within(0.1, 0.5),
-        "light": _within(0.75, 1.05),
-        "light_tint": _tint(0.08),
-        "gradient": _within(0.0, 0.04),
-        "gradient_direction_rad": _within(-3.14159, 3.14159),
-        "lamps": _lamps(5, 120.0),
-        "shine": _within(0.35, 0.85),
-        "shadow": _choice(0.0),
-        "exposure_step": _sometimes(0.4, 0.05, 0.2),
-        "exposure_hold_frames": _choice(60, 120, 240),
-        "vignetting": _within(0.05, 0.3),
-        "defocus_px": _within(0.5, 1.3),
-        "exposure_s": _within(0.003, 0.009),
-        "read_noise": _within(1.5, 4.0),
-        "shot_noise": _within(0.05, 0.2),
-        "background": _choice("outdoor"),
-        "background_grey": _within(110.0, 175.0),
-        "clutter": _within(0.3, 1.0),
-    },
 }
-
-
+STYLES["wet"] = STYLES[
+    "dry"
+] | {  # rain: dark, without shadows, reflections in the film of water, low contrast, drops, noise
+    "floor_grey": _within(45.0, 75.0),
+    "floor_contrast": _within(0.2, 0.6),
+    "surround_grey": _within(42.0, 75.0),
+    "marking_grey": _within(135.0, 195.0),
+    "light": _within(0.75, 1.05),
+    "gradient": _within(0.0, 0.04),
+    "lamps": _lamps(5, 120.0),
+    "shine": _within(0.35, 0.85),
+    "shadow": _choice(0.0),
+    "vignetting": _within(0.05, 0.3),
+    "defocus_px": _within(0.5, 1.3),
+    "exposure_s": _within(0.003, 0.009),
+    "read_noise": _within(1.5, 4.0),
+    "shot_noise": _within(0.05, 0.2),
+    "background_grey": _within(110.0, 175.0),
+}
 Bgr = tuple[float, float, float]
 FLOORS = ("plain", "plastic", "tiles", "wood", "asphalt", "concrete")
 BACKGROUNDS = ("plain", "hall", "outdoor")

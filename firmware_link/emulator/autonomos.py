@@ -12,7 +12,7 @@ import sys
 
 from firmware_link.emulator.board import SERVO_FRAME_NS, Peripherals
 from firmware_link.emulator.logic import BoardCounters
-from firmware_link.emulator.uart import UartLine
+from firmware_link.emulator.uart import WIRE_BYTES, UartBoard
 
 NEUTRAL_US = 1500.0
 BOOT_NS = 1_000_000_000  # bootloader and start of the gyro
@@ -20,7 +20,6 @@ REPORT_NS = 10_000_000  # the period of the gyro's readings
 SERVO_US = (900, 1900)  # the pulses of 0 and 180
 FULL_US = 400.0  # motor pulse above neutral for the motor number 1000: the simulated car's motor has pulse inputs
 NEVER = sys.maxsize
-_WIRE_BYTES = 4096
 _FULL_DUTY = 250
 _WHOLE = re.compile(r"\s*(-?\d+)")
 _BANNER = b"Initializing I2C devices...\r\nTesting device connections...\r\nMPU6050 connection successful\r\n"
@@ -42,18 +41,16 @@ class Pins:
         self.peripherals.set_pulses(self._t_ns, self.servo_us, self.motor_us)
 
 
-class TextBoard(abc.ABC):
+class TextBoard(UartBoard, abc.ABC):
     """The common part of the boards: power, serial line, time. A `Board` for `MemoryTransport` and `PtyBoard`.
 
     A board that hangs keeps its pins: there is no watchdog.
     """
 
     def __init__(self, pins: Pins, baud: int = 115200, boot_ns: int = BOOT_NS) -> None:
+        super().__init__(baud, WIRE_BYTES)
         self._pins = pins
         self._boot_ns = boot_ns
-        self._rx = UartLine(baud, _WIRE_BYTES)
-        self._tx = UartLine(baud, _WIRE_BYTES)
-        self._sent = b""  # on the host's side, as in a tty's buffer
         self._on = False
         self._boot_end_ns: int | None = None  # while it boots
         self._hung = False
@@ -77,23 +74,6 @@ class TextBoard(abc.ABC):
         """Fault: the program stops."""
         self.advance(now_ns)
         self._hung = True
-
-    def room(self, now_ns: int) -> int:
-        """The number of bytes that `receive` accepts at `now_ns`."""
-        return self._rx.room(now_ns)
-
-    def receive(self, data: bytes, now_ns: int) -> int:
-        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
-        taken = data[: self._rx.room(now_ns)]
-        if taken:
-            self._rx.put(taken, now_ns)
-        return len(taken)
-
-    def transmit(self, now_ns: int) -> bytes:
-        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
-        self._collect(now_ns)
-        sent, self._sent = self._sent, b""
-        return sent
 
     def advance(self, now_ns: int) -> None:
         """Run up to `now_ns`; times never decrease. The first call switches the power on."""
@@ -121,11 +101,6 @@ class TextBoard(abc.ABC):
         self._collect(t_ns)
         if len(text) <= self._tx.room(t_ns):
             self._tx.put(text, t_ns)
-
-    def _collect(self, now_ns: int) -> None:
-        arrived = self._tx.take(now_ns)
-        if arrived:
-            self._sent = (self._sent + arrived)[:_WIRE_BYTES]
 
     @abc.abstractmethod
     def _stop(self, t_ns: int) -> None:

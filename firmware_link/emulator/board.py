@@ -8,7 +8,7 @@ from typing import Protocol
 from automodel.signals import BoardSensors
 from firmware_link import messages
 from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardCounters, BoardLogic, BoardOptions
-from firmware_link.emulator.uart import UartLine
+from firmware_link.emulator.uart import UartBoard
 from firmware_link.framing import RawFrame
 from firmware_link.messages import Fault, ResetCause, StatusFlag
 
@@ -20,7 +20,6 @@ _STATUS_PHASE_NS = 1_000_000  # after the servo frame's start, so that it report
 _SENSOR_PHASE_NS = 11_000_000  # halfway between two statuses
 _RX_RING_BYTES = 64
 _TX_RING_BYTES = 128
-_WIRE_BYTES = 4096  # queued on the host's side, as in a tty's buffer
 
 
 class Peripherals(Protocol):
@@ -42,7 +41,7 @@ class _State(enum.Enum):
     HUNG = "hung"
 
 
-class EmulatedArduino:
+class EmulatedArduino(UartBoard):
     """The board: UART, 1 ms main loop, 50 Hz servo pulses, watchdog. The real firmware behaves in the same way.
 
     Except in BOOT: a real board has no pulses while its bootloader runs, as `AvrBoard`.
@@ -75,15 +74,13 @@ class EmulatedArduino:
     """
 
     def __init__(self, peripherals: Peripherals, baud: int = 115200, options: BoardOptions | None = None) -> None:
+        super().__init__(baud, _TX_RING_BYTES)
         self._peripherals = peripherals
         self._options = options or BoardOptions()
         self._boot_id = (self._options.boot_id - 1) & 0xFFFF
         self._limits = DEFAULT_LIMITS
         self._limits_crc = messages.limits_crc(DEFAULT_LIMITS)
         self._decoder = messages.decoder(on_board=True, table_hash=self._options.table_hash)
-        self._rx = UartLine(baud, _WIRE_BYTES)
-        self._tx = UartLine(baud, _TX_RING_BYTES)
-        self._sent = b""
         self._logic = BoardLogic(self._boot_id, self._limits)
         self._cause = ResetCause.POWER_ON
         self._state = _State.OFF
@@ -120,23 +117,6 @@ class EmulatedArduino:
     def brown_out(self, now_ns: int) -> None:
         """Fault: the supply dips."""
         self.reset(now_ns, ResetCause.BROWN_OUT)
-
-    def room(self, now_ns: int) -> int:
-        """The number of bytes that `receive` accepts at `now_ns`."""
-        return self._rx.room(now_ns)
-
-    def receive(self, data: bytes, now_ns: int) -> int:
-        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
-        taken = data[: self._rx.room(now_ns)]
-        if taken:
-            self._rx.put(taken, now_ns)
-        return len(taken)
-
-    def transmit(self, now_ns: int) -> bytes:
-        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
-        self._collect(now_ns)
-        sent, self._sent = self._sent, b""
-        return sent
 
     def advance(self, now_ns: int) -> None:
         """Run up to `now_ns`; times never decrease."""
@@ -287,8 +267,3 @@ class EmulatedArduino:
         self._counter = (self._counter + 1) & 0xFF
         self._collect(t_ns)
         self._tx.put(frame, t_ns)
-
-    def _collect(self, now_ns: int) -> None:
-        arrived = self._tx.take(now_ns)
-        if arrived:
-            self._sent = (self._sent + arrived)[:_WIRE_BYTES]  # a full tty drops the newest

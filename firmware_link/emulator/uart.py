@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
+WIRE_BYTES = 4096  # queued on the host's side, as in a tty's buffer
 _BITS_NS = 10 * 1_000_000_000  # start, 8 data, stop
 
 
@@ -61,3 +62,34 @@ class UartLine:
         self._bursts.clear()
         self._gone = 0
         self._free_ns = 0
+
+
+class UartBoard:
+    """The serial line of a board, in both directions; `tx_capacity` bytes are queued for sending."""
+
+    def __init__(self, baud: int, tx_capacity: int) -> None:
+        self._rx = UartLine(baud, WIRE_BYTES)
+        self._tx = UartLine(baud, tx_capacity)
+        self._sent = b""  # on the host's side
+
+    def room(self, now_ns: int) -> int:
+        """The number of bytes that `receive` accepts at `now_ns`."""
+        return self._rx.room(now_ns)
+
+    def receive(self, data: bytes, now_ns: int) -> int:
+        """Put the host's bytes on the line; gives the number of accepted ones, the others are lost."""
+        taken = data[: self._rx.room(now_ns)]
+        if taken:
+            self._rx.put(taken, now_ns)
+        return len(taken)
+
+    def transmit(self, now_ns: int) -> bytes:
+        """The bytes sent by `now_ns` since the last call; at most 4096, the newest are lost."""
+        self._collect(now_ns)
+        sent, self._sent = self._sent, b""
+        return sent
+
+    def _collect(self, now_ns: int) -> None:
+        arrived = self._tx.take(now_ns)
+        if arrived:
+            self._sent = (self._sent + arrived)[:WIRE_BYTES]  # a full tty drops the newest
