@@ -185,9 +185,8 @@ STYLES: dict[str, dict[str, Draw]] = {
         "clutter": _within(0.3, 1.0),
     },
 }
-STYLES["wet"] = STYLES[
-    "dry"
-] | {  # rain: dark, without shadows, reflections in the film of water, low contrast, drops, noise
+# rain: dark, without shadows, reflections in the film of water, low contrast, drops, noise
+STYLES["wet"] = STYLES["dry"] | {
     "floor_grey": _within(45.0, 75.0),
     "floor_contrast": _within(0.2, 0.6),
     "surround_grey": _within(42.0, 75.0),

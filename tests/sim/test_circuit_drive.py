@@ -99,7 +99,7 @@ def test_seeds_shift_the_swing() -> None:
     first, same, other = (CircuitDrive(lane, "centred", CAR_WIDTH_M, seed).poses([5.0]) for seed in (1, 1, 2))
     assert first == same
     assert first != other
-    with pytest.raises(ValueError, match="style: 'drifting' is none of centred, oscillating, racing"):
+    with pytest.raises(ValueError, match="style: expected one of centred, oscillating, racing, got 'drifting'"):
         CircuitDrive(lane, "drifting", CAR_WIDTH_M)
 
 
