@@ -108,7 +108,7 @@ def test_impossible_knobs_are_refused(knobs: dict[str, Any], message: str) -> No
 
 
 def test_an_unknown_style_is_refused() -> None:
-    with pytest.raises(ValueError, match="style: expected one of competition, road, varied.*, got 'desert'"):
+    with pytest.raises(ValueError, match=r"style: expected one of competition, road, varied.*, got 'desert'"):
         Appearance.random(1, "desert")
 
 

@@ -265,7 +265,7 @@ def test_colour() -> None:
         u, v = camera().ground_to_px((0.6, y_m)).round().astype(int)
         assert tuple(colour[v, u].tolist()) == expected
         assert grey[v, u] == pytest.approx(np.dot(expected, (0.114, 0.587, 0.299)), abs=1)
-    with pytest.raises(ValueError, match="expected one of white, yellow.*, got 'green'"):
+    with pytest.raises(ValueError, match=r"expected one of white, yellow.*, got 'green'"):
         Renderer([stroke(rectangle(0, 1, 0, 1), "green")], FLOOR, (), camera(), look)
 
 
