@@ -33,7 +33,6 @@ class LaneFitConfig:
     node_lanes: float = 0.6  # spacing of the curvature's nodes
     sure_lanes: float = 1.0  # distance ahead up to which the prior is trusted
     outlier_lanes: float = 0.06  # distance at which Tukey's biweight becomes 0
-    width_sigma: float = 0.10  # how well the configured width is known, relative
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.curves import DeferredCurve
-from automodel.curves.foot import Search, nearest_samples, newton_foot
+from automodel.curves.foot import Search, newton_foot
 from automodel.curves.sampled import Table, beside
 from automodel.geometry import SE2
 from automodel.types import FloatArray
@@ -28,19 +28,6 @@ _PANEL = tuple(zip(_PLACES.tolist(), _SHARES.tolist(), strict=True))
 _PANEL_SCALES = 0.2  # [scales] length of a quadrature panel; good to a nanometre per metre
 _END_SCALES = 0.25  # [scales] the arc beyond an end has the mean curvature of this length before it
 _ROUNDS, _TOLERANCE = 12, 1e-8  # of Newton's method: iterations, least step [scales]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Foot:
-    """A point's foot on a line: arc length [m], the line's direction there [rad], the line's distance [m].
-
-    The distance is positive where the *line* lies to the left of the point, seen along the line (Theta and Delta of
-    Cudrano et al. 2020, eq. (20), (21)).
-    """
-
-    s_m: float
-    theta_rad: float
-    lateral_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,14 +114,12 @@ class HeadingPolynomial:
         x, y = self.reference_m
         return x - self.lateral_m * math.sin(theta) + dx, y + self.lateral_m * math.cos(theta) + dy
 
-    def foot(self, point_m: tuple[float, float], near_s_m: float | None = None) -> Foot:
-        """Foot of the perpendicular from a point, eq. (18), searched from `near_s_m` or from the nearest sample.
+    def foot(self, point_m: tuple[float, float], near_s_m: float = 0.0) -> tuple[float, float]:
+        """Arc length of a point's foot, eq. (18), searched from `near_s_m`, and the line's distance from the point [m].
 
-        The result is finite also for a point beyond the centre of curvature, which has no foot.
+        The distance, Delta of eq. (21), is positive where the *line* lies to the left of the point. The results are
+        finite also for a point beyond the centre of curvature, which has no foot.
         """
-        if near_s_m is None:
-            s_grid = np.linspace(min(self.s_min_m, 0.0), max(self.s_max_m, 0.0), 33)
-            near_s_m = float(s_grid[nearest_samples(self.points(s_grid), np.array([point_m]))[0]])
         at, (x, y) = near_s_m, self.point_at(near_s_m)
 
         def place(s: float) -> tuple[float, float, float, float, float]:
@@ -145,7 +130,7 @@ class HeadingPolynomial:
 
         search = Search(step_m=_TOLERANCE * self.scale_m, reach_m=0.5 * self.scale_m)
         s, left = newton_foot(place, point_m, near_s_m, search)
-        return Foot(s_m=s, theta_rad=self.heading_at(s), lateral_m=-left)
+        return s, -left
 
     def crossing(self, direction_rad: float) -> tuple[float, float]:
         """Intersection of the line with the perpendicular to a direction through the reference point.
@@ -173,16 +158,16 @@ class HeadingPolynomial:
         x, y = self.reference_m
         cos, sin = math.cos(after_from_before.yaw_rad), math.sin(after_from_before.yaw_rad)
         dx, dy = x - after_from_before.x_m, y - after_from_before.y_m
-        foot = self.foot((cos * dx + sin * dy, cos * dy - sin * dx), near_s_m=0.0)
-        w0, w1, w2, w3 = (shift_matrix(foot.s_m / self.scale_m) @ self.coefficients_rad).tolist()
+        advance, lateral = self.foot((cos * dx + sin * dy, cos * dy - sin * dx))
+        w0, w1, w2, w3 = (shift_matrix(advance / self.scale_m) @ self.coefficients_rad).tolist()
         line = replace(
             self,
             coefficients_rad=(w0 + after_from_before.yaw_rad, w1, w2, w3),
-            lateral_m=foot.lateral_m,
-            s_min_m=self.s_min_m - foot.s_m,
-            s_max_m=self.s_max_m - foot.s_m,
+            lateral_m=lateral,
+            s_min_m=self.s_min_m - advance,
+            s_max_m=self.s_max_m - advance,
         )
-        return line, foot.s_m
+        return line, advance
 
     def ending(self, last_m: float, arc_ahead_m: float) -> HeadingPolynomial:
         """The same line with another length of the far arc; where that is finite the arc starts at `last_m`."""

@@ -275,8 +275,8 @@ def project_foot(
     beside = not ((i == 0 and ahead < 0.0) or (i == last and ahead > 0.0))
     if not beside and known is not None:
         start = sampled.points_m[i].tolist()
-        foot = known.foot((start[0], start[1]), near_s_m=-ahead)
-        return FootProjection(s_m=sampled.s_m + (foot.s_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
+        foot_m, _ = known.foot((start[0], start[1]), near_s_m=-ahead)
+        return FootProjection(s_m=sampled.s_m + (foot_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
     reach = 1 if beside else NEAR_SAMPLES
     low, high = max(i - reach, 0), min(i + reach, last)
     kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))

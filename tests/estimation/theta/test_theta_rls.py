@@ -75,7 +75,7 @@ def test_the_moved_model_is_that_of_moved_points(motion: SE2) -> None:
     moved.predict(motion.inverse(), math.hypot(motion.x_m, motion.y_m), 0.0)
     after = moved.line
     # how far the origin went: the old line's foot of the new reference point
-    advance = before.foot(tuple(motion.apply((REFERENCE_M, 0.0)).tolist())).s_m
+    advance = before.foot(tuple(motion.apply((REFERENCE_M, 0.0)).tolist()))[0]
     again = ThetaRls(FREE)
     again.start(s - advance, theta - motion.yaw_rad, weight, 0.2, 1e-4)
     assert again.line is not None
