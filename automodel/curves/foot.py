@@ -24,11 +24,11 @@ Place = Callable[[float], tuple[float, float, float, float, float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """How `newton_foot` searches: it ends at a distance ahead or a step below the tolerances [m]."""
+    """Settings of `newton_foot`, which ends when the point is less than `ahead_m` ahead or a step less than `step_m`."""
 
     ahead_m: float = 0.0
     step_m: float = 0.0
-    reach_m: float = math.inf  # of one step
+    reach_m: float = math.inf  # longest step
     least_stretch: float = LEAST_STRETCH
     rounds: int = 12
 
@@ -67,7 +67,7 @@ def newton_foot(
 def newton_step(
     dx: float, dy: float, cos: float, sin: float, curvature_per_m: float, least_stretch: float = LEAST_STRETCH
 ) -> tuple[float, float, float]:
-    """One step along the curve, and how far ahead and left the point lies [m].
+    """The step along the curve towards the foot, and how far ahead and left the point lies [m].
 
     (dx, dy) [m] leads from a place on the curve to the point; (cos, sin) is the tangent there.
     """
