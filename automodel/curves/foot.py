@@ -24,7 +24,7 @@ Place = Callable[[float], tuple[float, float, float, float, float]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Search:
-    """Settings of `newton_foot`, which ends when the point is less than `ahead_m` ahead or a step less than `step_m`."""
+    """Settings of `newton_foot`; it ends when the point is less than `ahead_m` ahead or a step below `step_m`."""
 
     ahead_m: float = 0.0
     step_m: float = 0.0
