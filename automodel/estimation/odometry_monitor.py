@@ -6,10 +6,9 @@ below the car never changes. Lines that are found far from their predicted place
 
 from __future__ import annotations
 
-from statistics import median
-
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.types import Floats, Ints
 
 
@@ -43,11 +42,25 @@ class OdometryMonitor:
         `nodes` (k,) were searched for. `residual` (k or more,) [m] is their distance from the predicted place where
         `found` is above 0. The frame counts with the median of their residuals in sigmas.
         """
-        k = len(nodes)
-        sigmas = np.abs(residual[:k] / self._sigma[nodes])[found[:k] > 0.0].tolist()
-        if len(sigmas) >= self.MIN_NODES:
-            self._mean += self.SHARE * (min(median(sigmas), self.MOST) - self._mean)
+        median, count = _median(self._sigma, nodes, residual, found)
+        if count >= self.MIN_NODES:
+            self._mean += self.SHARE * (min(median, self.MOST) - self._mean)
         if self._mean < self.REJECTED:
             return False
         self._rejected_ns = t_ns
         return True
+
+
+@compiled
+def _median(sigma: Floats, nodes: Ints, residual: Floats, found: Floats) -> tuple[float, int]:
+    """The median size [sigmas] of the residuals of the nodes that were found, and the number of these nodes."""
+    sizes, count = np.empty(len(nodes)), 0
+    for i in range(len(nodes)):
+        if found[i] > 0.0:
+            size, at = abs(residual[i] / sigma[nodes[i]]), count
+            while at > 0 and sizes[at - 1] > size:
+                sizes[at] = sizes[at - 1]
+                at -= 1
+            sizes[at] = size
+            count += 1
+    return (0.5 * (sizes[count // 2] + sizes[(count - 1) // 2]) if count else 0.0), count

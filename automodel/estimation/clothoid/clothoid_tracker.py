@@ -17,7 +17,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET, WIDTH, ClothoidPair, PairShape
-from automodel.estimation.clothoid.solvers import SOLVERS, Sightings, State, correct, gradient_descent, posterior
+from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
 from automodel.types import Bools, FloatArray, Floats, Ints
@@ -219,9 +219,10 @@ class ClothoidTracker:
     def _advance(self, x: Floats, p: Floats, distance_m: float, turn_rad: float) -> None:
         """Offset and heading at the foot of the reference point after the motion."""
         reference, h = self.pair.reference_x_m, self.pair.spacing_m
-        rear = SE2.arc(distance_m, turn_rad)
-        dx = rear.x_m + reference * (math.cos(turn_rad) - 1.0)
-        dy = rear.y_m + reference * math.sin(turn_rad)
+        half = 0.5 * turn_rad
+        chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
+        dx = chord * math.cos(half) + reference * (math.cos(turn_rad) - 1.0)
+        dy = chord * math.sin(half) + reference * math.sin(turn_rad)
         distance = advance(x, p, dx, dy, self.phase_m, h)
         self.advance_m = abs(distance)
         self.phase_m += distance
@@ -302,8 +303,8 @@ class ClothoidTracker:
         config = self.config
         self.parameters, self.covariance, count, carrying, missed, self.moved_m = correct(
             self._descend,
-            State(before, self.covariance, prior, p),
-            Sightings(shape.jacobian, self._noise, nodes, residual, found),
+            (before, self.covariance, prior, p),
+            (shape.jacobian, self._noise, nodes, residual, found),
             (config.gate, config.agreed, self._bend, self._lever_m),
         )
         self.iterations += count

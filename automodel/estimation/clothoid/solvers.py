@@ -8,38 +8,17 @@ section 1.3). Both return x, its covariance (A + P^-1)^-1 (m, m), and the number
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET
 from automodel.types import Bools, Floats, Ints
 
+State = tuple[Floats, Floats, Floats, Floats]
+Sightings = tuple[Floats, Floats, Ints, Floats, Floats]
+
 MOST_STEPS = 1000
 CONVERGED = 1e-5  # [sigmas of the prediction] gradient descent ends when no parameter moves further in a step
-
-
-class State(NamedTuple):
-    """The estimate at which the measurements were taken, and the prediction: parameters (m,), covariances (m, m)."""
-
-    before: Floats
-    covariance: Floats
-    prior: Floats
-    prior_covariance: Floats
-
-
-class Sightings(NamedTuple):
-    """The nodes (k,) that were searched for, of 2 n, as in `ClothoidTracker.update`.
-
-    `jacobian` (3 n, m) is that of `PairShape`; `noise` (2, 3 n): variances of its rows, and the largest residuals.
-    """
-
-    jacobian: Floats
-    noise: Floats
-    nodes: Ints
-    residual: Floats
-    found: Floats
 
 
 @compiled
@@ -145,7 +124,11 @@ def _times(matrix: Floats, values: Floats) -> Floats:
 def correct(
     descend: bool, state: State, seen: Sightings, scales: tuple[float, float, float, float]
 ) -> tuple[Floats, Floats, int, Bools, int, float]:
-    """Correct the parameters by measurements that were taken at the estimate, with robust weights.
+    """Correct the parameters by measurements that were taken at an estimate, with robust weights.
+
+    `state`: parameters (m,) and covariance (m, m) of the estimate, then those of the prediction. `seen`: the Jacobian
+    (3 n, m) of `PairShape`; the variances of its rows and their largest residuals (2, 3 n); nodes (k,), residuals and
+    found (2 k,) as in `ClothoidTracker.update`.
 
     The weights are renewed once where a residual that remains is not small. `scales`: the gate [sigmas], the share of
     its limit up to which a residual is small, the largest curvature [1/m], and the lever [m] that turns a change of
@@ -154,7 +137,7 @@ def correct(
     """
     gate, agreed, bend, lever_m = scales
     before, _, prior, prior_covariance = state
-    found, k = seen.found, len(seen.nodes)
+    found, k = seen[4], len(seen[2])
     rows, aim, ratio2, precision, limit = _linearise(state, seen, gate)
     iterations, worst = 0, 0.0
     for _ in range(2):
