@@ -22,7 +22,6 @@ from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
 
 TRACKS = ("tmr", "oval", "chicane")
-LOOKS = ("clean", "competition", "varied")  # floor and light
 COLUMNS = (
     "pipeline", "track", "style", "seed", "heading_mae_deg", "offset_mae_m", "availability_pct", "false_lane_pct",
     "offset_p99_m", "heading_p99_deg", "offset_mae_pct", "frames",
