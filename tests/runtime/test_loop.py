@@ -117,7 +117,7 @@ def test_a_command_that_is_not_finite_is_a_standstill(stage: str, field: str, ba
     assert (tick.command.steering_rad, tick.command.speed_mps) == (0.0, 0.0)
     assert len(tick.faults) == 1
     assert tick.faults[0].startswith(f"the {stage} gave")
-    assert (controller.resets, len(limits.told)) == ((1, 0) if stage == "controller" else (0, 1))
+    assert (controller.resets, len(limits.reset_to)) == ((1, 0) if stage == "controller" else (0, 1))
 
 
 @pytest.mark.parametrize("bad", [{"speed_mps": math.nan}, {"yaw_rate_radps": math.inf}])
@@ -134,7 +134,7 @@ def test_overruled_starts_the_ramp_anew_and_tells_the_limits_what_is_on_the_wire
     speeds = [loop.tick(frame(16.0 * i, i), MOTION, None, 16 * i * MS).command.speed_mps for i in range(4)]
     assert speeds == pytest.approx([0.1, 0.2, 0.3, 0.4])
     loop.overruled(NEUTRAL)
-    assert limits.told == [NEUTRAL]
+    assert limits.reset_to == [NEUTRAL]
     assert loop.tick(frame(90.0, 5), MOTION, None, 90 * MS).command.speed_mps == pytest.approx(0.1)
 
 
@@ -142,7 +142,7 @@ def test_reset_forgets_all() -> None:
     loop, pipeline, _, limits = make()
     loop.tick(frame(0.0), MOTION, None, 0)
     loop.reset()
-    assert (pipeline.resets, limits.told) == (1, [None])
+    assert (pipeline.resets, limits.reset_to) == (1, [None])
     assert loop.tick(frame(16.0, 1), MOTION, None, 16 * MS).command.speed_mps == pytest.approx(0.1)
 
 

@@ -32,7 +32,7 @@ def test_lost_for_a_moment_holds_and_drives_on_from_a_low_speed() -> None:
     held = [r for r in car.watcher.records if r.decision.mode is HOLD and r.frame is not None]
     assert [frame_index(r) for r in held] == [60, 61, 62, 63, 64]
     assert {sent(r) for r in held} == {(0.2, 0.0)}
-    assert car.limits.told[-1] == held[-1].sent  # the steering rate is counted from what the wheels really do
+    assert car.limits.reset_to[-1] == held[-1].sent  # the steering rate is counted from what the wheels really do
     after = [sent(r)[1] for r in car.watcher.records if frame_index(r) in (65, 66)]
     assert after == pytest.approx([0.1, 0.2])
     assert result.stops == 0
@@ -51,7 +51,7 @@ def test_an_exception_of_the_chain_holds_at_once_and_is_told_after() -> None:
     assert result.traceback is not None
     assert "in step" in result.traceback
     assert car.pipeline.resets == 0  # it still knows the lane
-    assert car.limits.told[-1] == record.sent
+    assert car.limits.reset_to[-1] == record.sent
     assert len(car.recorder.of("frame")) == len(car.recorder.of("estimate")) == 120
 
 

@@ -44,7 +44,7 @@ MakeBoard = Callable[[BenchPeripherals], Any]
 
 
 class BoardClock:
-    """The board's time [ns]; told through a file, so that the driving program has the same."""
+    """The board's time [ns]; written to a file, so that the driving program has the same."""
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(8))

@@ -1,3 +1,5 @@
+"""Values of every kind that is recorded, made from a seed, and a recorder that is fed with them."""
+
 from __future__ import annotations
 
 import numpy as np

@@ -113,10 +113,10 @@ class FakeLimited:
 
 
 class FakeLimits:
-    """Lets everything through but what is faster than 2 m/s, and remembers what it was told of the wire."""
+    """Lets everything through but what is faster than 2 m/s, and remembers the commands it was reset to."""
 
     def __init__(self) -> None:
-        self.told: list[Command | None] = []
+        self.reset_to: list[Command | None] = []
         self.override: Command | None = None
 
     def step(self, command: Command, motion: Motion, t_ns: int) -> FakeLimited:
@@ -130,7 +130,7 @@ class FakeLimits:
         return FakeLimited(slow, ("speed",))
 
     def reset(self, sent: Command | None = None) -> None:
-        self.told.append(sent)
+        self.reset_to.append(sent)
 
 
 class FakeMotion:
