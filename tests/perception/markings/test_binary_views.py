@@ -1,8 +1,9 @@
-"""Feature points: masks of any size, seen from above and cleaned."""
+"""Binary views of an image seen from above: thresholds, feature points of masks of any size, paint that stays."""
 
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import cv2
@@ -10,10 +11,15 @@ import numpy as np
 import pytest
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
-from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.markings.binary_views import FeaturePoints, resized_camera
+from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.perception.markings.binary_views import (
+    FeaturePoints,
+    TemporalPaintCheck,
+    adaptive_threshold,
+    resized_camera,
+)
 from tests.support.drawn_roads import MARKING_M, Road
-from tests.support.drawn_views import Shape, disc, share
+from tests.support.drawn_views import Shape, binary, disc, line_at, seen_from, share
 
 CAMERA = CarConfig().camera
 VIEW = View(x_near_m=0.36, x_far_m=1.96, half_width_m=0.64, m_per_px=0.008)
@@ -143,3 +149,124 @@ def test_the_threshold_is_a_probability() -> None:
     for threshold in (0.0, 1.0, 128.0):
         with pytest.raises(ValueError, match="threshold"):
             FeaturePoints(CAMERA, VIEW, MARKING_M, threshold=threshold)
+
+
+def mask(width: int = 512) -> np.ndarray:
+    return np.zeros((width // 2, width), np.uint8)
+
+
+@pytest.mark.parametrize("width", [256, 512])
+def test_a_faint_thin_line_counts_and_a_faint_area_does_not(width: int) -> None:
+    probability = mask(width)
+    line, area = np.s_[20:120, 60:63], np.s_[20:120, 120:200]
+    probability[line] = probability[area] = 110
+    out = adaptive_threshold(probability)
+    assert (out[30:110, 61] >= 128).all()
+    assert (out[40:100, 140:180] < 128).all()
+
+
+def test_what_is_sure_counts_however_broad() -> None:
+    probability = mask()
+    probability[50:150, 100:200] = 200
+    out = adaptive_threshold(probability)
+    assert (out[50:150, 100:200] == 200).all()
+
+
+def test_what_is_hardly_seen_never_counts() -> None:
+    probability = mask()
+    probability[20:120, 60:63] = 70
+    assert adaptive_threshold(probability).max() < 128
+
+
+def test_what_counts_is_raised_to_128_and_nothing_else_is_changed_in_order() -> None:
+    probability = np.random.default_rng(0).integers(0, 256, (256, 512)).astype(np.uint8)
+    before = probability.copy()
+    out = adaptive_threshold(probability)
+    assert (probability == before).all()
+    counts = out >= 128
+    assert (out[counts] == np.maximum(before[counts], 128)).all()
+    assert (out[~counts] == np.minimum(before[~counts], 127)).all()
+    assert not (adaptive_threshold(mask())).any()
+
+
+LANE_M = 0.4
+SMALL_VIEW = View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.01)
+MASK = BirdsEye(GroundCamera.from_config(CarConfig().camera), SMALL_VIEW).mask
+EVERYWHERE = np.full_like(MASK, 255)
+STEP_M = 0.025
+PAINT = (line_at(0.2), line_at(-0.2))
+MIRRORED = disc(1.0, 0.02, 0.05)
+
+
+def drive(
+    check: TemporalPaintCheck, way_m: float, curvature_per_m: float = 0.0, mirrored: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """The last view, as it was filtered and as it was checked."""
+    car, before_from_after = SE2(), SE2.arc(STEP_M, curvature_per_m * STEP_M)
+    lines = checked = EVERYWHERE
+    for _ in range(round(way_m / STEP_M)):
+        car = car @ before_from_after
+        check.move(before_from_after, STEP_M)
+        shapes = [seen_from(shape, car) for shape in PAINT]
+        lines = binary(SMALL_VIEW, *shapes, *([MIRRORED] if mirrored else []), samples=2) & MASK
+        checked = check.step(lines)
+        check.remember(lines)
+    return lines, checked
+
+
+@pytest.mark.parametrize("curvature_per_m", [0.0, 0.5, -0.5])
+def test_what_goes_with_the_car_is_removed_and_paint_stays(curvature_per_m: float) -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, MASK, LANE_M, MARKING_M)
+    lines, checked = drive(check, 0.8, curvature_per_m)
+    blob = binary(SMALL_VIEW, MIRRORED) > 0
+    paint = (lines > 0) & ~blob
+    assert (checked[blob] > 0).mean() < 0.1
+    assert (checked[paint] > 0).mean() > 0.98
+    assert not (checked & ~lines).any()  # nothing is added
+
+
+def test_before_enough_way_everything_passes() -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, MASK, LANE_M, MARKING_M)
+    lines, checked = drive(check, 0.25)
+    np.testing.assert_array_equal(checked, lines)
+
+
+def test_standing_still_removes_nothing() -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, MASK, LANE_M, MARKING_M)
+    lines = binary(SMALL_VIEW, *PAINT, MIRRORED)
+    for _ in range(50):
+        check.move(SE2(), 0.0)
+        np.testing.assert_array_equal(check.step(lines), lines)
+        check.remember(lines)
+
+
+def test_forgetting_begins_anew() -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, MASK, LANE_M, MARKING_M)
+    drive(check, 0.8)
+    check.forget()
+    lines = binary(SMALL_VIEW, *PAINT, MIRRORED)
+    np.testing.assert_array_equal(check.step(lines), lines)
+    lines, checked = drive(check, 0.25)
+    np.testing.assert_array_equal(checked, lines)
+
+
+def test_what_was_out_of_sight_passes() -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, MASK, LANE_M, MARKING_M)
+    drive(check, 0.8, mirrored=False)
+    # the car sees 0.4 m further than it did a lane width earlier: a mark there may be new
+    far = binary(SMALL_VIEW, disc(1.5, 0.0, 0.03))
+    assert far.any()
+    np.testing.assert_array_equal(check.step(far) > 0, far > 0)
+    near = binary(SMALL_VIEW, disc(0.8, 0.0, 0.03)) & MASK
+    assert not check.step(near).any()  # the same mark on ground that was bare
+
+
+def test_a_turn_on_the_spot_turns_the_views() -> None:
+    check = TemporalPaintCheck(SMALL_VIEW, EVERYWHERE, LANE_M, MARKING_M)
+    check.remember(binary(SMALL_VIEW, *PAINT))
+    motion = SE2(0.0, 0.0, math.radians(12.0))
+    check.move(motion, 1.1 * LANE_M)  # wheels that slip: the distance counts, the place stays
+    here = binary(SMALL_VIEW, *(seen_from(shape, motion) for shape in PAINT))
+    assert (check.step(here)[here > 0] > 0).mean() > 0.98
+    wrong = binary(SMALL_VIEW, *(seen_from(shape, motion.inverse()) for shape in PAINT))
+    assert (check.step(wrong)[wrong > 0] > 0).mean() < 0.7
