@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel
+from automodel.geometry.se2 import SE2
 from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.boards import DICTIONARIES, Board, dictionary_of, find_board
@@ -143,7 +144,5 @@ def camera_from_sheet(
 
 def _on_floor(points_m: FloatArray, place: SheetPlace, quarter: int) -> FloatArray:
     """Points of the sheet in the body frame: its right is the car's right, its lower edge nearest, then rotated."""
-    turn = place.turn_rad + quarter * 0.5 * math.pi
-    c, s = math.cos(turn), math.sin(turn)
     lying = np.column_stack((-points_m[:, 1], -points_m[:, 0]))
-    return lying @ np.array([[c, s], [-s, c]]) + (place.x_m, place.y_m)
+    return SE2(place.x_m, place.y_m, place.turn_rad + quarter * 0.5 * math.pi).apply(lying)

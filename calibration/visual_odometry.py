@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from automodel.geometry import GroundCamera
 from automodel.geometry.birdseye import BirdsEye, View
+from automodel.geometry.se2 import SE2, wrap_angle
 from automodel.types import FloatArray, Image
 
 Float32Array = NDArray[np.float32]
@@ -123,11 +124,7 @@ def _registered(
 def _warp_of(distance_m: float, turn_rad: float, view: View) -> Float32Array:
     """The affine transform (2, 3) of view pixels by a motion along an arc."""
     corners = np.array([(0.0, 0.0), (view.width_px - 1.0, 0.0), (0.0, view.height_px - 1.0)])
-    half = 0.5 * turn_rad
-    chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-    shift = chord * np.array((math.cos(half), math.sin(half)))
-    c, s = math.cos(turn_rad), math.sin(turn_rad)
-    after_m = (view.to_body(corners) - shift) @ np.array(((c, -s), (s, c)))
+    after_m = SE2.arc(distance_m, turn_rad).inverse().apply(view.to_body(corners))
     affine = cv2.getAffineTransform(corners.astype(np.float32), view.to_px(after_m).astype(np.float32))
     return affine.astype(np.float32)
 
@@ -139,9 +136,8 @@ def _motion_of_warp(warp: Float32Array, view: View) -> tuple[float, float]:
     after = view.to_body(pixels @ warp[:, :2].T + warp[:, 2])
     across_before, across_after = before[1] - before[0], after[1] - after[0]
     turn = math.atan2(across_before[1], across_before[0]) - math.atan2(across_after[1], across_after[0])
-    turn = (turn + math.pi) % (2.0 * math.pi) - math.pi
-    c, s = math.cos(turn), math.sin(turn)
-    shift = before[0] - np.array(((c, -s), (s, c))) @ after[0]
+    turn = wrap_angle(turn)
+    shift = before[0] - SE2(yaw_rad=turn).apply(after[0])
     half = 0.5 * turn
     chord = float(shift[0] * math.cos(half) + shift[1] * math.sin(half))
     return chord * (half / math.sin(half) if abs(half) > 1e-9 else 1.0), turn
