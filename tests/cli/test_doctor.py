@@ -225,7 +225,7 @@ def test_a_camera_that_dies_and_a_board_that_is_silent(cli, tmp_path: Path, monk
         os.close(slave)
     rows = by_name(said)
     assert of(said, "board", "camera") == ["FAIL", "FAIL"]
-    assert "no hello" in str(rows["board"]["what"])
+    assert "no Hello" in str(rows["board"]["what"])
     assert "flash it" in str(rows["board"]["do"])
     assert "no more frames" in str(rows["camera"]["what"])
 
