@@ -21,7 +21,7 @@ RUN = ("run", "--track", "oval", "--pipeline", "windows")
 @pytest.mark.slow
 def test_a_lap_is_driven(cli) -> None:
     said = cli(*RUN, "--laps", "1", "--link", "autonomos", "--json")
-    assert (said.code, said.err) == (0, "")
+    assert (said.code, said.err) == (0, "drove 1 lap and stayed in its lane\n")
     (row,) = said.rows
     assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
     assert row["mae_offset_m"] <= row["max_abs_offset_m"] <= 0.10

@@ -120,7 +120,7 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
     ("serial-falls-behind", 2, lambda m: m.setattr(logic, "MAX_DEADLINE_MS", 0x10000), "neutral"),
     ("command-impossible", 1, lambda m: m.setattr(logic, "PULSE_RANGE_US", (0.0, 40000.0)), "neutral"),
-    ("command-extreme", 2, lambda m: m.setattr(logic.Pulses, "want", _unlimited), "beyond the car's limits"),
+    ("command-extreme", 2, lambda m: m.setattr(logic.Pulses, "set_target", _unlimited), "beyond the car's limits"),
     ("camera-off", 1, lambda m: m.setattr(safety.Safety, "_at_rest", _restarting), "drove off by itself"),
     ("camera-off", 6, lambda m: m.setattr(safety.Safety, "_at_rest", _remembering), "drove off by itself"),
     ("camera-pauses", 1, lambda m: m.setattr(safety.Safety, "_held", _nothing_held), "stop after"),
