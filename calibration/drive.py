@@ -266,9 +266,9 @@ class RigMaker(Protocol):
     """Opens the car to be calibrated, or a simulated one."""
 
     def __call__(
-        self, car: CarConfig, *, hidden: PlantConfig | None = None, camera: bool = False, auto_arm: bool = False
+        self, car: CarConfig, *, plant: PlantConfig | None = None, camera: bool = False, auto_arm: bool = False
     ) -> AbstractContextManager[Rig]:
-        """The car at the port of car.toml, or with `hidden` a simulated one in virtual time; raises OSError.
+        """The car at the port of car.toml, or with `plant` a simulated one in virtual time; raises OSError.
 
         Without `camera` the rig has no images.
         """

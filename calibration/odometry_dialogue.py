@@ -36,7 +36,7 @@ from firmware_link.pulses import PulseTable
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OdometryOptions:
-    """What the command line says; `seed` draws the hidden motor of a simulated car."""
+    """What the command line says; `seed` draws the motor of a simulated car."""
 
     car_file: Path | None
     distance_m: float
@@ -93,7 +93,7 @@ def _drive(car: CarConfig, options: OdometryOptions, open_rig: RigMaker, truth: 
         pressed = nobody
         if truth is None:
             pressed = leaving.enter_context(ArmKey("press Enter to arm; Enter or Ctrl-C stop")).pressed
-        rig = leaving.enter_context(open_rig(car, hidden=truth))
+        rig = leaving.enter_context(open_rig(car, plant=truth))
         for number, speed in enumerate(sorted(options.speeds), 1):
             say(f"run {number} of {len(options.speeds)}: about {options.distance_m:g} m at {speed:g} m/s")
             before_m = rig.plant.state.distance_m if rig.plant is not None else 0.0

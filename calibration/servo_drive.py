@@ -36,7 +36,7 @@ VIEW_NS = 49_000_000  # between two views of the floor that are kept
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AutoOptions:
-    """What the command line says of a drive; `seed` draws the hidden servo of a simulated car."""
+    """What the command line says of a drive; `seed` draws the servo of a simulated car."""
 
     car_file: Path | None
     seed: int
@@ -63,7 +63,7 @@ def calibrate_by_driving(car: CarConfig, options: AutoOptions, open_rig: RigMake
         pressed = nobody
         if truth is None:
             pressed = leaving.enter_context(ArmKey("press Enter to arm; Enter or Ctrl-C stop")).pressed
-        rig = leaving.enter_context(open_rig(car, hidden=truth, camera=options.camera, auto_arm=options.arm))
+        rig = leaving.enter_context(open_rig(car, plant=truth, camera=options.camera, auto_arm=options.arm))
         log = driven_log(rig, options, pressed)
     wheelbase_m = car.vehicle.wheelbase_m
     log = without_bias(log)

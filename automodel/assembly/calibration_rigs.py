@@ -1,4 +1,4 @@
-"""Cars to be calibrated: the one at the serial port, or a simulated one with hidden properties."""
+"""Cars to be calibrated: the one at the serial port, or a simulated one with properties drawn at random."""
 
 from __future__ import annotations
 
@@ -56,19 +56,19 @@ def car_to_calibrate(
 
 @contextlib.contextmanager
 def calibration_rig(
-    car: CarConfig, *, hidden: PlantConfig | None = None, camera: bool = False, auto_arm: bool = False
+    car: CarConfig, *, plant: PlantConfig | None = None, camera: bool = False, auto_arm: bool = False
 ) -> Iterator[Rig]:
     """Implements `calibration.drive.RigMaker`."""
     with contextlib.ExitStack() as leaving:
-        if hidden is not None:
-            yield simulated_rig(car, hidden, camera)
+        if plant is not None:
+            yield simulated_rig(car, plant, camera)
         else:
             yield real_rig(car, camera, auto_arm, leaving)
 
 
-def simulated_rig(car: CarConfig, hidden: PlantConfig, camera: bool) -> Rig:
+def simulated_rig(car: CarConfig, config: PlantConfig, camera: bool) -> Rig:
     """A car on an empty floor, in virtual time; with `camera` it sees a tiled floor."""
-    plant = Plant(hidden)
+    plant = Plant(config)
     board = EmulatedArduino(plant, car.link.baud)
 
     def advance(t_ns: int) -> None:
@@ -76,7 +76,7 @@ def simulated_rig(car: CarConfig, hidden: PlantConfig, camera: bool) -> Rig:
         plant.advance(t_ns)
 
     clock = VirtualClock(0, advance)
-    source = Ticks(clock, TiledFloor(car, plant, hidden.seed), 1.0 / car.camera.rate_hz) if camera else Ticks(clock)
+    source = Ticks(clock, TiledFloor(car, plant, config.seed), 1.0 / car.camera.rate_hz) if camera else Ticks(clock)
     return rig_on(car, MemoryTransport(board, clock), clock, source, auto_arm=True, plant=plant)
 
 

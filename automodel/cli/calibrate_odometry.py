@@ -43,7 +43,7 @@ def numbers(ctx: click.Context, param: click.Parameter, value: str) -> tuple[flo
     type=click.IntRange(1),
     help="Ticks already counted over the distance, once for each run. Nothing moves.",
 )
-@click.option("--sim", "simulated", is_flag=True, help="A simulated car with a hidden motor and hidden wheels.")
+@click.option("--sim", "simulated", is_flag=True, help="A simulated car with motor and wheels drawn at random.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Simulated: draws the car.")
 @output_options
 def command(simulated: bool, **given: Any) -> int:

@@ -14,7 +14,7 @@ from automodel.cli.options import ABOVE_ZERO, FILE, finite
 @click.option("--car", "car_file", type=FILE, help="The car.toml that the servo is written into.")
 @click.option("--auto", is_flag=True, help="The car drives slow bends and measures itself.")
 @click.option("--manual", is_flag=True, help="From circles that were measured with a tape.")
-@click.option("--sim", "simulated", is_flag=True, help="A simulated car with a hidden servo.")
+@click.option("--sim", "simulated", is_flag=True, help="A simulated car with a servo drawn at random.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Simulated: draws the servo.")
 @click.option(
     "--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, default=0.5, show_default=True, help="--auto: [m/s]."
