@@ -14,7 +14,7 @@ from automodel.compiled import compiled
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET
 from automodel.types import Bools, Floats, Ints
 
-State = tuple[Floats, Floats, Floats, Floats]
+State = tuple[Floats, Floats, Floats, Floats]  # as `correct` takes them
 Sightings = tuple[Floats, Floats, Ints, Floats, Floats]
 
 MOST_STEPS = 1000
@@ -126,14 +126,14 @@ def correct(
 ) -> tuple[Floats, Floats, int, Bools, int, float]:
     """Correct the parameters by measurements that were taken at an estimate, with robust weights.
 
-    `state`: parameters (m,) and covariance (m, m) of the estimate, then those of the prediction. `seen`: the Jacobian
-    (3 n, m) of `PairShape`; the variances of its rows and their largest residuals (2, 3 n); nodes (k,), residuals and
-    found (2 k,) as in `ClothoidTracker.update`.
+    The weights are renewed once where a residual that remains is not small. `state`: parameters (m,) and covariance
+    (m, m) of the estimate, then those of the prediction. `seen`: the Jacobian (3 n, m) of `PairShape`; the variances of
+    its rows and their largest residuals (2, 3 n); nodes (k,), residuals and found (2 k,) as in
+    `ClothoidTracker.update`. `scales`: the gate [sigmas], the share of its limit up to which a residual is small, the
+    largest curvature [1/m], and the lever [m] that turns a change of heading into a distance.
 
-    The weights are renewed once where a residual that remains is not small. `scales`: the gate [sigmas], the share of
-    its limit up to which a residual is small, the largest curvature [1/m], and the lever [m] that turns a change of
-    heading into a distance. Returns the parameters, their covariance, the iterations, which nodes (k,) support the
-    lane, how many were found without supporting it, and how far the lane moved [m].
+    Returns the parameters, their covariance, the iterations, which nodes (k,) support the lane, how many were found
+    without supporting it, and how far the lane moved [m].
     """
     gate, agreed, bend, lever_m = scales
     before, _, prior, prior_covariance = state

@@ -52,7 +52,7 @@ class TrackedLine:
     KEEP_POINTS = 4  # per round: the nearest, which leave the image next
     BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # where they are dropped behind the reference point, and the last few
     LAST_POINTS = 12  # number of the last few
-    ARC_LANES = 0.15  # length of the arc beyond the end of a line; from there on it is straight
+    ARC_LANES = 0.15  # length of the arc beyond the end of a line that ended; from there on it is straight
     HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
     DRIFT = 0.015  # growth of a remembered point's sigma per distance driven
     STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples and knots
