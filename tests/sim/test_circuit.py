@@ -136,9 +136,9 @@ def test_a_width_goes_smoothly_through_its_places() -> None:
         ("s_m = 95.0", "s_m = 9500.0", r"\[widths\] s_m: 9500.0 is off the road, 0 .. 1500"),
         ("width_m = 9.4", "width_m = 60.0", "widths: offset_m: folds back at s"),
         ("share = 0.07", "share = 0.5", r"\[broken\] share: expected at most 0.3"),
-        ("share = 0.07", "share = 0.0", r"\[broken\] share: 0.0 where a positive"),
+        ("share = 0.07", "share = 0.0", r"\[broken\] share: expected a positive number, got 0.0"),
         ("longest_m = 15.0", "longest_m = 1.0", r"\[broken\] longest_m: 1.0 is less than shortest_m"),
-        ("block_m = 1.0", "block_m = 0.0", r"\[roadside\] block_m: 0.0 where a positive"),
+        ("block_m = 1.0", "block_m = 0.0", r"\[roadside\] block_m: expected a positive number, got 0.0"),
         ("asphalt_m = 0.6", "asphalt = 0.6", r"\[roadside\] asphalt: unknown key"),
     ],
 )

@@ -263,7 +263,7 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
         ({"size": "100x100"}, "size: '100x100' is none of 512x256, 256x128"),
         ({"providers": ()}, "providers: "),
         ({"providers": ("cpu", "tpu")}, "providers: "),
-        ({"threads": -1}, "threads: -1"),
+        ({"threads": -1}, "threads: expected a number >= 0, got -1"),
     ],
 )
 def test_a_wrong_configuration_is_refused(keys: dict[str, Any], said: str) -> None:
