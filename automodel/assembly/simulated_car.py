@@ -105,7 +105,7 @@ def build_world(car: CarConfig, simulation: Simulation) -> World:
 
 
 def _straight_place(lane: Lane, from_s_m: float) -> float:
-    """Arc length of the first place from `from_s_m` on with a straight way of four lane widths ahead, or the best."""
+    """Arc length of the first place from `from_s_m` on with a straight road of four lane widths ahead, or the best."""
     line, width = lane.centerline, float(lane.width_m(0.0))
     starts = from_s_m + np.arange(0.0, line.length_m, 0.25 * width)
     bend = np.abs(line.curvature(starts[:, None] + np.linspace(-0.5, 4.0, 19) * width)).max(axis=1)

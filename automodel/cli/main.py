@@ -19,7 +19,7 @@ from automodel.runtime.os_signals import interrupt, raise_if_interrupted
 
 COMMANDS = {
     "run": "Drive: the car of car.toml, or a simulated one.",
-    "replay": "Lane poses of a recording, a video, a folder of pictures or a donkeycar tub.",
+    "replay": "Lane poses of a recording, a video, a folder of images or a donkeycar tub.",
     "calibrate": "Camera, ground, servo, odometry: measured, with the error, into car.toml.",
     "init": "Write a commented car.toml for a kit.",
     "doctor": "Look at machine, camera, board and calibration, and say what to do.",

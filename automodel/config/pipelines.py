@@ -29,7 +29,7 @@ class CenterlineConfig:
     """`centerline` (Cudrano et al. 2020). Lengths are multiples of the lane's width, so that they hold at any scale."""
 
     markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
-    network: str = "512x256"  # size of the network's picture: 512x256, or 256x128 for a small board
+    network: str = "512x256"  # size of the network's input: 512x256, or 256x128 for a small board
     model: str = ""  # an ONNX file; empty: the weights that are shipped
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in this order
     threads: int = 0  # of the network on the CPU; 0: half of the cores
@@ -60,7 +60,7 @@ class ContourConfig:
     piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
     radius_lanes: float = 1.4  # radius of the tightest bend; some 50 on a highway
     contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
-    colour: str = "grey"  # what is read of a colour picture: "blue", "green", "red", or their weighted sum "grey"
+    colour: str = "grey"  # what is read of a colour image: "blue", "green", "red", or their weighted sum "grey"
     update: str = "gauss_newton"  # or "gradient_descent", as in the thesis
     precision: str = "double"  # or "single", for boards that have no fast doubles
     coast_lanes: float = 6.0  # distance that the lane is carried on without any line, at most

@@ -1,4 +1,4 @@
-"""The two clocks a run can live by: the machine's monotonic one, and one that only moves when it is told to."""
+"""The clocks of a run: the machine's monotonic one, and a virtual one that a simulation advances."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ LASTING_S = 0.25  # a servo's lag is over in a fifth of this
 class SteeringCheck:
     """Compares the gyro's yaw rate with that of a bicycle, v tan(delta) / L (Rajamani 2012, section 2.2).
 
-    delta [rad] is the steering that the vehicle says it was told last, v [m/s] its speed, L the wheelbase [m]. A servo
+    delta [rad] is the last steering command, as the vehicle reports it, v [m/s] its speed, L the wheelbase [m]. A servo
     that is stuck, or a linkage that has come off, shows wherever the road is not as straight as the wheels stand.
     """
 

@@ -19,7 +19,7 @@ from automodel.runtime.clocks import NS_PER_S
 from automodel.signals import Command, Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 
 STAGES = ("pipeline", "controller", "limits")
-FAILURES = 4  # in a row, after which a pipeline begins anew: finding a lane in a bend takes longer than a car is held
+FAILURES = 4  # in a row, after which a pipeline is reset: finding a lane in a bend takes longer than a car is held
 
 
 class Limited(Protocol):
@@ -160,14 +160,14 @@ class Loop:
         misfit = None if checks is None else checks.misfit(frame)
         if misfit is not None:
             return lost, (misfit,)
-        doubts = () if checks is None else checks.of_frame(frame)
+        wrong = () if checks is None else checks.of_frame(frame)
         estimate = self._pipeline.step(_picture(frame), motion)
         faults = estimate_faults(estimate)
         if faults:
             self.failed()
-            return lost, doubts + faults
+            return lost, wrong + faults
         self._failures = 0
-        return estimate, doubts if checks is None else doubts + checks.of_estimate(estimate, motion, state)
+        return estimate, wrong if checks is None else wrong + checks.of_estimate(estimate, motion, state)
 
     def overruled(self, sent: Command | None) -> None:
         """The last command was not sent, but `sent` was (None: nothing): controller and limits go on from there.
@@ -229,7 +229,7 @@ def state_faults(state: VehicleState) -> tuple[str, ...]:
 
 
 def _picture(frame: Frame | StereoFrame) -> Frame:
-    """What a pipeline of one camera sees of a pair: the left picture, whose camera is the one in `[camera]`."""
+    """What a pipeline of one camera sees of a pair: the left image, whose camera is the one in `[camera]`."""
     if isinstance(frame, StereoFrame):
         return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
     return frame

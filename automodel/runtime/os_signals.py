@@ -69,7 +69,7 @@ def stop_on_signals() -> Iterator[Callable[[], str | None]]:
 def signals_held_back() -> Iterator[None]:
     """While inside, SIGINT, SIGTERM and SIGHUP wait; a process started meanwhile never gets them.
 
-    Ctrl-C goes to every process of the terminal: a child that must end in order is told by its parent instead, and
+    Ctrl-C goes to every process of the terminal: a child that must end in order is ended by its parent instead, and
     until it could say so itself it would die with a traceback.
     """
     from multiprocessing import resource_tracker

@@ -10,12 +10,12 @@ from automodel.runtime.clocks import NS_PER_S
 from automodel.runtime.run_types import TickRecord
 from automodel.signals import Event, VehicleState
 
-QUIET_S = 1.0  # a thing that goes wrong in every frame is told so often
+QUIET_S = 1.0  # least time between two events of the same kind
 EVENTS_KEPT = 10_000  # in memory, the newest; the recording has them all
 
 
 class RunLog:
-    """Passes a run on to its recorder; a recorder that fails is told of once and left alone, the car drives on."""
+    """Passes a run on to its recorder; a recorder that fails is reported once and not used again; the car drives on."""
 
     def __init__(self, recorder: Recorder | None, on_event: Callable[[Event], None] | None = None) -> None:
         self._recorder = recorder

@@ -17,7 +17,7 @@ from automodel.signals import Command, Event, Frame, Motion, StereoFrame, Vehicl
 
 
 class MotionStage(Protocol):
-    """From what the vehicle says and was told to its motion."""
+    """From the vehicle's state and the last command to its motion."""
 
     def step(self, state: VehicleState | None, last_command: Command, t_ns: int) -> Motion:
         """The motion at `t_ns`, the capture of a frame; `last_command` is the one on the wire."""
@@ -58,7 +58,7 @@ class RunConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TickRecord:
-    """One cycle of the run at `t_ns`, told after everything was sent.
+    """One cycle of the run at `t_ns`, reported after everything was sent.
 
     `frame` is None in a cycle without one; `tick` also where the frame's time was wrong, so that it was not looked at.
     `sent` is the command that went out, None where none did. `latency_ns` is the time from the frame's capture until

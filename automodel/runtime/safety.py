@@ -169,7 +169,7 @@ class Safety:
                 text = "by request" if inputs.arm else "by itself, as was asked for at the start"
                 return self._enter(SafetyMode.ARMING, "arming", text, now_ns)
         elif inputs.arm:
-            why = reason or f"the input is healthy for {_s(healthy_ns)} s only; {_s(self._rearm_ns)} s are wanted"
+            why = reason or f"the input is healthy for {_s(healthy_ns)} s only, expected {_s(self._rearm_ns)} s"
             return (Event(t_ns=now_ns, kind="arm-refused", text=why),)
         return ()
 

@@ -15,7 +15,7 @@ RECONNECT_S = 0.2  # between two tries to open a port that is gone
 
 
 class SupervisedLink:
-    """Wraps a `VehicleLink`: an OSError of any call sets `up` to False and is told to `note`, none is raised.
+    """Wraps a `VehicleLink`: an OSError of any call sets `up` to False and goes to `note` as an event.
 
     Only until the vehicle has said hello for the first time do `open` and `poll` raise: a wrong port or a wrong
     firmware is the user's to put right. After that `poll` opens a lost link again every `RECONNECT_S`. It stays down

@@ -16,8 +16,8 @@ REOPEN_S = 0.2  # between two tries to open a source that failed
 class SupervisedSource:
     """Wraps a `Source`; `reopen` gives a new one in its place or raises OSError, None where there is no other.
 
-    A ValueError is a picture that is none, of a device that gives what it never gave before. Only EndOfSource is passed
-    on.
+    A ValueError counts as a failure too: the device gave an image of a kind that no camera should give. Only
+    EndOfSource is passed on.
     """
 
     def __init__(
@@ -66,5 +66,5 @@ class SupervisedSource:
             return
         self._tried_ns = now_ns
         self.close()
-        with contextlib.suppress(OSError):  # what is wrong has been told already
+        with contextlib.suppress(OSError):  # the fault has been reported already
             self._source = self._reopen()

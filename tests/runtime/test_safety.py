@@ -30,7 +30,7 @@ def test_request_before_healthy_time_is_refused_and_forgotten() -> None:
     rig.turns(50)  # 490 ms since the first
     decision = rig.turn(step_ms=9.0, arm=True)
     assert (decision.mode, decision.arm) == (SafetyMode.DISARMED, False)
-    assert rig.events == [("arm-refused", "the input is healthy for 0.499 s only; 0.500 s are wanted")]
+    assert rig.events == [("arm-refused", "the input is healthy for 0.499 s only, expected 0.500 s")]
     assert rig.turns(100).mode is SafetyMode.DISARMED
 
 

@@ -1,1 +1,1 @@
-"""The lane as a pair of clothoids (Smith, active contour thesis)."""
+"""The lane as a pair of clothoids (Smith 2024)."""

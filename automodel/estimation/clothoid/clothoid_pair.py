@@ -1,6 +1,6 @@
 """Both lines of a lane as a pair of clothoids of one shape: their places, and the Jacobian for the parameters.
 
-After Smith (active contour thesis), eq. (2.1)-(2.7): a heading theta(s) at N nodes, positions by the trapezoidal rule,
+After Smith 2024, eq. (2.1)-(2.7): a heading theta(s) at N nodes, positions by the trapezoidal rule,
 one shape for both lines. Two things differ. The lines lie half a lane width beside the centerline *along its normal*:
 shifted along y, as in the thesis, the two curves approach each other where the road turns. And the curvature is
 piecewise linear between stations that are fixed to the road, a chain of clothoids: a single clothoid cannot follow a

@@ -2,7 +2,7 @@
 
 Both solvers minimise 1/2 x^T P^-1 x + 1/2 x^T A x - b^T x over the change x (m,) of the parameters. P (m, m) is the
 covariance of the prediction; A (m, m) and b (m,), `information` and `pull`, are those of the weighted measurements.
-Gauss-Newton solves this in one step. Plain gradient descent in many cheap steps is the thesis's choice (Smith,
+Gauss-Newton solves this in one step. Plain gradient descent in many cheap steps is the thesis's choice (Smith 2024,
 section 1.3). Both return x, its covariance (A + P^-1)^-1 (m, m), and the number of iterations.
 """
 

@@ -1,4 +1,4 @@
-"""Polynomial regression by the normal equations (the AutoModelCar paper, eq. (1)-(3), (6))."""
+"""Polynomial regression by the normal equations (Balbuena Palma et al. 2020, eq. (1)-(3), (6))."""
 
 from __future__ import annotations
 
