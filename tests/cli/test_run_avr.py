@@ -67,7 +67,7 @@ def test_an_installed_package_has_no_simulator(cli, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(avr, "FIRMWARE", tmp_path)
     said = cli("run", "--link", "avr", "--duration", "1")
     assert said.code == 2
-    assert said.line().endswith("the simulated AVR is no part of the installed package, use a checkout")
+    assert said.line().endswith("the simulated AVR is not part of the installed package, use a checkout")
 
 
 def test_a_simulator_that_does_not_compile_is_one_line(
