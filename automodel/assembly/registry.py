@@ -44,8 +44,6 @@ def make_part(kind: PartKind, name: str, *arguments: object) -> Any:
     factory = find_part(kind, name)
     try:
         part = factory(*arguments)
-    except ConfigError:
-        raise
     except ValueError as error:
         raise ConfigError(f"{kind.kind} {name}: {error}") from None
     except TypeError as error:

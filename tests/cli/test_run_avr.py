@@ -22,7 +22,7 @@ def toolchain() -> None:
 @pytest.mark.slow
 def test_a_lap_is_driven_by_the_firmware(toolchain: None, cli) -> None:
     said = cli("run", "--laps", "1", "--track", "oval", "--link", "avr", "--json")
-    assert (said.code, said.err) == (0, "")
+    assert (said.code, said.line()) == (0, "drove 1 lap and stayed in its lane")
     (row,) = said.rows
     assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
     assert row["mae_offset_m"] <= row["max_abs_offset_m"] <= 0.10

@@ -105,7 +105,7 @@ def test_a_cut_recording_is_recovered_and_replays(driven: Path, tmp_path: Path, 
     again = cli("recover", cut)
     assert (again.code, again.line()) == (
         2,
-        f"automodel: {saved}: is there already; choose another name, or overwrite it with --force",
+        f"automodel: {saved}: already exists; choose another name, or overwrite it with --force",
     )
     assert cli("recover", cut, "--force").code == 0
 
