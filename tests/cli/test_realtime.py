@@ -126,8 +126,8 @@ def test_a_signal_while_driving(name: str, whole_group: bool, tmp_path: Path) ->
     assert child.returncode == int(bool(row["stops"] or row["left_lane"])), err
     late = [line for line in err.splitlines() if re.search(": (hold|stop|disarmed|vehicle-fault): ", line)]
     lines = [line for line in err.splitlines() if line not in late]
-    assert lines[0] == f"stopped by {name}"
-    assert lines[1].startswith(f"{record}: ")
+    assert lines[0].startswith(f"{record}: ")
+    assert lines[1].startswith(f"stopped by {name}")  # and by what else, on a busy machine
     assert len(lines) == 2
     values = [message.value for message in Recording(record)]  # closed, and readable to its end
     assert sum(isinstance(value, Frame) for value in values) > 10
