@@ -45,7 +45,7 @@ COMMANDS: dict[str, tuple[dict[str, object], tuple[str, ...]]] = {
                         "dead_error_ms"), 1234.5), ()),
     "calibrate odometry": (dict.fromkeys(("ticks_per_m", "sd_per_m", "scatter_per_m", "runs", "band_us",
                            "speed_rms_mps", "ticks_error_pct", "speed_error_mps"), 123.456), ()),
-    "replay": ({"pipeline": "centerline", "source": "/tmp/recordings/20260101-101010.mcap",
+    "replay": ({"pipeline": "centerline", "source": "/home/team/recordings/20260101-101010.mcap",
                 **dict.fromkeys(replay.COLUMNS[1:-1], 12345)}, replay.COLUMNS),
     "calibrate camera": ({"picture": "picture_012.png", "corners": 54, "tilt_deg": 31, "edge_px": 30.12,
                           "rms_px": 0.123, "left_out_px": 0.123,
