@@ -7,6 +7,7 @@ the monotonic clock, taken at capture.
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -118,7 +119,8 @@ class LanePose:
     `offset_m`: the car's distance from the centerline, left positive. `heading_rad`: the car's direction relative to
     the centerline's tangent, left positive. `width_m`: the lane's width. `curvature_per_m`: the centerline's
     curvature at the foot of the perpendicular, positive where the road bends left. `covariance` (3, 3) of
-    (offset, heading, width) in [m, rad, m].
+    (offset, heading, width) in [m, rad, m]: noise alone. `offset_bound_m`, `heading_bound_rad`: errors that are
+    exceeded in at most 1 of 1,000 frames, whatever their cause; infinite where the maker of the pose states none.
     """
 
     offset_m: float
@@ -126,6 +128,8 @@ class LanePose:
     width_m: float
     curvature_per_m: float
     covariance: FloatArray
+    offset_bound_m: float = math.inf
+    heading_bound_rad: float = math.inf
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", _read_only(self.covariance, (3, 3), "LanePose.covariance"))
@@ -146,7 +150,8 @@ class Crossing:
 class LaneEstimate:
     """A pipeline's estimate of the lane in one frame; body frame, metres.
 
-    `frame_age_ns` is the age of the last frame in which a line was seen: 0 while one is seen.
+    `frame_age_ns` is the age of the last frame in which a line was seen: 0 while one is seen. `lane_change` is +1 or -1
+    in the frame in which the lane on the left or on the right became the lane, else 0.
     """
 
     t_ns: int
@@ -157,6 +162,7 @@ class LaneEstimate:
     pose: LanePose | None = None
     crossing: Crossing | None = None
     frame_age_ns: int = 0
+    lane_change: int = 0
 
     @property
     def valid(self) -> bool:

@@ -9,6 +9,7 @@ Frames <-> foxglove.CompressedImage messages.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from typing import Any, TypeAlias
 
@@ -34,6 +35,7 @@ from automodel.types import FloatArray, Image
 CAMERA, LEFT, RIGHT = "/camera", "/camera/left", "/camera/right"
 CAMERA_TOPICS = (CAMERA, LEFT, RIGHT)
 SCHEMA = "foxglove.CompressedImage"
+_BOUNDS = ("offset_bound_m", "heading_bound_rad")
 
 
 class ImageCodec:
@@ -174,7 +176,8 @@ def _estimate(value: LaneEstimate) -> Json:
         "t_ns": value.t_ns,
         "status": value.status.value,
         "frame_age_ns": value.frame_age_ns,
-        "pose": None if pose is None else {**_fields(pose), "covariance": pose.covariance.ravel().tolist()},
+        "lane_change": value.lane_change,
+        "pose": None if pose is None else _pose(pose),
         "crossing": None if crossing is None else _fields(crossing),
         "left": None if value.left is None else _line(value.left),
         "right": None if value.right is None else _line(value.right),
@@ -188,12 +191,24 @@ def _estimate_from(data: Json) -> LaneEstimate:
         t_ns=data["t_ns"],
         status=LaneStatus(data["status"]),
         frame_age_ns=data["frame_age_ns"],
-        pose=None if pose is None else LanePose(**{**pose, "covariance": np.array(pose["covariance"]).reshape(3, 3)}),
+        lane_change=data.get("lane_change", 0),  # older recordings have none
+        pose=None if pose is None else _pose_from(pose),
         crossing=None if crossing is None else Crossing(**crossing),
         left=None if data["left"] is None else _line_from(data["left"]),
         right=None if data["right"] is None else _line_from(data["right"]),
         centerline=None if centerline is None else curve_from_json(centerline),
     )
+
+
+def _pose(pose: LanePose) -> Json:
+    """An unknown bound is null: JSON has no infinity."""
+    bounds = {key: getattr(pose, key) if math.isfinite(getattr(pose, key)) else None for key in _BOUNDS}
+    return {**_fields(pose), "covariance": pose.covariance.ravel().tolist(), **bounds}
+
+
+def _pose_from(data: Json) -> LanePose:
+    bounds = {key: math.inf if data.get(key) is None else data[key] for key in _BOUNDS}
+    return LanePose(**{**data, "covariance": np.array(data["covariance"]).reshape(3, 3), **bounds})
 
 
 def _line(line: LaneLine) -> Json:

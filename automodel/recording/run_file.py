@@ -42,7 +42,10 @@ def _object(fields: str, **objects: _Schema) -> _Schema:
 
 _CURVE = _object("kind:string coefficients:numbers points_x_m:numbers points_y_m:numbers")
 _LINE = _object("seen:boolean points_x_m:numbers points_y_m:numbers", curve=_CURVE)
-_POSE = _object("offset_m:number heading_rad:number width_m:number curvature_per_m:number covariance:numbers")
+_POSE = _object(
+    "offset_m:number heading_rad:number width_m:number curvature_per_m:number covariance:numbers"
+    " offset_bound_m:number heading_bound_rad:number"
+)
 _CROSSING = _object("distance_m:number angle_rad:number")
 _ESTIMATE_PARTS = {"pose": _POSE, "crossing": _CROSSING, "left": _LINE, "right": _LINE, "centerline": _CURVE}
 _STATE = (
@@ -58,7 +61,7 @@ SCHEMAS: dict[str, tuple[str, _Schema]] = {
     "/vehicle_state": ("automodel.VehicleState", _object(_STATE)),
     "/estimate": (
         "automodel.LaneEstimate",
-        _object("t_ns:integer status:string frame_age_ns:integer", **_ESTIMATE_PARTS),
+        _object("t_ns:integer status:string frame_age_ns:integer lane_change:integer", **_ESTIMATE_PARTS),
     ),
     "/command": (
         "automodel.Command",
