@@ -63,6 +63,16 @@ class StereoFrame:
         object.__setattr__(self, "right", _frozen_image(self.right, "StereoFrame.right"))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observation:
+    """One frame's line points in the body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
+
+    left_m: FloatArray
+    right_m: FloatArray
+    left_sigma_m: FloatArray
+    right_sigma_m: FloatArray
+
+
 class MotionSource(enum.Enum):
     """The source of a `Motion`, the best first."""
 

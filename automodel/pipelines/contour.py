@@ -16,8 +16,9 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import DeferredCurve
+from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
-from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTracker, TrackerConfig
+from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection

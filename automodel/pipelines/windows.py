@@ -15,16 +15,16 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import Curve, GraphCurve
+from automodel.curves.regression import fit_polynomial
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
-from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
-from automodel.estimation.polynomial.regression import fit_polynomial
+from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import SE2, BirdsEye, GroundCamera
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
-from automodel.perception.windows.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.perception.windows.sliding_windows import SlidingWindows
+from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, Observation
 from automodel.types import FloatArray, Image
 
 NO_POINTS: FloatArray = np.empty((0, 2))

@@ -16,6 +16,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
+from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET, WIDTH, ClothoidPair, PairShape
 from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
 from automodel.geometry import SE2
@@ -53,21 +54,6 @@ class TrackerConfig:
     gate: float = 3.5  # [sigmas of the estimate and the measurement together]
     conflict_sigma: float = 0.03  # added to offset and heading in a frame whose line was found and rejected
     conflict_nodes: int = 4  # found and rejected nodes that make such a line
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArcLane:
-    """A lane that is an arc, to start a tracker with: offset [m] and the lane's heading [rad] at the reference point.
-
-    It was measured at the distance `measured_at_m` ahead; `share` scales the start sigmas of place and heading there.
-    """
-
-    offset_m: float
-    heading_rad: float
-    width_m: float
-    curvature_per_m: float
-    measured_at_m: float
-    share: float = 1.0
 
 
 _foot_on_circle = compiled(foot_on_circle)

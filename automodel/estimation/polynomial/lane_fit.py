@@ -15,9 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from automodel.curves import TabulatedCurve
 from automodel.curves.foot import nearest_samples, newton_steps
-from automodel.curves.sampled import beside
+from automodel.curves.lanes import LaneShape
 from automodel.geometry import SE2
 from automodel.types import Bools, FloatArray
 
@@ -83,37 +82,6 @@ class LaneSolution:
     def width_m(self) -> float:
         """The lane's width [m]."""
         return float(self.parameters[-1])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LaneShape:
-    """A lane's centerline on the fit's grid, body frame.
-
-    `s_m` (n,) counts from the reference point's foot; `points_m` (n, 2), `theta_rad` (n,), `kappa_per_m` (n,).
-    """
-
-    s_m: FloatArray
-    points_m: FloatArray
-    theta_rad: FloatArray
-    kappa_per_m: FloatArray
-    width_m: float
-
-    def beside(self, lateral_m: float) -> FloatArray:
-        """Points (n, 2) [m] at a distance to the left of the centerline."""
-        out = np.empty_like(self.points_m)
-        out[:, 0] = self.points_m[:, 0] - lateral_m * np.sin(self.theta_rad)
-        out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)
-        return out
-
-    def curve(self, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
-        """The centerline, or the curve `lateral_m` to its left, over the whole grid."""
-        table = self.s_m - self.s_m[0], self.points_m, self.theta_rad, self.kappa_per_m
-        s, points, theta, kappa = beside(table, lateral_m) if lateral_m else table
-        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
-
-    def nearest_s(self, points_m: FloatArray) -> FloatArray:
-        """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""
-        return self.s_m[nearest_samples(self.points_m, points_m)]
 
 
 class LaneFit:

@@ -8,27 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.curves.lanes import LaneShape
 from automodel.estimation.polynomial.lane_fit import (
     Bearing,
     LaneFit,
     LaneFitConfig,
     LanePrior,
-    LaneShape,
     LaneSolution,
     LineSamples,
 )
 from automodel.geometry import SE2
+from automodel.signals import Observation
 from automodel.types import FloatArray
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Observation:
-    """One frame's line points in the body frame: `left_m`, `right_m` (n, 2), and their standard deviations (n,) [m]."""
-
-    left_m: FloatArray
-    right_m: FloatArray
-    left_sigma_m: FloatArray
-    right_sigma_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

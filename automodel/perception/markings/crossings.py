@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from automodel.estimation.polynomial.lane_fit import LaneShape
-from automodel.estimation.polynomial.regression import fit_polynomial
+from automodel.curves.lanes import LaneShape
+from automodel.curves.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
 from automodel.types import Bools, FloatArray, Image

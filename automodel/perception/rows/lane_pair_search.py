@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from automodel.estimation.clothoid.clothoid_tracker import ArcLane
+from automodel.curves.lanes import ArcLane
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.row_ridges import MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
 from automodel.types import Bools, Float32Array, Floats, Image, Ints

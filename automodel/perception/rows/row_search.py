@@ -8,11 +8,11 @@ another direction (another road's, a reflection) is rejected.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.estimation.clothoid.clothoid_pair import PairShape
 from automodel.geometry.line_projection import LineProjection, View, project_lines
 from automodel.perception.rows.row_ridges import BAR, LINE, MARGIN, PER_MARKING, REACH, Brightness, best_ridges, lay_run
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
@@ -21,6 +21,18 @@ MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not 
 MAX_TURN, SLACK = 0.4, 0.5  # of a ridge: turn from the node's direction [rad], and tear between ridges [samples]
 EDGE = 0.05  # of the image's height: nodes nearer to its upper or lower edge are not searched
 BESIDE = 0.1  # of the image's width: how far outside it a node may lie and still be searched
+
+
+class Nodes(Protocol):
+    """The centerline at n nodes in the body frame: x + i y [m], and the unit tangent, as complex numbers."""
+
+    @property
+    def place(self) -> Complexes:
+        """(n,)."""
+
+    @property
+    def along(self) -> Complexes:
+        """(n,)."""
 
 
 @dataclass(slots=True, eq=False)
@@ -37,11 +49,11 @@ class NodeMeasurements:
     found: Floats
     edge: Floats
 
-    def count(self, shape: PairShape, inliers: Bools) -> tuple[int, int]:
+    def count(self, shape: Nodes, inliers: Bools) -> tuple[int, int]:
         """The number of `inliers` (k,) on the left and on the right line."""
         return _count(inliers, self.nodes, len(shape.place))
 
-    def points(self, shape: PairShape, inliers: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
+    def points(self, shape: Nodes, inliers: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
         """The points (j, 2) [m] measured at `inliers` (k,) on the left and the right line, `half_m` from `shape`."""
         return _points(shape.place, shape.along, self.nodes, self.residual, inliers, half_m)
 
@@ -79,7 +91,7 @@ class RowSearch:
         """Forget how sharp markings are, or start again with an `edge` as in `Ridges`."""
         self._usual = edge
 
-    def look(self, image: Image, shape: PairShape, width_m: float) -> NodeMeasurements:
+    def look(self, image: Image, shape: Nodes, width_m: float) -> NodeMeasurements:
         """Measure the pair `shape` whose lines are `width_m` apart."""
         nodes, pixels, column, step, half_m = _lay(
             self._projection.view, shape.place, shape.along, 0.5 * width_m, self._half_m, self._sample_m, self._size

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from automodel.estimation.polynomial.lane_fit import LaneShape
-from automodel.estimation.polynomial.lane_tracker import Observation
+from automodel.curves.lanes import LaneShape
 from automodel.geometry import View
+from automodel.signals import Observation
 from automodel.types import FloatArray, Image, Ints
 
 

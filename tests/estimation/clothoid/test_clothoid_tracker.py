@@ -8,8 +8,9 @@ import math
 import numpy as np
 import pytest
 
+from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
-from automodel.estimation.clothoid.clothoid_tracker import ArcLane, ClothoidTracker, TrackerConfig
+from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 

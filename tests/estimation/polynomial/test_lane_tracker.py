@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig
-from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation
+from automodel.estimation.polynomial.lane_tracker import LaneTracker
 from automodel.geometry import SE2
+from automodel.signals import Observation
 from tests.support.world_lanes import WorldLane, arc
 
 REFERENCE_M = 0.13

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig, LaneShape
+from automodel.curves.lanes import LaneShape
+from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig
 from automodel.geometry import View
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from tests.support.drawn_views import Shape, bar, binary, line_at

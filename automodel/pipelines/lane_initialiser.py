@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from automodel.curves.regression import fit_polynomial
 from automodel.estimation.polynomial.lane_fit import LaneSolution
-from automodel.estimation.polynomial.lane_tracker import LaneTracker, Observation, Support
-from automodel.estimation.polynomial.regression import fit_polynomial
+from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.perception.markings.crossings import CrossingScan
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
+from automodel.signals import Observation
 from automodel.types import FloatArray, Image
 
 

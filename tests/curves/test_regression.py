@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.estimation.polynomial.regression import fit_polynomial, shift_polynomial
+from automodel.curves.regression import fit_polynomial, shift_polynomial
 
 
 def test_agrees_with_polyfit() -> None:

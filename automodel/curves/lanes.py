@@ -1,0 +1,57 @@
+"""Lanes as values: what estimation expects perception to look for, and what it may start with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from automodel.curves.foot import nearest_samples
+from automodel.curves.sampled import TabulatedCurve, beside
+from automodel.types import FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaneShape:
+    """A lane's centerline on the fit's grid, body frame.
+
+    `s_m` (n,) counts from the reference point's foot; `points_m` (n, 2), `theta_rad` (n,), `kappa_per_m` (n,).
+    """
+
+    s_m: FloatArray
+    points_m: FloatArray
+    theta_rad: FloatArray
+    kappa_per_m: FloatArray
+    width_m: float
+
+    def beside(self, lateral_m: float) -> FloatArray:
+        """Points (n, 2) [m] at a distance to the left of the centerline."""
+        out = np.empty_like(self.points_m)
+        out[:, 0] = self.points_m[:, 0] - lateral_m * np.sin(self.theta_rad)
+        out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)
+        return out
+
+    def curve(self, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
+        """The centerline, or the curve `lateral_m` to its left, over the whole grid."""
+        table = self.s_m - self.s_m[0], self.points_m, self.theta_rad, self.kappa_per_m
+        s, points, theta, kappa = beside(table, lateral_m) if lateral_m else table
+        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
+
+    def nearest_s(self, points_m: FloatArray) -> FloatArray:
+        """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""
+        return self.s_m[nearest_samples(self.points_m, points_m)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ArcLane:
+    """A lane that is an arc, to start a tracker with: offset [m] and the lane's heading [rad] at the reference point.
+
+    It was measured at the distance `measured_at_m` ahead; `share` scales the start sigmas of place and heading there.
+    """
+
+    offset_m: float
+    heading_rad: float
+    width_m: float
+    curvature_per_m: float
+    measured_at_m: float
+    share: float = 1.0
