@@ -15,7 +15,6 @@ from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import SafetyMode
 from automodel.signals import Command, Frame, StereoFrame, VehicleState
 from automodel.sim.world import Scene
-from automodel.types import Bools
 
 TRUTH_COLUMNS = (
     "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
@@ -75,14 +74,13 @@ class Watcher:
         """The figures of a simulated run."""
         scenes = self._driven()
         offsets = np.abs([scene.truth.offset_m for scene in scenes])
-        outside = self._outside(scenes)
         laps = np.diff(self._lap_times_ns) * 1e-9
         return {
             "laps": max((scene.truth.lap for scene in scenes), default=0),
             "lap_s": float(laps.mean()) if len(laps) else None,
             "max_abs_offset_m": float(offsets.max()) if len(offsets) else None,
             "mae_offset_m": float(offsets.mean()) if len(offsets) else None,
-            "left_lane": int(np.count_nonzero(np.diff(outside.astype(np.int8), prepend=0) == 1)),
+            "left_lane": len(self._departures()),
             "stops": result.stops,
             "latency_p50_ms": latencies_ms[0],
             "latency_p99_ms": latencies_ms[1],
@@ -90,7 +88,7 @@ class Watcher:
 
     def ending(self, result: RunResult) -> str:
         """In words how the run went: what went wrong and where, or what was driven."""
-        wrong = [*self._departures(), *self._stops(result)]
+        wrong = [*self._left_lane(), *self._stops(result)]
         if result.end is RunEnd.SIGNAL:
             wrong.insert(0, f"stopped by {result.events[-1].text}")
         elif result.end is RunEnd.SOURCE_FAILED:
@@ -108,14 +106,19 @@ class Watcher:
         driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{self.scenes[-1].car.distance_m:.1f} m"
         return f"drove {driven} and stayed in its lane"
 
-    def _departures(self) -> list[str]:
-        """The first place where the body left the lane, and how often it did."""
+    def _departures(self) -> list[Scene]:
+        """The scenes in which the body has just left the lane."""
         scenes = self._driven()
-        departed = np.flatnonzero(np.diff(self._outside(scenes).astype(np.int8), prepend=0) == 1)
-        if len(departed) == 0:
+        outside = np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=np.int8)
+        return [scenes[index] for index in np.flatnonzero(np.diff(outside, prepend=0) == 1)]
+
+    def _left_lane(self) -> list[str]:
+        """The first place where the body left the lane, and how often it did."""
+        departures = self._departures()
+        if not departures:
             return []
-        first = scenes[departed[0]]
-        often = f" (and {len(departed) - 1} more times)" if len(departed) > 1 else ""
+        first = departures[0]
+        often = f" (and {len(departures) - 1} more times)" if len(departures) > 1 else ""
         return [f"left its lane at t = {first.t_ns * 1e-9:.1f} s, s = {first.truth.s_m:.1f} m{often}"]
 
     def _stops(self, result: RunResult) -> list[str]:
@@ -129,10 +132,6 @@ class Watcher:
 
     def _driven(self) -> list[Scene]:
         return self.scenes[self._driving_from :] if self._driving_from is not None else []
-
-    @staticmethod
-    def _outside(scenes: list[Scene]) -> Bools:
-        return np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=bool)
 
     def write_truth(self, path: Path) -> None:
         """truth.csv: where the car really was, a row a frame; raises ConfigError where it cannot be written."""
