@@ -130,7 +130,8 @@ class LanePose:
     the centerline's tangent, left positive. `width_m`: the lane's width. `curvature_per_m`: the centerline's
     curvature at the foot of the perpendicular, positive where the road bends left. `covariance` (3, 3) of
     (offset, heading, width) in [m, rad, m]: noise alone. `offset_bound_m`, `heading_bound_rad`: errors that are
-    exceeded in at most 1 of 1,000 frames, whatever their cause; infinite where the maker of the pose states none.
+    exceeded in at most 1 of 1,000 frames, whatever their cause; infinite where the maker of the pose states none: then
+    nothing slows, holds or stops the car for it, and files leave it empty.
     """
 
     offset_m: float

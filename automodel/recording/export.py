@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -30,11 +31,14 @@ COLUMNS = (
     "crossing_angle_rad",
     "steering_rad",
     "latency_ms",
+    "offset_bound_m",
+    "heading_bound_rad",
+    "lane_change",
 )
 
 
 class PosesCsv:
-    """Writes poses.csv, one row per frame; missing values are empty, never 0.
+    """Writes poses.csv, one row per frame; missing values are empty, never 0 (also a bound that is not stated).
 
     Lengths and angles have six decimals (micrometres, microradians). The file appears when the `with` block ends
     without an error. Raises ConfigError where it cannot be written.
@@ -65,6 +69,7 @@ class PosesCsv:
         fields += [""] * 9 if estimate is None else _fields(estimate)
         fields.append("" if command is None else _decimal(command.steering_rad))
         fields.append("" if latency_ms is None else f"{latency_ms:.3f}")
+        fields += [""] * 3 if estimate is None else _bounds(estimate)
         self._file.write(",".join(fields) + "\n")
 
 
@@ -78,6 +83,13 @@ def _fields(estimate: LaneEstimate) -> list[str]:
     fields += [_seen(estimate.left), _seen(estimate.right)]
     fields += ["", ""] if crossing is None else [_decimal(crossing.distance_m), _decimal(crossing.angle_rad)]
     return fields
+
+
+def _bounds(estimate: LaneEstimate) -> list[str]:
+    pose = estimate.pose
+    bounds = () if pose is None else (pose.offset_bound_m, pose.heading_bound_rad)
+    fields = [_decimal(bound) if math.isfinite(bound) else "" for bound in bounds] or ["", ""]
+    return [*fields, str(estimate.lane_change) if estimate.valid else ""]
 
 
 def _decimal(value: float) -> str:

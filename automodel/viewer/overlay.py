@@ -30,6 +30,7 @@ STATUS_COLOURS = {
 
 _LEGIBLE_WIDTH_PX = 640  # smaller frames are enlarged by a whole factor to about this width
 _SAMPLES = 80
+_BAND_SHARE = 0.35  # of the band's colour in the picture below it
 _SHIFT = 4  # bits below the pixel in drawing coordinates
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -44,14 +45,19 @@ def draw(
 ) -> Image:
     """The frame in BGR with lines (green; dashed if not seen), centerline (orange), points and crossing.
 
-    Below it is a strip with status, pose and command. A frame narrower than 480 px is enlarged first; the result has an
-    even size. `reference_x_m` is the vehicle's reference point, from which the distance of a crossing is measured;
-    `note` is shown at the end of the strip.
+    A translucent band about the centerline is as wide to each side as the offset may be wrong (`offset_bound_m`, drawn
+    up to a lane's width); there is none where no bound is stated. Below the picture is a strip with status, pose and
+    command. A frame narrower than 480 px is enlarged first; the result has an even size. `reference_x_m` is the
+    vehicle's reference point, from which the distance of a crossing is measured; `note` is shown at the end of the
+    strip.
     """
     scale = scale_of(image.shape[1])
     canvas = _canvas(image, scale)
     if estimate is not None:
         ground = _Ground(canvas, camera, scale)
+        pose = estimate.pose
+        if estimate.centerline is not None and pose is not None and math.isfinite(pose.offset_bound_m):
+            ground.band(estimate.centerline, min(pose.offset_bound_m, pose.width_m))
         for line in (estimate.left, estimate.right):
             if line is not None:
                 ground.line(line)
@@ -79,9 +85,9 @@ def status_lines(estimate: LaneEstimate | None, command: Command | None, note: s
     else:
         pose = estimate.pose
         first = (
-            f"{estimate.status.value:8s}  offset {100 * pose.offset_m:+6.1f} cm  "
-            f"heading {math.degrees(pose.heading_rad):+5.1f} deg  width {100 * pose.width_m:5.1f} cm  "
-            f"curv {pose.curvature_per_m:+5.2f} /m"
+            f"{estimate.status.value:8s}  offset {100 * pose.offset_m:+6.1f}{_bound(100 * pose.offset_bound_m)} cm  "
+            f"heading {math.degrees(pose.heading_rad):+5.1f}{_bound(math.degrees(pose.heading_bound_rad))} deg  "
+            f"width {100 * pose.width_m:5.1f} cm  curv {pose.curvature_per_m:+5.2f} /m"
         )
     crossing = "-"
     if estimate is not None and estimate.crossing is not None:
@@ -91,6 +97,10 @@ def status_lines(estimate: LaneEstimate | None, command: Command | None, note: s
     if command is not None:
         steer = f"{math.degrees(command.steering_rad):+5.1f} deg {command.speed_mps:.2f} m/s"
     return first, f"crossing {crossing}  steer {steer}  {note}".rstrip()
+
+
+def _bound(value: float) -> str:
+    return f" +-{value:.1f}" if math.isfinite(value) else ""
 
 
 def crossing_ends(
@@ -123,6 +133,18 @@ class _Ground:
 
     def curve(self, curve: Curve, colour: Colour, dashed: bool = False) -> None:
         self._polyline(curve.position(np.linspace(0.0, curve.length_m, _SAMPLES)), colour, dashed)
+
+    def band(self, curve: Curve, half_m: float) -> None:
+        """Tint the ground within `half_m` [m] of a curve."""
+        s = np.linspace(0.0, curve.length_m, _SAMPLES)
+        left, right = (self._pixels(curve.offset_position(s, side_m)) for side_m in (half_m, -half_m))
+        there = np.asarray(np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1))
+        inside = np.zeros(self._canvas.shape[:2], np.uint8)
+        for i in np.flatnonzero(there[:-1] & there[1:]):
+            corners = np.stack((left[i], left[i + 1], right[i + 1], right[i]))
+            cv2.fillConvexPoly(inside, np.round(corners * 2**_SHIFT).astype(np.int32), 1, cv2.LINE_8, _SHIFT)
+        tinted = self._canvas[inside > 0]
+        self._canvas[inside > 0] = np.round(tinted + _BAND_SHARE * (np.array(ORANGE) - tinted)).astype(np.uint8)
 
     def crossing(self, ends: tuple[FloatArray, FloatArray]) -> None:
         share = np.linspace(0.0, 1.0, _SAMPLES // 4)[:, None]

@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -19,7 +21,7 @@ from tests.support.recorded_values import CAR_TEXT, make_command, make_estimate,
 
 HEADER = (
     "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"
-    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms"
+    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms,offset_bound_m,heading_bound_rad,lane_change"
 )
 
 
@@ -62,9 +64,29 @@ def test_what_does_not_exist_is_empty_never_0(tmp_path: Path) -> None:
         coasting = LaneEstimate(t_ns=0, status=LaneStatus.COASTING, left=one, centerline=curve, pose=pose)
         table.row(frame, coasting, Command(t_ns=0, steering_rad=0.0, speed_mps=0.0, valid_until_ns=0), 0.0)
     lost, none, zero = path.read_text().splitlines()[1:]
-    assert lost == "1.000000000,0,LOST" + "," * 10
-    assert none == "1.000000000,0," + "," * 10
-    assert zero == "1.000000000,0,COASTING,0.000000,0.000000,0.000000,0.400000,0,,,,0.000000,0.000"
+    assert lost == "1.000000000,0,LOST" + "," * 13
+    assert none == "1.000000000,0," + "," * 13
+    assert zero == "1.000000000,0,COASTING,0.000000,0.000000,0.000000,0.400000,0,,,,0.000000,0.000,,,0"
+
+
+@pytest.mark.parametrize(
+    ("bounds", "lane_change", "end"),
+    [
+        ((0.034, 0.0), -1, ["0.034000", "0.000000", "-1"]),
+        ((0.034, math.inf), 1, ["0.034000", "", "1"]),
+        ((math.inf, 0.25), 0, ["", "0.250000", "0"]),
+    ],
+)
+def test_bounds_are_in_the_last_columns_and_empty_where_they_are_not_stated(
+    tmp_path: Path, bounds: tuple[float, float], lane_change: int, end: list[str]
+) -> None:
+    estimate = make_estimate(1)
+    assert estimate.pose is not None
+    pose = replace(estimate.pose, offset_bound_m=bounds[0], heading_bound_rad=bounds[1])
+    bounded = replace(estimate, pose=pose, lane_change=lane_change)
+    with PosesCsv(tmp_path / "poses.csv") as table:
+        table.row(make_frame(0), bounded, None, 2.5)
+    assert (tmp_path / "poses.csv").read_text().splitlines()[1].split(",")[-4:] == ["2.500", *end]
 
 
 def test_a_csv_that_cannot_be_written_is_named(tmp_path: Path) -> None:

@@ -130,6 +130,39 @@ def test_the_numbers_are_those_of_the_estimate() -> None:
     assert status_lines(LaneEstimate(t_ns=0, status=LaneStatus.LOST), None, "")[0] == "LOST"
 
 
+def bounded(offset_bound_m: float, heading_bound_rad: float = math.inf) -> LaneEstimate:
+    value = estimate()
+    assert value.pose is not None
+    pose = dataclasses.replace(value.pose, offset_bound_m=offset_bound_m, heading_bound_rad=heading_bound_rad)
+    return dataclasses.replace(value, pose=pose)
+
+
+def test_bounds_stand_behind_their_values_where_they_are_stated() -> None:
+    assert status_lines(bounded(0.034, 0.02), None, "")[0].startswith(
+        "TRACKING  offset   +1.2 +-3.4 cm  heading  -5.7 +-1.1 deg  width"
+    )
+    assert status_lines(bounded(0.034), None, "")[0].startswith("TRACKING  offset   +1.2 +-3.4 cm  heading  -5.7 deg")
+
+
+def test_a_band_about_the_centerline_is_as_wide_as_the_offset_may_be_wrong() -> None:
+    grey = np.full((360, 640), 100, np.uint8)
+    picture = draw(grey, bounded(0.1), GROUND)
+    for x_m in (0.5, 0.75, 1.2, 1.7):
+        for y_m in (-0.09, -0.05, 0.05, 0.09):
+            blue, green, red = colour_at(picture, x_m, y_m)
+            assert blue < 100 < green < red < 200  # orange, and the picture is seen through it
+        assert colour_at(picture, x_m, 0.11) == colour_at(picture, x_m, -0.11) == (100, 100, 100)
+    assert colour_at(picture, 0.75, 0.0) == overlay.ORANGE  # the centerline lies upon it
+
+
+def test_there_is_no_band_without_a_bound_and_none_wider_than_the_lane_on_both_sides() -> None:
+    grey = np.full((360, 640), 100, np.uint8)
+    assert colour_at(draw(grey, estimate(), GROUND), 1.2, 0.02) == (100, 100, 100)
+    wide = draw(grey, bounded(50.0), GROUND)
+    assert colour_at(wide, 1.2, 0.38) == colour_at(wide, 1.2, 0.05) != (100, 100, 100)
+    assert colour_at(wide, 1.2, 0.42) == (100, 100, 100)
+
+
 @pytest.mark.parametrize(("width", "scale"), [(80, 8), (160, 4), (320, 2), (480, 1), (640, 1), (1920, 1)])
 def test_small_pictures_are_enlarged(width: int, scale: int) -> None:
     assert scale_of(width) == scale

@@ -21,7 +21,7 @@ from automodel.signals import Frame
 
 POSES = (
     "t_s,frame,status,offset_m,heading_rad,curvature_per_m,width_m,left_seen,right_seen,"
-    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms"
+    "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms,offset_bound_m,heading_bound_rad,lane_change"
 )
 REPLAY_KEYS = [
     "pipeline", "source", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms"
