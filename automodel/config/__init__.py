@@ -72,6 +72,10 @@ class VehicleConfig:
         positive(self, "wheelbase_m", "width_m", "ticks_per_m")
         not_negative(self, "front_overhang_m", "rear_overhang_m", "battery_low_v")
 
+    def free_space_m(self, lane_width_m: float) -> float:
+        """Distance [m] to either side of the centerline at which the car's side is over the edge of such a lane."""
+        return max(0.5 * (lane_width_m - self.width_m), 0.0)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneConfig:
@@ -106,11 +110,13 @@ class ControlConfig:
     obstacle_go_m: float = 0.45  # and go on above this
     one_line_speed: float = 1.0  # share of the speed with one line seen
     coasting_speed: float = 0.7  # share of the speed while coasting
+    uncertain_speed: float = 0.3  # share that is left however uncertain the offset is: a standing car learns nothing
 
     def __post_init__(self) -> None:
         CONTROLLERS.check("controller", self.controller)
         positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
-        positive(self, "stanley_gain_per_s", "stanley_softening_mps", "one_line_speed", "coasting_speed")
+        positive(self, "stanley_gain_per_s", "stanley_softening_mps")
+        positive(self, "one_line_speed", "coasting_speed", "uncertain_speed")
         not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
         if self.obstacle_go_m < self.obstacle_stop_m:
             raise ValueError(f"obstacle_go_m: {self.obstacle_go_m} is less than obstacle_stop_m")

@@ -70,7 +70,7 @@ class LaneController:
     def __init__(self, car: CarConfig) -> None:
         self._car = car
         self._lateral = lateral_controller(car.control, car.vehicle)
-        self._speed = SpeedPlanner(car.control, car.safety.speed_max_mps)
+        self._speed = SpeedPlanner(car.control, car.safety.speed_max_mps, car.vehicle)
         self._in_flight = SteeringInFlight(car.control.actuator_delay_s, car.vehicle.wheelbase_m)
         self._expected = Limits(car.safety, car.vehicle)  # predicts what the limits will leave of a command
         self._validity_ns = round(car.safety.command_validity_s * 1e9)
@@ -125,5 +125,5 @@ class LaneController:
         s_m, _ = lane.foot(then.x_m, then.y_m)
         return (
             min(max(steering, -steering_max), steering_max),
-            self._speed.step(lane, s_m, estimate.status, speed, t_ns),
+            self._speed.step(lane, s_m, estimate, speed, t_ns),
         )

@@ -1,13 +1,13 @@
-"""The speed: limited by the bends ahead, by obstacles, and by how well the lane is seen."""
+"""The speed: limited by the bends ahead, by obstacles, by how well the lane is seen and how wrong the pose may be."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
 
-from automodel.config import ControlConfig
+from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.path import LanePath
-from automodel.signals import LaneStatus, VehicleState
+from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
 
 REACTION_S = 0.15  # from a lower request to a slower car: dead time and lag of a scale car's motor
 STATE_TIMEOUT_NS = 500_000_000
@@ -59,16 +59,43 @@ class ObstacleGuard:
         self._read_ns = None
 
 
+def speed_in_free_space(pose: LanePose, free_m: float, delay_s: float, decel_mps2: float) -> float:
+    """The greatest speed [m/s] from which the car stops inside its lane, even if its pose is as wrong as it may be.
+
+    The car's side is inside while its middle is at most `free_m` from the centerline. It may be |offset| + b away now,
+    with b the offset's bound. Of the way that it drives, the part sin(psi) goes sideways unseen, with psi the heading's
+    bound; the heading that is known is steered for. For the delay T no command acts, then it may have to stop at the
+    deceleration a, a way of v T + v^2 / (2 a) in all:
+
+        |offset| + b + sin(psi) (v T + v^2 / (2 a)) <= free
+
+    With the distance x = (free - |offset| - b) / sin(psi): v = a (sqrt(T^2 + 2 x / a) - T), 0 where x <= 0. Without a
+    bound of the offset any speed; without one of the heading nothing goes sideways.
+    """
+    if math.isinf(pose.offset_bound_m):
+        return math.inf
+    left_m = free_m - abs(pose.offset_m) - pose.offset_bound_m
+    sideways = 0.0 if math.isinf(pose.heading_bound_rad) else math.sin(min(pose.heading_bound_rad, 0.5 * math.pi))
+    if left_m <= 0:
+        return 0.0
+    if sideways == 0:
+        return math.inf
+    return decel_mps2 * (math.sqrt(delay_s * delay_s + 2.0 * left_m / (sideways * decel_mps2)) - delay_s)
+
+
 class SpeedPlanner:
     """The requested speed.
 
     In a bend v^2 |kappa| <= a_lat; a bend at the distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. An obstacle
-    allows sqrt(2 a_dec x) for the distance x to the stopping distance, and 0 below it. The requested speed changes
-    along ramps; only a stop for an obstacle is immediate.
+    allows sqrt(2 a_dec x) for the distance x to the stopping distance, and 0 below it. A pose whose bound fills the
+    space beside the car allows `speed_in_free_space`, but never less than the share `control.uncertain_speed`: a car
+    that stands sees nothing new and cannot steer back; whether it may go on at all is for `runtime.input_checks` to
+    say. The requested speed changes along ramps; only a stop for an obstacle is immediate.
     """
 
-    def __init__(self, control: ControlConfig, speed_max_mps: float) -> None:
+    def __init__(self, control: ControlConfig, speed_max_mps: float, vehicle: VehicleConfig) -> None:
         self._control = control
+        self._vehicle = vehicle
         self._speed_mps = min(control.speed_mps, speed_max_mps)
         self._guard = ObstacleGuard(control.obstacle_stop_m, control.obstacle_go_m)
         self._shares = {LaneStatus.ONE_LINE: control.one_line_speed, LaneStatus.COASTING: control.coasting_speed}
@@ -78,10 +105,11 @@ class SpeedPlanner:
         """Use the vehicle's state, in every frame."""
         self._guard.step(state, t_ns)
 
-    def step(self, lane: LanePath, s_m: float, status: LaneStatus, speed_mps: float, t_ns: int) -> float:
-        """Requested speed [m/s] of a car at arc length `s_m` that drives at `speed_mps`."""
+    def step(self, lane: LanePath, s_m: float, estimate: LaneEstimate, speed_mps: float, t_ns: int) -> float:
+        """Requested speed [m/s] of a car at arc length `s_m` of the lane that drives at `speed_mps`."""
         requested = min(
-            self._speed_mps * self._shares.get(status, 1.0),
+            self._speed_mps * self._shares.get(estimate.status, 1.0),
+            self._for_pose(estimate, t_ns),
             self._for_bends(lane, s_m, speed_mps),
             self._for_obstacle(speed_mps),
         )
@@ -103,6 +131,16 @@ class SpeedPlanner:
         """Forget everything but the configuration."""
         self._requested = None
         self._guard.reset()
+
+    def _for_pose(self, estimate: LaneEstimate, t_ns: int) -> float:
+        pose, control = estimate.pose, self._control
+        if pose is None:
+            return math.inf
+        # from the frame to wheels that turn or slow down for it, whichever takes longer
+        delay_s = max(t_ns - estimate.t_ns, 0) * 1e-9 + max(control.actuator_delay_s, REACTION_S)
+        free_m = self._vehicle.free_space_m(pose.width_m)
+        allowed = speed_in_free_space(pose, free_m, delay_s, control.decel_mps2)
+        return max(allowed, control.uncertain_speed * self._speed_mps)
 
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
         control = self._control

@@ -1,28 +1,55 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from automodel.config import ControlConfig
-from automodel.control.longitudinal import ObstacleGuard, SpeedPlanner
+from automodel.config import ControlConfig, VehicleConfig
+from automodel.control.longitudinal import REACTION_S, ObstacleGuard, SpeedPlanner, speed_in_free_space
 from automodel.control.path import LanePath
 from automodel.curves import JoinedCurve, arc, line
-from automodel.signals import LaneStatus, VehicleState
+from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
 
 MS = 1_000_000
+CAR = VehicleConfig(width_m=0.2)  # 0.1 m free on either side in a lane of 0.4 m
 STRAIGHT = LanePath(line(-0.3, 0.0, 0.0, 5.0))
-TRACKING = LaneStatus.TRACKING
+
+
+def seen(
+    status: LaneStatus = LaneStatus.TRACKING,
+    offset_m: float = 0.0,
+    offset_bound_m: float = math.inf,
+    heading_bound_rad: float = math.inf,
+    t_ns: int = 0,
+) -> LaneEstimate:
+    pose = LanePose(
+        offset_m=offset_m,
+        heading_rad=0.0,
+        width_m=0.4,
+        curvature_per_m=0.0,
+        covariance=np.eye(3),
+        offset_bound_m=offset_bound_m,
+        heading_bound_rad=heading_bound_rad,
+    )
+    return LaneEstimate(t_ns=t_ns, status=status, pose=pose, centerline=line(-0.3, 0.0, 0.0, 5.0))
+
+
+TRACKING = seen()
 
 
 def heard(t_ns: int, *ranges_m: float | None) -> VehicleState:
     return VehicleState(t_ns=t_ns, ranges_m=ranges_m)
 
 
-def settle(planner: SpeedPlanner, lane: LanePath, speed: float, status: LaneStatus = TRACKING, t_ns: int = 0) -> float:
+def settle(
+    planner: SpeedPlanner, lane: LanePath, speed: float, estimate: LaneEstimate = TRACKING, age_ns: int = 0
+) -> float:
     requested = speed
     for k in range(200):
-        requested = planner.step(lane, 0.3, status, speed, t_ns + k * 20 * MS)
+        t_ns = k * 20 * MS
+        requested = planner.step(lane, 0.3, replace(estimate, t_ns=t_ns), speed, t_ns + age_ns)
     return requested
 
 
@@ -32,14 +59,14 @@ def ahead(way_m: float, kappa: float) -> LanePath:
 
 
 def test_speed_rises_along_the_ramp_to_the_configured_one() -> None:
-    planner = SpeedPlanner(ControlConfig(speed_mps=1.0, accel_mps2=1.5), 2.0)
+    planner = SpeedPlanner(ControlConfig(speed_mps=1.0, accel_mps2=1.5), 2.0, CAR)
     got = [planner.step(STRAIGHT, 0.3, TRACKING, 0.0, k * 20 * MS) for k in range(60)]
     for k, speed in enumerate(got):
         assert speed == pytest.approx(min(0.03 * k, 1.0))
 
 
 def test_ramp_begins_at_the_speed_that_the_car_has() -> None:
-    planner = SpeedPlanner(ControlConfig(), 2.0)
+    planner = SpeedPlanner(ControlConfig(), 2.0, CAR)
     assert planner.step(STRAIGHT, 0.3, TRACKING, 0.8, 0) == pytest.approx(0.8)
     planner.stop()
     assert planner.step(STRAIGHT, 0.3, TRACKING, 0.6, 20 * MS) == pytest.approx(0.6)
@@ -48,13 +75,13 @@ def test_ramp_begins_at_the_speed_that_the_car_has() -> None:
 
 
 def test_never_above_the_safety_limit() -> None:
-    assert settle(SpeedPlanner(ControlConfig(speed_mps=5.0), 2.0), STRAIGHT, 2.0) == 2.0
+    assert settle(SpeedPlanner(ControlConfig(speed_mps=5.0), 2.0, CAR), STRAIGHT, 2.0) == 2.0
 
 
 @pytest.mark.parametrize("kappa", [1 / 1.2, -1 / 0.6])
 def test_in_a_bend_the_lateral_acceleration_is_the_configured_one(kappa: float) -> None:
     lane = LanePath(arc(-0.3, 0.0, 0.0, kappa, 3.0))
-    speed = settle(SpeedPlanner(ControlConfig(speed_mps=3.0, lateral_accel_mps2=1.5), 3.0), lane, 1.0)
+    speed = settle(SpeedPlanner(ControlConfig(speed_mps=3.0, lateral_accel_mps2=1.5), 3.0, CAR), lane, 1.0)
     assert speed**2 * abs(kappa) == pytest.approx(1.5)
 
 
@@ -63,19 +90,19 @@ def test_slows_down_early_enough_for_a_bend() -> None:
     bend_mps = math.sqrt(1.5 * 0.6)
     # a car whose speed follows with the reaction time and brakes at the limit arrives no faster than the bend allows
     distance, speed, t_ns, requested = 1.4, 2.0, 0, [2.0] * 15
-    planner = SpeedPlanner(config, 2.0)
+    planner = SpeedPlanner(config, 2.0, CAR)
     while distance > 0:
         t_ns += 10 * MS
         requested.append(planner.step(ahead(distance, 1 / 0.6), 0.3, TRACKING, speed, t_ns))
         speed = requested[-15]
         distance -= speed * 0.01
     assert speed <= 1.05 * bend_mps
-    far = SpeedPlanner(config, 2.0)
+    far = SpeedPlanner(config, 2.0, CAR)
     assert settle(far, ahead(2.5, 1 / 0.6), 2.0) == 2.0  # and not earlier than it must
 
 
 def test_falls_no_faster_than_the_ramp() -> None:
-    planner = SpeedPlanner(ControlConfig(speed_mps=2.0, decel_mps2=3.0), 2.0)
+    planner = SpeedPlanner(ControlConfig(speed_mps=2.0, decel_mps2=3.0), 2.0, CAR)
     planner.step(STRAIGHT, 0.3, TRACKING, 2.0, 0)
     lane = LanePath(arc(-0.3, 0.0, 0.0, 2.0, 3.0))
     assert planner.step(lane, 0.3, TRACKING, 2.0, 20 * MS) == pytest.approx(2.0 - 3.0 * 0.02)
@@ -85,8 +112,89 @@ def test_falls_no_faster_than_the_ramp() -> None:
     ("status", "share"), [(LaneStatus.TRACKING, 1.0), (LaneStatus.ONE_LINE, 0.9), (LaneStatus.COASTING, 0.5)]
 )
 def test_share_of_the_speed_by_status(status: LaneStatus, share: float) -> None:
-    planner = SpeedPlanner(ControlConfig(speed_mps=1.0, one_line_speed=0.9, coasting_speed=0.5), 2.0)
-    assert settle(planner, STRAIGHT, 1.0, status) == pytest.approx(share)
+    planner = SpeedPlanner(ControlConfig(speed_mps=1.0, one_line_speed=0.9, coasting_speed=0.5), 2.0, CAR)
+    assert settle(planner, STRAIGHT, 1.0, seen(status)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize("offset_m", [-0.03, 0.0, 0.05])
+@pytest.mark.parametrize("offset_bound_m", [0.0, 0.02, 0.049])
+@pytest.mark.parametrize("heading_bound_rad", [0.01, 0.1, 1.0])
+@pytest.mark.parametrize("delay_s", [0.0, 0.15])
+def test_a_car_as_wrong_as_it_may_be_stops_just_at_the_edge_of_its_lane(
+    offset_m: float, offset_bound_m: float, heading_bound_rad: float, delay_s: float
+) -> None:
+    pose = seen(offset_m=offset_m, offset_bound_m=offset_bound_m, heading_bound_rad=heading_bound_rad).pose
+    assert pose is not None
+    speed = speed_in_free_space(pose, 0.1, delay_s, 3.0)
+    away, dt, time = abs(offset_m) + offset_bound_m, 1e-4, 0.0
+    while speed > 0.0:
+        away += speed * dt * math.sin(heading_bound_rad)
+        time += dt
+        speed -= 3.0 * dt if time > delay_s else 0.0
+    assert away == pytest.approx(0.1, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("offset_bound_m", "heading_bound_rad", "speed"),
+    [
+        (math.inf, 0.1, math.inf),  # not stated: no reason to slow down
+        (math.inf, math.inf, math.inf),
+        (0.05, math.inf, math.inf),
+        (0.05, 0.0, math.inf),
+        (0.1, 0.0, 0.0),
+        (0.2, math.inf, 0.0),
+        (0.2, 3.0, 0.0),
+    ],
+)
+def test_the_free_space_at_the_ends_of_the_bounds(
+    offset_bound_m: float, heading_bound_rad: float, speed: float
+) -> None:
+    pose = seen(offset_bound_m=offset_bound_m, heading_bound_rad=heading_bound_rad).pose
+    assert pose is not None
+    assert speed_in_free_space(pose, 0.1, 0.1, 3.0) == speed
+
+
+def test_a_car_may_be_turned_by_more_than_a_right_angle_but_drives_no_further_sideways_than_its_way() -> None:
+    square, backwards = seen(offset_bound_m=0.05, heading_bound_rad=0.5 * math.pi).pose, seen(offset_bound_m=0.05).pose
+    assert square is not None
+    assert backwards is not None
+    backwards = replace(backwards, heading_bound_rad=3.0)
+    assert speed_in_free_space(backwards, 0.1, 0.1, 3.0) == speed_in_free_space(square, 0.1, 0.1, 3.0) > 0.0
+
+
+@pytest.mark.parametrize(
+    ("offset_bound_m", "heading_bound_rad"), [(0.01, 0.02), (0.03, 0.07), (math.inf, 0.5), (0.05, math.inf)]
+)
+@pytest.mark.parametrize("status", [LaneStatus.TRACKING, LaneStatus.COASTING])
+def test_a_bound_that_is_small_beside_the_car_changes_nothing(
+    offset_bound_m: float, heading_bound_rad: float, status: LaneStatus
+) -> None:
+    bounded = seen(status, 0.02, offset_bound_m, heading_bound_rad)
+    plain, other = (SpeedPlanner(ControlConfig(), 2.0, CAR) for _ in range(2))
+    assert settle(other, STRAIGHT, 1.0, bounded) == settle(plain, STRAIGHT, 1.0, seen(status))
+
+
+def test_the_car_slows_as_the_bound_grows_down_to_the_share_that_is_left() -> None:
+    def speed(offset_bound_m: float) -> float:
+        planner = SpeedPlanner(ControlConfig(speed_mps=2.0, uncertain_speed=0.2), 2.0, CAR)
+        return settle(planner, STRAIGHT, 2.0, seen(offset_bound_m=offset_bound_m, heading_bound_rad=0.1))
+
+    speeds = [speed(bound_m) for bound_m in (0.0, 0.04, 0.06, 0.08, 0.0999, 0.3)]
+    assert speeds[0] == 2.0
+    assert speeds[1:4] == sorted(set(speeds[1:4]), reverse=True)
+    assert 0.4 < speeds[3] < speeds[2] < speeds[1] < 2.0
+    assert speeds[4] == speeds[5] == pytest.approx(0.4)
+    pose = seen(offset_bound_m=0.06, heading_bound_rad=0.1).pose
+    assert pose is not None
+    assert speeds[2] == pytest.approx(speed_in_free_space(pose, 0.1, REACTION_S, 3.0))
+
+
+def test_a_frame_that_comes_later_slows_the_car_further() -> None:
+    def speed(age_ns: int) -> float:
+        estimate = seen(offset_bound_m=0.06, heading_bound_rad=0.2)
+        return settle(SpeedPlanner(ControlConfig(), 2.0, CAR), STRAIGHT, 0.7, estimate, age_ns)
+
+    assert 1.0 > speed(0) > speed(50 * MS) > 0.3
 
 
 def test_guard_stops_and_goes_with_hysteresis() -> None:
@@ -138,7 +246,7 @@ def test_only_the_sensor_ahead_counts() -> None:
 
 
 def test_an_obstacle_stops_at_once_and_the_car_goes_on_after_it() -> None:
-    planner = SpeedPlanner(ControlConfig(), 2.0)
+    planner = SpeedPlanner(ControlConfig(), 2.0, CAR)
     assert settle(planner, STRAIGHT, 1.0) == 1.0
     t_ns = 4000 * MS
     for k in range(2):
@@ -152,7 +260,7 @@ def test_an_obstacle_stops_at_once_and_the_car_goes_on_after_it() -> None:
 @pytest.mark.parametrize("speed", [0.6, 1.0, 2.0])
 def test_comes_to_rest_before_an_obstacle(speed: float) -> None:
     config = ControlConfig(speed_mps=speed)
-    planner = SpeedPlanner(config, 2.0)
+    planner = SpeedPlanner(config, 2.0, CAR)
     gap, now, t_ns = 2.5, speed, 0
     for step in range(2000):
         t_ns += 10 * MS
