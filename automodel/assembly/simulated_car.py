@@ -78,10 +78,10 @@ def appearance(style: str, seed: int) -> Appearance:
     return Appearance() if style == "clean" else Appearance.random(seed, style=style)
 
 
-def renderer(track: Track, car: CarConfig, look: Appearance) -> Renderer:
-    """The camera of `car` over `track`."""
-    eye = GroundCamera.from_config(car.camera)
-    return Renderer(track.paint(), track.floor, track.obstacles, eye, look, roadside=track.roadside)
+def renderer(track: Track, car: CarConfig, look: Appearance, nod_max_rad: float = 0.0) -> Renderer:
+    """The camera of `car` over `track`; `nod_max_rad` is the largest pitch by which it may nod."""
+    eye, paint = GroundCamera.from_config(car.camera), track.paint()
+    return Renderer(paint, track.floor, track.obstacles, eye, look, roadside=track.roadside, nod_max_rad=nod_max_rad)
 
 
 def build_world(car: CarConfig, simulation: Simulation) -> World:

@@ -16,15 +16,16 @@ from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import PIPELINE_NAMES, CarConfig
 from automodel.console.workers import Tick, spread
-from automodel.signals import Frame, LaneEstimate, Motion
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
+from automodel.types import Bools, FloatArray
 
 TRACKS = ("tmr", "oval", "chicane")
 COLUMNS = (
     "pipeline", "track", "style", "seed", "heading_mae_deg", "offset_mae_m", "availability_pct", "false_lane_pct",
-    "offset_p99_m", "heading_p99_deg", "offset_mae_pct", "frames",
+    "misled_pct", "bound_exceeded_pct", "bound_median_m", "offset_p99_m", "heading_p99_deg", "offset_mae_pct", "frames",
 )  # fmt: skip
 FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
 
@@ -35,39 +36,82 @@ Row = dict[str, Any]
 class AccuracyMeter:
     """Collects frames; `row` gives the metrics over all of them.
 
-    Errors count over frames with an estimate, availability over all frames.
+    Errors and bounds count over frames with an estimate on a road with markings, availability over all frames in which
+    a marking of the lane was in view, the shares of false and misled frames over all. An estimate misleads where it is
+    off by more than `FALSE_LANE` of the lane's width and its bound is less than that error; on a road without any
+    marking, where its bound is less than half the lane's width.
     """
 
     t_s: list[float] = field(default_factory=list)
     estimated: list[tuple[float, float]] = field(default_factory=list)  # offset, heading; NaN without an estimate
     true: list[tuple[float, float, float]] = field(default_factory=list)  # offset, heading, width
+    bounds: list[tuple[float, float]] = field(default_factory=list)  # of offset and heading; NaN without an estimate
+    statuses: list[LaneStatus] = field(default_factory=list)
+    visible: list[bool] = field(default_factory=list)  # whether a marking of the lane was in view
+    marked: list[bool] = field(default_factory=list)  # whether the road has markings
 
-    def add(self, t_s: float, estimate: LaneEstimate, truth: Truth) -> None:
+    def add(
+        self, t_s: float, estimate: LaneEstimate, truth: Truth, *, visible: bool = True, marked: bool = True
+    ) -> None:
         """Add one frame."""
         pose = estimate.pose if estimate.valid else None
         self.t_s.append(t_s)
         self.estimated.append((pose.offset_m, pose.heading_rad) if pose else (math.nan, math.nan))
         self.true.append((truth.offset_m, truth.heading_rad, truth.width_m))
+        self.bounds.append((pose.offset_bound_m, pose.heading_bound_rad) if pose else (math.nan, math.nan))
+        self.statuses.append(estimate.status)
+        self.visible.append(visible and marked)
+        self.marked.append(marked)
+
+    def include(self, other: AccuracyMeter) -> None:
+        """Add the frames of another drive."""
+        for name in ("t_s", "estimated", "true", "bounds", "statuses", "visible", "marked"):
+            getattr(self, name).extend(getattr(other, name))
+
+    def errors(self) -> tuple[FloatArray, FloatArray]:
+        """Absolute errors (n,) of offset [m] and heading [rad] by frame; NaN without an estimate."""
+        estimated, true = np.array(self.estimated).reshape(-1, 2), np.array(self.true).reshape(-1, 3)
+        turn = estimated[:, 1] - true[:, 1]
+        return np.abs(estimated[:, 0] - true[:, 0]), np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def misled(self) -> Bools:
+        """The frames (n,) whose estimate misleads."""
+        bound_m, width_m = np.array(self.bounds).reshape(-1, 2)[:, 0], np.array(self.true).reshape(-1, 3)[:, 2]
+        offset_m = self.errors()[0]
+        on_road = (offset_m > FALSE_LANE * width_m) & (bound_m < offset_m)
+        return np.where(np.array(self.marked, np.bool_), on_road, self.phantoms())
+
+    def phantoms(self) -> Bools:
+        """The frames (n,) of a road without markings whose estimate claims to know the lane."""
+        bound_m, width_m = np.array(self.bounds).reshape(-1, 2)[:, 0], np.array(self.true).reshape(-1, 3)[:, 2]
+        return ~np.array(self.marked, np.bool_) & (bound_m < 0.5 * width_m)
 
     def row(self) -> Row:
-        """The metrics; None where no frame had an estimate."""
-        estimated, true = np.array(self.estimated).reshape(-1, 2), np.array(self.true).reshape(-1, 3)
-        known = np.isfinite(estimated[:, 0])
-        frames = len(estimated)
+        """The metrics; None where no frame gives one."""
+        (offset, heading), marked = self.errors(), np.array(self.marked, np.bool_)
+        width, bounds = np.array(self.true).reshape(-1, 3)[:, 2], np.array(self.bounds).reshape(-1, 2)
+        known, visible = np.isfinite(offset), np.array(self.visible, np.bool_)
+        frames = len(offset)
         row: Row = {"frames": frames}
         names = ("heading_mae_deg", "heading_p99_deg", "offset_mae_m", "offset_mae_pct", "offset_p99_m")
         row.update(dict.fromkeys(names))
-        row["availability_pct"] = 100.0 * float(known.mean()) if frames else 0.0
-        row["false_lane_pct"] = 0.0
+        row["availability_pct"] = 100.0 * float(known[visible].mean()) if visible.any() else None if frames else 0.0
+        row["false_lane_pct"] = row["misled_pct"] = 0.0
+        row["bound_exceeded_pct"] = row["bound_median_m"] = None
+        if frames:
+            row["misled_pct"] = 100.0 * float(self.misled().mean())
+        known &= marked
         if known.any():
-            offset = np.abs(estimated[known, 0] - true[known, 0])
-            turn = estimated[known, 1] - true[known, 1]
-            heading = np.degrees(np.abs((turn + np.pi) % (2.0 * np.pi) - np.pi))
-            share = offset / true[known, 2]
-            row["heading_mae_deg"], row["heading_p99_deg"] = float(heading.mean()), float(np.quantile(heading, 0.99))
+            offset, heading, width, bounds = offset[known], heading[known], width[known], bounds[known]
+            share, degrees = offset / width, np.degrees(heading)
+            row["heading_mae_deg"], row["heading_p99_deg"] = float(degrees.mean()), float(np.quantile(degrees, 0.99))
             row["offset_mae_m"], row["offset_p99_m"] = float(offset.mean()), float(np.quantile(offset, 0.99))
             row["offset_mae_pct"] = 100.0 * float(share.mean())
             row["false_lane_pct"] = 100.0 * float((share > FALSE_LANE).sum()) / frames
+            exceeded = (offset > bounds[:, 0]) | (heading > bounds[:, 1])
+            row["bound_exceeded_pct"] = 100.0 * float(exceeded.mean())
+            middle = float(np.quantile(bounds[:, 0], 0.5, method="higher"))
+            row["bound_median_m"] = middle if math.isfinite(middle) else None
         return row
 
 

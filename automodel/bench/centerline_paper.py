@@ -60,7 +60,8 @@ ODOMETRIES = ("encoder", "command", "none")
 METRICS = ("heading_mae_deg", "offset_mae_m", "availability_pct")
 COLUMNS = (
     "track", "style", "light", "pipeline", "odometry", "heading_mae_deg", "paper_heading_mae_deg", "offset_mae_m",
-    "paper_offset_mae_m", "availability_pct", "paper_availability_pct", "false_lane_pct", "offset_mae_pct", "frames",
+    "paper_offset_mae_m", "availability_pct", "paper_availability_pct", "false_lane_pct", "misled_pct",
+    "bound_exceeded_pct", "offset_mae_pct", "frames",
 )  # fmt: skip
 TRACK_A = "circuit"
 MONZA = Path("racetracks") / "Monza.csv"

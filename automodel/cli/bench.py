@@ -11,11 +11,13 @@ from click.core import ParameterSource
 
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
-from automodel.config import PIPELINE_NAMES, ConfigError
+from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.console.tables import show, show_tables
+from automodel.sim.random_worlds import KINDS
 from automodel.sim.trajectory import STYLES
 
 CIRCUITS = ("monza", "lights", "odometries", "stretches", "full")  # options for --table centerline-paper alone
+WORLDS = ("kinds", "frames", "worst")  # options for --world random alone
 REFUSED = {  # by --table: the options that would choose other drives
     None: (),
     "windows-paper": ("pipelines", "tracks", "styles", "seeds", "direction", "plot"),
@@ -57,17 +59,34 @@ def command() -> None:
               help="centerline-paper: where the car's motion comes from.  [encoder]")  # fmt: skip
 @click.option("--stretches", type=click.IntRange(1), default=6, show_default=True, help="centerline-paper: a drive.")
 @click.option("--full", is_flag=True, help="centerline-paper: whole laps (20 minutes a drive on Monza).")
-@click.option("--plot", type=FILE, help="Estimate and truth over time, as PNG.")
+@click.option("--world", type=click.Choice(["random"]), help="Worlds that are drawn anew for each seed instead.")
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(list(KINDS)),
+              help="--world random: of these kinds in turn.  [each seed's own]")  # fmt: skip
+@click.option("--frames", type=click.IntRange(2), default=300, show_default=True, help="--world random: of each world.")
+@click.option("--save-worst", "worst", type=FILE, metavar="DIR",
+              help="--world random: the worst frame of each row, as PNG.")  # fmt: skip
+@click.option("--plot", type=FILE, help="Estimate and truth over time, as PNG; --world random: errors over bounds.")
 @JOBS
 @JSON
 def accuracy(
-    car_file: Path | None, table: str | None, plot: Path | None, jobs: int | None, as_json: bool, **chosen: Any
+    car_file: Path | None,
+    table: str | None,
+    world: str | None,
+    plot: Path | None,
+    jobs: int | None,
+    as_json: bool,
+    **chosen: Any,
 ) -> int:
     """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
     from automodel.bench import accuracy, centerline_paper, windows_paper
 
     check_outputs({"--plot": plot}, {"--car": car_file, "--monza": chosen["monza"]})
     car = car_of(car_file)
+    if world is not None:
+        _refuse(("table", "tracks", "styles", "look", "direction", "speed_mps", *CIRCUITS, "full"),
+                "--world random has its own drives: leave out {}")  # fmt: skip
+        return _random_worlds(car, plot, jobs, as_json, **chosen)
+    _refuse(WORLDS, "{} is for --world random alone")
     _refuse(REFUSED[table], "--table has its own drives: leave out {}")
     if table != "centerline-paper":
         _refuse(CIRCUITS, "{} is for --table centerline-paper alone")
@@ -85,6 +104,15 @@ def accuracy(
         show_tables("bench accuracy", windows_paper.measure(car, choice, jobs), as_json, {})
     else:
         show("bench accuracy", accuracy.measure(car, choice, jobs, plot), as_json, accuracy.COLUMNS)
+    return 0
+
+
+def _random_worlds(car: CarConfig, plot: Path | None, jobs: int | None, as_json: bool, **chosen: Any) -> int:
+    from automodel.bench.random_worlds import COLUMNS, WorldChoice, measure
+
+    seeds = range(chosen["first_seed"], chosen["first_seed"] + chosen["seeds"])
+    choice = WorldChoice(seeds=seeds, **{name: chosen[name] for name in ("pipelines", *WORLDS)})
+    show("bench accuracy", measure(car, choice, jobs, plot), as_json, COLUMNS)
     return 0
 
 

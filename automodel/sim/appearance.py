@@ -203,8 +203,41 @@ STYLES["wet"] = STYLES["dry"] | {
     "shot_noise": _within(0.05, 0.2),
     "background_grey": _within(110.0, 175.0),
 }
+# moisture or low sun in the air: what is far away fades into the colour of the horizon
+STYLES["hazy"] = STYLES["dry"] | {
+    "haze": _within(0.08, 0.35),
+    "light": _within(0.75, 1.05),
+    "shadow": _sometimes(0.3, 0.1, 0.3),
+    "background_grey": _within(150.0, 210.0),
+}
+# dark tape on a light floor of a living room or a corridor
+STYLES["taped"] = STYLES["varied"] | {
+    "floor_grey": _within(120.0, 200.0),
+    "floor_texture": _choice("wood", "carpet", "concrete", "plain"),
+    "marking_grey": _within(10.0, 55.0),
+    "wear": _sometimes(0.3, 0.02, 0.15),
+    "dirt": _within(0.0, 0.3),
+    "light": _within(0.6, 1.15),
+    "shine": _within(0.0, 0.35),
+    "lamps": _lamps(8, 120.0),
+    "read_noise": _within(0.5, 5.0),
+}
+# paint that is hardly lighter than the floor
+STYLES["faint"] = STYLES["varied"] | {
+    "floor_grey": _within(60.0, 85.0),
+    "floor_contrast": _within(0.0, 0.5),
+    "marking_grey": _within(105.0, 125.0),
+    "dirt": _within(0.0, 0.2),
+    "light": _within(0.8, 1.3),
+    "lamps": _lamps(4, 80.0),
+    "read_noise": _within(0.5, 4.0),
+}
+# a camera in poor light
+STYLES["noisy"] = STYLES["competition"] | {"read_noise": _within(8.0, 20.0), "shot_noise": _within(0.1, 0.4)}
+# many lamps over a polished floor
+STYLES["reflections"] = STYLES["competition"] | {"lamps": _lamps(28, 240.0), "shine": _within(0.3, 0.8)}
 Bgr = tuple[float, float, float]
-FLOORS = ("plain", "plastic", "tiles", "wood", "asphalt", "concrete")
+FLOORS = ("plain", "plastic", "tiles", "wood", "asphalt", "concrete", "carpet")
 BACKGROUNDS = ("plain", "hall", "outdoor")
 
 
@@ -251,6 +284,7 @@ class Appearance:
     shine: float = 0.0  # reflectance of the floor at grazing view, 0 .. 1
     shadow: float = 0.0  # share of the light that shadows block, 0 .. 1
     shadow_seed: int = 0
+    haze: float = 0.0  # the contrast falls by a factor of e over 1 / haze scene units (Koschmieder's law)
     exposure_step: float = 0.0  # relative size of the sudden changes of exposure
     exposure_hold_frames: int = 40  # frames between them
     exposure_seed: int = 0
@@ -271,7 +305,16 @@ class Appearance:
         for name in ("floor_contrast", "wear", "dirt", "shine", "shadow", "exposure_step", "vignetting", "clutter"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name}: expected 0 .. 1, got {getattr(self, name)}")
-        for name in ("light", "defocus_px", "exposure_s", "read_noise", "shot_noise", "floor_grey", "marking_grey"):
+        for name in (
+            "light",
+            "haze",
+            "defocus_px",
+            "exposure_s",
+            "read_noise",
+            "shot_noise",
+            "floor_grey",
+            "marking_grey",
+        ):
             if not (getattr(self, name) >= 0.0 and math.isfinite(getattr(self, name))):
                 raise ValueError(f"{name}: expected a number >= 0, got {getattr(self, name)}")
         if self.exposure_hold_frames < 1:
@@ -282,7 +325,8 @@ class Appearance:
         """A random appearance of a style, each parameter from a seed of its own; ValueError for an unknown style.
 
         "competition" is a black shiny floor under indoor lamps, "road" a real road outdoors, "varied" a wide range of
-        both, "dry" and "wet" a circuit in the sun and in the rain.
+        both, "dry", "wet" and "hazy" a circuit in the sun, in the rain and in mist; "taped" is dark tape on a light
+        floor, "faint" worn out paint, "noisy" a camera in poor light, "reflections" lamps over a polished floor.
         """
         one_of("style", style, tuple(STYLES))
         drawn = {}

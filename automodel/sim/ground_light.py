@@ -48,6 +48,7 @@ def floor_pattern(kind: str, contrast: float, seed: int) -> Image:
         "wood": lambda: _wood(rng),
         "asphalt": lambda: 0.20 * periodic_noise(rng, 1.2) + 0.06 * periodic_noise(rng, 4.0, 1.2),
         "grass": lambda: 0.22 * periodic_noise(rng, 2.0) + 0.12 * periodic_noise(rng, 12.0, 1.2),
+        "carpet": lambda: 0.14 * periodic_noise(rng, 1.6) + 0.05 * periodic_noise(rng, 6.0, 1.0),
         "concrete": lambda: 0.10 * periodic_noise(rng, 2.0, 1.4) + 0.05 * periodic_noise(rng, 1.0),
     }[kind]()
     relief -= relief.mean()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -10,11 +11,20 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from automodel.geometry import SE2, GroundCamera
+from automodel.config import Intrinsics
+from automodel.geometry import SE2, CameraModel, GroundCamera
 from automodel.sim.appearance import Appearance
-from automodel.sim.background import Background
+from automodel.sim.background import Background, directions
 from automodel.sim.coverage import PaintView, PolygonSet, covered_softly
-from automodel.sim.ground_light import NEUTRAL, GroundLight, GroundSampler, MipPattern, floor_pattern, wear_pattern
+from automodel.sim.ground_light import (
+    NEUTRAL,
+    NO_MAP,
+    GroundLight,
+    GroundSampler,
+    MipPattern,
+    floor_pattern,
+    wear_pattern,
+)
 from automodel.sim.ground_projection import GroundProjection
 from automodel.sim.paint import Paint
 from automodel.sim.track import Obstacle
@@ -172,6 +182,79 @@ GREY_OF_BGR = np.array([0.114, 0.587, 0.299])
 SCALE_CAMERA_M = 0.18  # the camera height at which the scene unit is 1 m
 TEXEL_UNITS = 0.002
 KERB_BGR = np.array([45.0, 40.0, 165.0])
+SHADES = {"stone": 1.45, "gutter": 0.78, "tar": 0.5, "crack": 0.35, "shade": 0.5}  # shares of the floor's grey
+HAZE_TOP = 20.0  # height of the layer of haze [scene units]
+
+
+class NoddingView:
+    """A camera that pitches about its optical centre: its image is a view of that of a `wide` camera at rest.
+
+    `wide` has the same lens and place and a margin on each side, for pitches up to `max_rad` either way.
+    """
+
+    def __init__(self, camera: GroundCamera, max_rad: float) -> None:
+        model = camera.camera
+        corner = np.abs(model.rays([(0.0, 0.0), (model.width_px - 1.0, model.height_px - 1.0)]))[:, :2].max(axis=0)
+        if not np.isfinite(corner).all():
+            raise ValueError("camera: a lens whose image corners see nothing cannot nod")
+        slope = math.tan(max_rad)
+        across = math.ceil(float(model.matrix[0, 0] * corner[0] * (corner[1] + slope) * slope)) + 2
+        down = math.ceil(float(model.matrix[1, 1] * (1.0 + corner[1] * (corner[1] + slope)) * slope)) + 2
+        lens = Intrinsics(
+            fx_px=float(model.matrix[0, 0]),
+            fy_px=float(model.matrix[1, 1]),
+            cx_px=float(model.matrix[0, 2]) + across,
+            cy_px=float(model.matrix[1, 2]) + down,
+            distortion=tuple(model.distortion.tolist()),
+        )
+        self.max_rad = max_rad
+        self.wide = copy.copy(camera)
+        self.wide.camera = CameraModel(lens, model.width_px + 2 * across, model.height_px + 2 * down)
+        self._size = (model.width_px, model.height_px)
+        self._inverse = np.linalg.solve(model.matrix, np.eye(3))
+        self._rays: FloatArray | None = None
+        if model.distortion.any():
+            rows, columns = np.mgrid[0 : model.height_px, 0 : model.width_px]
+            self._rays = model.rays(np.stack((columns, rows), axis=-1).astype(np.float64))
+
+    def turned(self, image: Image, nod_rad: float) -> Image:
+        """The image of the nodding camera; `nod_rad` is positive downwards. Raises ValueError beyond `max_rad`."""
+        if abs(nod_rad) > self.max_rad:
+            raise ValueError(f"nod_rad: expected at most {self.max_rad} either way, got {nod_rad}")
+        cos, sin = math.cos(nod_rad), math.sin(nod_rad)
+        rest_from_nodding = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
+        if self._rays is None:
+            wide_from_px = self.wide.camera.matrix @ rest_from_nodding @ self._inverse
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            return np.asarray(cv2.warpPerspective(image, wide_from_px, self._size, flags=flags), dtype=np.uint8)
+        maps = self.wide.camera.project(self._rays @ rest_from_nodding.T).astype(np.float32)
+        return np.asarray(cv2.remap(image, maps, NO_MAP, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+class Haze:
+    """Fades what is far away into the colour of the horizon, by Koschmieder's law: contrasts fall as exp(-haze d)."""
+
+    def __init__(self, projection: GroundProjection, look: Appearance, unit_m: float) -> None:
+        camera = projection.camera
+        height, width = projection.seen.shape
+        rows, columns = np.mgrid[0:height, 0:width]
+        elevation = directions(camera, np.stack((columns, rows), axis=-1).astype(np.float64))[1]
+        flat = np.linalg.norm(np.nan_to_num(projection.ground_m) - camera.centre_m[:2], axis=-1)
+        above = HAZE_TOP * unit_m / np.maximum(np.sin(np.nan_to_num(elevation, nan=1.0)), 1e-3)
+        distance_m = np.where(projection.seen, np.hypot(flat, camera.centre_m[2]), above)
+        self._left = np.exp(-look.haze * distance_m / unit_m).astype(np.float32)
+        self._air = np.float32(look.background_grey) * (1.0 - self._left)
+
+    def apply(self, image: Image, light: FloatArray) -> Image:
+        """The hazy image; `light` is a factor for each channel."""
+        channels = cv2.split(image) if image.ndim == 3 else [image]
+        hazy = [
+            cv2.convertScaleAbs(
+                cv2.addWeighted(cv2.multiply(c, self._left, dtype=cv2.CV_32F), 1.0, self._air, float(gain), 0.0)
+            )
+            for c, gain in zip(channels, light, strict=True)
+        ]
+        return np.asarray(cv2.merge(hazy) if image.ndim == 3 else hazy[0], dtype=np.uint8)
 
 
 class Renderer:
@@ -180,7 +263,8 @@ class Renderer:
     `paint` lies on a floor (x0, y0, x1, y1) [m] of the world frame; `obstacles` stand on it. An image depends only on
     the arguments of `render`, to the bit. Markings are drawn as exact areas of their polygons; floor, wear and light
     are patterns looked up at the ground point of each pixel. `roadside` is the ground of a circuit: asphalt, which
-    replaces the floor, with grass beyond it, and kerbs, which are no markings.
+    replaces the floor, with grass beyond it, and kerbs, which are no markings; or the street's seams and cracks.
+    `nod_max_rad` is the largest pitch by which `render` may be asked to turn the camera.
     """
 
     def __init__(
@@ -192,24 +276,32 @@ class Renderer:
         appearance: Appearance,
         colour: bool = False,
         roadside: Sequence[Paint] = (),
+        nod_max_rad: float = 0.0,
     ) -> None:
         self.camera, self.appearance, self.colour = camera, appearance, colour
         self.obstacles = tuple(obstacles)
-        model, projection = camera.camera, GroundProjection(camera)
+        self._nod = NoddingView(camera, nod_max_rad) if nod_max_rad > 0.0 else None
+        self._eye = eye = camera if self._nod is None else self._nod.wide
+        model, projection = eye.camera, GroundProjection(eye)
         self._shape = (model.height_px, model.width_px)
         self._projection, self._row0 = projection, projection.row0
         self._paint = PaintView(projection, paint)
         self._roadside = PaintView(projection, roadside) if roadside else None
+        self._paved = any(paint.colour == "asphalt" for paint in roadside)
         x0, y0, x1, y1 = floor
         self._floor = PolygonSet([np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])])
         unit_m = float(camera.centre_m[2]) / SCALE_CAMERA_M
-        self._background = Background(camera, projection.seen, appearance)
+        self._background = Background(eye, projection.seen, appearance)
+        self._haze = Haze(projection, appearance, unit_m) if appearance.haze else None
         self._light = GroundLight(projection, appearance, unit_m, self._background.view)
         self._sampler = GroundSampler(projection.ground_m[self._row0 :], TEXEL_UNITS * unit_m)
-        self._patterns = _patterns(appearance, bool(roadside))
-        self._effects = SensorEffects(appearance, self._shape, float(model.matrix[0, 0]), 3 if colour else 1)
+        self._patterns = _patterns(appearance, self._paved)
+        sensor = (camera.camera.height_px, camera.camera.width_px)
+        self._effects = SensorEffects(appearance, sensor, float(model.matrix[0, 0]), 3 if colour else 1)
         white = appearance.marking_grey * np.array(appearance.marking_tint)
         self._colours = {"white": white, "yellow": np.array(appearance.yellow_bgr), "red": KERB_BGR}
+        ground = appearance.floor_grey * np.array(appearance.floor_tint)
+        self._colours |= {name: share * ground for name, share in SHADES.items()}
 
     def render(
         self,
@@ -219,8 +311,12 @@ class Renderer:
         speed_mps: float = 0.0,
         yaw_rate_radps: float = 0.0,
         index: int = 0,
+        nod_rad: float = 0.0,
     ) -> Image:
-        """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure."""
+        """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure.
+
+        `nod_rad` is the pitch of the camera beyond its place on the car, positive downwards.
+        """
         pose = SE2(x_m, y_m, yaw_rad)
         gain = self.appearance.light * exposure(self.appearance, index)
         light = gain * self._channels(np.array(self.appearance.light_tint))
@@ -228,10 +324,14 @@ class Renderer:
         if self._row0 < self._shape[0]:
             image[self._row0 :] = self._ground(pose, speed_mps * self.appearance.exposure_s, light)
         self._put_background(image, yaw_rad, light)
-        draw_obstacles(image, self.obstacles, self.camera, pose, light)
+        draw_obstacles(image, self.obstacles, self._eye, pose, light)
+        if self._haze is not None:
+            image = self._haze.apply(image, light)
+        if self._nod is not None:
+            image = self._nod.turned(image, nod_rad)
         return self._effects.apply(image, yaw_rate_radps, index)
 
-    def render_mask(self, x_m: float, y_m: float, yaw_rad: float) -> Image:
+    def render_mask(self, x_m: float, y_m: float, yaw_rad: float, nod_rad: float = 0.0) -> Image:
         """The share of each pixel that markings cover (h, w), 0 .. 255: without wear and blur, hidden by obstacles."""
         pose = SE2(x_m, y_m, yaw_rad)
         share = np.zeros(self._projection.shape, np.float32)
@@ -239,8 +339,8 @@ class Renderer:
             share = np.minimum(share + seen, np.float32(1.0))
         mask = np.zeros(self._shape, np.uint8)
         mask[self._row0 :] = np.round(255.0 * share)
-        draw_obstacles(mask, self.obstacles, self.camera, pose, np.zeros(1))
-        return mask
+        draw_obstacles(mask, self.obstacles, self._eye, pose, np.zeros(1))
+        return mask if self._nod is None else self._nod.turned(mask, nod_rad)
 
     def _channels(self, bgr: FloatArray) -> FloatArray:
         """The image channels of a colour: three, or its grey."""
@@ -280,7 +380,7 @@ class Renderer:
         floor = self._textured(look.floor_grey, sampled.get("floor"))
         if look.surround_grey is None:
             return floor
-        if self._roadside is None:
+        if not self._paved:
             edges_m = self._floor.edges(np.ones(1, np.bool_), pose.inverse())
             inside = covered_softly(self._projection.edges_px(edges_m), self._projection.shape)
         elif "asphalt" in beside:

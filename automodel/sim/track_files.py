@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,7 @@ from automodel.sim.track_sections import (
     LanesSection,
     LaneWidth,
     Marking,
+    OriginSection,
     Piece,
     RoadsideSection,
     StopLine,
@@ -88,13 +89,16 @@ def parse_track(text: str, file: str) -> Track:
     """The track in the text of a track file; `file` is its name in error messages. Raises ConfigError."""
     sections, road = read_track(text, file)
     try:
-        forward, reverse, edges = _lanes(sections, road)
-        roadside = _roadside(sections, road, forward)
-        crossings = find_crossings(road, 0.25 * sections.lanes.half_road_m)
-        painted = tuple(paint_road(sections, (edges[0], road, edges[1]), crossings))
+        return build_track(sections, road)
     except ValueError as error:  # errors that only show on the whole road
         key = "broken" if str(error).startswith("share") else "widths"
         raise ConfigError(f"{where(text, file, (), key)}: {error}") from None
+
+
+def build_track(sections: TrackFile, road: Curve) -> Track:
+    """The track around the reference line `road`; ValueError where an edge folds back or the gaps do not fit."""
+    forward, reverse, edges = _lanes(sections, road)
+    crossings = find_crossings(road, 0.25 * sections.lanes.half_road_m)
     start = sections.start
     lane = forward if start.direction == "forward" else reverse
     return Track(
@@ -107,9 +111,29 @@ def parse_track(text: str, file: str) -> Track:
         start_direction=start.direction,
         obstacles=tuple(_obstacle(box) for box in sections.obstacles),
         crossings=crossings,
-        painted=painted,
-        roadside=roadside,
+        painted=tuple(paint_road(sections, (edges[0], road, edges[1]), crossings)),
+        roadside=_roadside(sections, road, forward),
     )
+
+
+def join_pieces(pieces: Sequence[Piece], origin: OriginSection, closed: bool) -> JoinedCurve:
+    """The reference line of a road, its pieces end to end from `origin` on."""
+    x_m, y_m, heading_rad = origin.x_m, origin.y_m, origin.heading_rad
+    curves: list[Curve] = []
+    for piece in pieces:
+        curve = piece.curve(x_m, y_m, heading_rad)
+        curves.append(curve)
+        x_m, y_m = (float(v) for v in curve.position(curve.length_m))
+        heading_rad = float(curve.heading(curve.length_m))
+    return JoinedCurve(curves, closed)
+
+
+def closing_error(road: JoinedCurve) -> tuple[float, float]:
+    """Distance [m] and angle [rad] by which the road's end misses its start."""
+    first, last = road.pieces[0], road.pieces[-1]
+    gap_m = float(np.hypot(*(last.position(last.length_m) - first.position(0.0))))
+    turn_rad = math.remainder(float(last.heading(last.length_m)) - float(first.heading(0.0)), 2.0 * math.pi)
+    return gap_m, abs(turn_rad)
 
 
 def _lanes(sections: TrackFile, road: Curve) -> tuple[Lane, Lane, tuple[Curve, Curve]]:
@@ -160,7 +184,8 @@ def read_track(text: str, file: str) -> tuple[TrackFile, JoinedCurve]:
             raise ConfigError(f"{place}: a single lane has no centre line; remove it")
         none = dataclasses.replace(sections.markings, centre=Marking(style="none"))
         sections = dataclasses.replace(sections, markings=none)
-    road = _join([_read_piece(entry, part, file, sections.lanes) for entry, part in raw["pieces"]], sections)
+    pieces = [_read_piece(entry, part, file, sections.lanes) for entry, part in raw["pieces"]]
+    road = join_pieces(pieces, sections.origin, sections.closed)
     if sections.closed:
         _check_closed(road, where(text, file, (), "closed"))
     lists: dict[str, Any] = {}
@@ -204,21 +229,8 @@ def _read_piece(raw: dict[str, Any], text: str, file: str, lanes: LanesSection) 
     return piece
 
 
-def _join(pieces: list[Piece], sections: TrackFile) -> JoinedCurve:
-    x_m, y_m, heading_rad = sections.origin.x_m, sections.origin.y_m, sections.origin.heading_rad
-    curves: list[Curve] = []
-    for piece in pieces:
-        curve = piece.curve(x_m, y_m, heading_rad)
-        curves.append(curve)
-        x_m, y_m = (float(v) for v in curve.position(curve.length_m))
-        heading_rad = float(curve.heading(curve.length_m))
-    return JoinedCurve(curves, sections.closed)
-
-
 def _check_closed(road: JoinedCurve, place: str) -> None:
-    first, last = road.pieces[0], road.pieces[-1]
-    gap_m = float(np.hypot(*(last.position(last.length_m) - first.position(0.0))))
-    turn_rad = abs(math.remainder(float(last.heading(last.length_m)) - float(first.heading(0.0)), 2.0 * math.pi))
+    gap_m, turn_rad = closing_error(road)
     if gap_m > CLOSING_GAP_M or turn_rad > CLOSING_TURN_RAD:
         raise ConfigError(
             f"{place}: true, but the road's end misses its start by {1e3 * gap_m:.2f} mm and"

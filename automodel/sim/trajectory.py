@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from automodel.config.toml_reader import one_of
-from automodel.curves import Curve, SplineCurve
+from automodel.curves import SplineCurve
 from automodel.signals import Motion, MotionSource
 from automodel.sim.track import Lane
 from automodel.types import FloatArray
@@ -49,7 +49,7 @@ class Drive:
     seed: int = 0
 
     @cached_property
-    def path(self) -> Curve:
+    def path(self) -> SplineCurve:
         """The path of the rear axle's centre in the world frame."""
         lane = self.lane.centerline
         width = float(self.lane.width_m(0.0))
@@ -69,6 +69,12 @@ class Drive:
             speed_mps=self.speed_mps,
             yaw_rate_radps=float(self.path.curvature(s)) * self.speed_mps,
         )
+
+    def time_at(self, lane_s_m: float) -> float:
+        """The time [s] at which the car is at arc length `lane_s_m` of the lane's centerline, in the first lap."""
+        length_m, knots = self.lane.centerline.length_m, self.path.knots_m
+        s = np.linspace(0.0, length_m, len(knots))
+        return float(np.interp(lane_s_m % length_m, s, knots)) / self.speed_mps
 
     def _offsets(self, s: FloatArray, width: float) -> FloatArray:
         free = np.asarray(0.5 * (self.lane.width_m(s) - self.car_width_m))

@@ -100,3 +100,50 @@ def _drawn(sheet: SheetImage) -> Image:
     strip = np.zeros((_STRIP_PX, image.shape[1], 3), np.uint8)
     cv2.putText(strip, sheet.note, (4, _STRIP_PX - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _WHITE, 1, cv2.LINE_AA)
     return np.asarray(np.vstack((strip, image)), dtype=np.uint8)
+
+
+# name of the pipeline, status of each estimate (n), bounds (n, 2) and errors (n, 2) of offset [m] and heading [rad]
+Claims = tuple[str, Sequence[str], FloatArray, FloatArray]
+_BIN_FRAMES, _MOST_BINS = 100, 10  # frames a bin at least, and bins a curve at most
+
+
+def plot_reliability(path: Path, claims: Sequence[Claims]) -> None:
+    """Claimed bound against observed errors, a row a pipeline: offset on the left, heading on the right.
+
+    Frames of one status are binned by their bound; of each bin the 50th, 99th and 99.9th percentile of the error are
+    drawn (dotted, dashed, solid). Where the solid curve lies below the diagonal the bound holds.
+    """
+    colours = {"TRACKING": "tab:green", "ONE_LINE": "tab:olive", "COASTING": "tab:orange"}
+    with plotted(path, (12, 5.0 * len(claims))) as figure:
+        axes = figure.subplots(len(claims), 2, squeeze=False)
+        for (name, statuses, bounds, errors), row in zip(claims, axes, strict=True):
+            for axis, column, scale, what in (
+                (row[0], 0, 100.0, "offset [cm]"),
+                (row[1], 1, 57.29578, "heading [deg]"),
+            ):
+                for status, colour in colours.items():
+                    chosen = np.array([s == status for s in statuses], np.bool_) & np.isfinite(bounds[:, column])
+                    x, y = _binned(scale * bounds[chosen, column], scale * errors[chosen, column])
+                    for quantile, style in zip(y.T, (":", "--", "-"), strict=True):
+                        label = f"{status}, {int(chosen.sum())} frames" if style == "-" else None
+                        axis.plot(x, quantile, style, color=colour, marker=".", label=label)
+                stated = np.isfinite(bounds[:, column])
+                ends = np.array([0.05, 200.0])
+                axis.plot(ends, ends, color="black", linewidth=0.8)
+                axis.set_xscale("log")
+                axis.set_yscale("log")
+                axis.set_xlabel(f"claimed bound, {what}")
+                axis.set_ylabel(f"error, {what}")
+                axis.set_title(f"{name}: {int((~stated).sum())} frames without a bound", fontsize=9, loc="left")
+                axis.grid(alpha=0.3)
+                axis.legend(fontsize=8)
+
+
+def _binned(bounds: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Median bound (b,) and the error's quantiles (b, 3) of bins with equally many frames."""
+    count = min(len(bounds) // _BIN_FRAMES, _MOST_BINS)
+    if not count:
+        return np.empty(0), np.empty((0, 3))
+    bins = np.array_split(np.argsort(bounds, kind="stable"), count)
+    middles = np.array([np.median(bounds[chosen]) for chosen in bins])
+    return middles, np.array([np.quantile(errors[chosen], (0.5, 0.99, 0.999)) for chosen in bins])

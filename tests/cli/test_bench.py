@@ -11,7 +11,8 @@ import pytest
 
 ACCURACY_KEYS = [
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
-    "offset_mae_pct", "offset_p99_m", "availability_pct", "false_lane_pct",
+    "offset_mae_pct", "offset_p99_m", "availability_pct", "false_lane_pct", "misled_pct", "bound_exceeded_pct",
+    "bound_median_m",
 ]  # fmt: skip
 SPEED_KEYS = ["pipeline", "stage", "width_px", "height_px", "p50_ms", "p99_ms", "threads"]
 QUICK = ["bench", "accuracy", "--track", "oval", "--style", "centred", "--speed", "5", "--pipeline", "windows"]
@@ -70,3 +71,30 @@ def test_ctrl_c_ends_the_bench_and_its_workers(after_s: float, arguments: str) -
     out, err = child.communicate(timeout=60)  # the pipes close when the last process has ended
     assert (child.returncode, out) == (1, "")
     assert [line for line in err.splitlines() if line] == ["automodel: interrupted"]
+
+
+def test_random_worlds_have_their_keys_and_pictures(tmp_path: Path, cli) -> None:
+    quick = ["bench", "accuracy", "--world", "random", "--pipeline", "windows", "--frames", "5", "--jobs", "1"]
+    quick += ["--seed", "4", "--seeds", "2", "--kind", "plain"]
+    said = cli(*quick, "--save-worst", tmp_path / "worst", "--plot", tmp_path / "plot.png", "--json")
+    assert (said.code, said.err) == (0, "")
+    keys = ["pipeline", "seed", "world", *ACCURACY_KEYS[4:], "phantom_pct"]
+    assert [list(row) for row in said.rows] == 3 * [keys]
+    assert [(row["seed"], row["frames"]) for row in said.rows] == [(4, 5), (5, 5), (None, 10)]
+    assert len(list((tmp_path / "worst").glob("windows-*.png"))) == 2
+    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--world", "random", "--track", "tmr"), "--world random has its own drives: leave out --track"),
+        (("--world", "random", "--table", "windows-paper"), "--world random has its own drives: leave out --table"),
+        (("--kind", "plain"), "--kind is for --world random alone"),
+        (("--save-worst", "x"), "--save-worst is for --world random alone"),
+    ],
+)
+def test_options_of_other_drives_are_refused(options: tuple[str, ...], message: str, cli) -> None:
+    said = cli("bench", "accuracy", *options)
+    assert said.code == 2
+    assert message in said.err

@@ -294,3 +294,44 @@ def test_the_lane_stands_out_at_a_competition(seed: int) -> None:
     picture = renderer.render(pose.x_m, pose.y_m, pose.yaw_rad, 1.0, 0.3, seed)[120:].astype(float)
     mask = renderer.render_mask(pose.x_m, pose.y_m, pose.yaw_rad)[120:]
     assert np.median(picture[mask == 255]) > np.median(picture[mask == 0]) + 50
+
+
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, BARREL])
+@pytest.mark.parametrize("nod_deg", [-1.2, 0.0, 0.7])
+def test_a_nod_is_another_pitch(distortion: tuple[float, ...], nod_deg: float) -> None:
+    nod = math.radians(nod_deg)
+    looks = Appearance(background="hall", marking_grey=220.0)
+    args = (scene(), FLOOR, [obstacle(rectangle(1.5, 1.7, 0.3, 0.5))])
+    nodding = Renderer(*args, camera(distortion=distortion), looks, nod_max_rad=math.radians(1.5))
+    pitched = Renderer(*args, camera(distortion=distortion, pitch_rad=Extrinsics().pitch_rad + nod), looks)
+    at_rest = Renderer(*args, camera(distortion=distortion), looks)
+    seen, expected, rest = (eye.render(0.2, 0.0, 0.1) for eye in (nodding, pitched, at_rest))
+    seen = nodding.render(0.2, 0.0, 0.1, nod_rad=nod)
+    inner = slice(3, -3)
+    off = np.abs(seen.astype(float) - expected)[inner, inner].mean()
+    assert off < 1.0
+    if nod:
+        assert off < 0.2 * np.abs(rest.astype(float) - expected)[inner, inner].mean()
+    mask = nodding.render_mask(0.2, 0.0, 0.1, nod)
+    assert np.abs(mask.astype(float) - pitched.render_mask(0.2, 0.0, 0.1))[inner, inner].mean() < 1.0
+
+
+def test_a_nod_beyond_its_limit_is_refused() -> None:
+    eye = Renderer([], FLOOR, [], camera(160), Appearance(), nod_max_rad=0.01)
+    with pytest.raises(ValueError, match="nod_rad: expected at most"):
+        eye.render(0.0, 0.0, 0.0, nod_rad=0.02)
+
+
+def test_haze_fades_contrasts_as_koschmieder_says() -> None:
+    stripes = [stroke(rectangle(x, x + 0.1, -5.0, 5.0)) for x in (0.6, 1.5, 3.0)]
+    look = Appearance(floor_grey=40.0, marking_grey=240.0, background_grey=160.0)
+    eye = camera()
+    clear, hazy = (
+        Renderer(stripes, FLOOR, [], eye, replace(look, haze=haze)).render(0.0, 0.0, 0.0).astype(float)
+        for haze in (0.0, 0.3)
+    )
+    for x in (0.65, 1.55, 3.05):
+        u, v = np.round(eye.ground_to_px((x, 0.0))).astype(int)
+        left = math.exp(-0.3 * math.dist((x, 0.0, 0.0), eye.centre_m))
+        assert hazy[v, u] == pytest.approx(left * clear[v, u] + (1.0 - left) * 160.0, abs=1.5)
+    assert hazy[:40] == pytest.approx(160.0, abs=1.5)
