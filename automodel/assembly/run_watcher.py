@@ -11,6 +11,7 @@ import numpy as np
 
 from automodel.interfaces import Source, VehicleLink
 from automodel.output_files import output_text
+from automodel.runtime.input_checks import UNCERTAIN
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import SafetyMode
 from automodel.signals import Command, Frame, StereoFrame, VehicleState
@@ -87,7 +88,10 @@ class Watcher:
         }
 
     def ending(self, result: RunResult) -> str:
-        """In words how the run went: what went wrong and where, or what was driven."""
+        """In words how the run went: what went wrong and where, or what was driven; and how often it was uncertain."""
+        return "; ".join([self._outcome(result), *_uncertain_holds(result)])
+
+    def _outcome(self, result: RunResult) -> str:
         wrong = [*self._left_lane(), *self._stops(result)]
         if result.end is RunEnd.SIGNAL:
             wrong.insert(0, f"stopped by {result.events[-1].text}")
@@ -143,6 +147,12 @@ class Watcher:
                 values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
                 numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
                 table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
+
+
+def _uncertain_holds(result: RunResult) -> list[str]:
+    """How often the car was held because it might have left its lane."""
+    held = sum(event.kind == "hold" and UNCERTAIN in event.text for event in result.events)
+    return [f"held {held} time{'s' if held > 1 else ''} because its offset was uncertain"] if held else []
 
 
 class Stopwatch:

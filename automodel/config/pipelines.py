@@ -87,3 +87,13 @@ class PipelineConfig:
 
     def __post_init__(self) -> None:
         PIPELINES.check("name", self.name)
+
+    def coasting(self, lane_width_m: float) -> tuple[float, float]:
+        """Distance [m] and time [s] for which the lane may be carried on without any line, at most.
+
+        Those of the pipeline in use; of `centerline` for one that does not come with automodel.
+        """
+        if self.name == "windows":
+            return self.windows.coast_m, self.windows.coast_s
+        section = self.contour if self.name == "contour" else self.centerline
+        return section.coast_lanes * lane_width_m, section.coast_s

@@ -1,7 +1,8 @@
-"""Whether what a run is given can be true: images, the lane that a pipeline reports, and how the car turns.
+"""Whether what a run is given can be true, and is certain enough: images, the lane that a pipeline reports, the turns.
 
 - `ImageCheck`: an image has the camera's size, is a new one, and shows anything at all.
 - `LaneJumpCheck`: the lane is still the one that was followed; a car cannot move sideways, or turn, between two frames.
+- `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
 - `SteeringCheck`: the car turns as it is steered, by the gyro where there is one.
 """
 
@@ -12,12 +13,22 @@ import math
 import cv2
 import numpy as np
 
-from automodel.config import CarConfig
-from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.config import CarConfig, VehicleConfig
+from automodel.signals import (
+    Frame,
+    LaneEstimate,
+    LanePose,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
 from automodel.types import Image
 
 OFFSET_LANES = 0.5  # further to the side than half a lane's width, another line was taken for the lane's
 HEADING_RAD = 0.6  # turned by more than this, a line across the road was
+UNCERTAIN = "offset uncertain"  # what a text of `OffsetBoundCheck` begins with
 KEPT_S = 0.5  # a lane that was seen longer ago is no measure any more; longer than a car is held
 
 
@@ -25,11 +36,16 @@ class LaneJumpCheck:
     """Compares each estimate with the last one that was right.
 
     Estimates that jump are wrong until one comes that is near the last right one, or until that is `KEPT_S` old: then
-    whoever armed the car anew has looked at where it stands. After COASTING a jump is no fault: dead reckoning drifts,
-    and a line that is seen again outranks it.
+    whoever armed the car anew has looked at where it stands.
+
+    Two poses that are both within their bounds differ by at most the sum of the bounds: a greater step is a jump,
+    whatever the status, unless it is too small to bring the car out of its lane (the free space beside it) or to be
+    another line (`HEADING_RAD`). Where a pose states no bound, a jump is more than `OFFSET_LANES` or `HEADING_RAD`, and
+    after COASTING there is none: dead reckoning drifts, and a line that is seen again outranks it.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: VehicleConfig) -> None:
+        self._vehicle = vehicle
         self._right: LaneEstimate | None = None
 
     def step(self, estimate: LaneEstimate) -> str | None:
@@ -41,17 +57,65 @@ class LaneJumpCheck:
 
     def _jump(self, estimate: LaneEstimate) -> str | None:
         right, pose = self._right, estimate.pose
-        if pose is None or right is None or right.pose is None or right.status is LaneStatus.COASTING:
+        if pose is None or right is None or right.pose is None:
             return None
         if not 0 <= estimate.t_ns - right.t_ns < KEPT_S * 1e9:
             return None
+        most_m, most_rad = self._most(right.pose, pose, right.status is LaneStatus.COASTING)
         sideways_m = pose.offset_m - right.pose.offset_m
-        if abs(sideways_m) > OFFSET_LANES * right.pose.width_m:
+        if abs(sideways_m) > most_m:
             return f"the lane has jumped sideways by {abs(sideways_m):.2f} m"
         turn_rad = math.remainder(pose.heading_rad - right.pose.heading_rad, math.tau)
-        if abs(turn_rad) > HEADING_RAD:
+        if abs(turn_rad) > most_rad:
             return f"the lane has turned by {abs(turn_rad):.2f} rad at once"
         return None
+
+    def _most(self, right: LanePose, pose: LanePose, coasted: bool) -> tuple[float, float]:
+        """The greatest steps [m], [rad] from the right pose to the next that are no jumps."""
+        most_m = max(right.offset_bound_m + pose.offset_bound_m, self._vehicle.free_space_m(right.width_m))
+        most_rad = max(right.heading_bound_rad + pose.heading_bound_rad, HEADING_RAD)
+        if math.isinf(most_m):
+            most_m = math.inf if coasted else OFFSET_LANES * right.width_m
+        if math.isinf(most_rad):
+            most_rad = math.inf if coasted else HEADING_RAD
+        return most_m, most_rad
+
+
+class OffsetBoundCheck:
+    """Holds a car that may have left its lane: the offset's bound is more than the free space beside the car.
+
+    A car that drives is given what a car that sees no line is given: `coast_m` [m] of way and `coast_s` [s], whichever
+    is over first. A car that is not armed has nothing to bridge, and is not well at once. Nothing is said of a pose
+    that states no bound.
+    """
+
+    def __init__(self, vehicle: VehicleConfig, coast_m: float, coast_s: float) -> None:
+        self._vehicle = vehicle
+        self._coast_m, self._coast_ns = coast_m, coast_s * 1e9
+        self._since_ns: int | None = None  # when the bound became too large for the car that drives
+        self._last_ns = 0
+        self._driven_m = 0.0
+
+    def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> str | None:
+        """How uncertain the offset is, None where that is little enough or has not lasted for long enough."""
+        pose, t_ns = estimate.pose, estimate.t_ns
+        if pose is None:
+            return None
+        limit_m = self._vehicle.free_space_m(pose.width_m)
+        if math.isinf(pose.offset_bound_m) or pose.offset_bound_m <= limit_m:
+            self._since_ns = None
+            return None
+        text = f"{UNCERTAIN}: {pose.offset_bound_m:.2f} m (limit {limit_m:.2f})"
+        if state is None or not state.armed:
+            self._since_ns = None
+            return text
+        if self._since_ns is None:
+            self._since_ns, self._driven_m = t_ns, 0.0
+        else:
+            self._driven_m += abs(motion.speed_mps) * max(t_ns - self._last_ns, 0) * 1e-9
+        self._last_ns = t_ns
+        bridged = self._driven_m < self._coast_m and t_ns - self._since_ns < self._coast_ns
+        return None if bridged else text
 
 
 FLAT_LEVELS = 6  # grey levels between the brightest and the darkest part of a image that shows nothing
@@ -164,7 +228,8 @@ class InputChecks:
     def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
-        self._lane_jump = LaneJumpCheck()
+        self._lane_jump = LaneJumpCheck(car.vehicle)
+        self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
         self._steering = SteeringCheck(car.vehicle.wheelbase_m)
 
     def misfit(self, frame: Frame | StereoFrame) -> str | None:
@@ -177,8 +242,9 @@ class InputChecks:
         return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in images)))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
-        """What is wrong with the lane, or with how the car moves."""
-        return tuple(filter(None, (self._lane_jump.step(estimate), self._steering.step(motion, state))))
+        """What is wrong with the lane or too uncertain, or wrong with how the car moves."""
+        jump, turns = self._lane_jump.step(estimate), self._steering.step(motion, state)
+        return tuple(filter(None, (jump, self._offset_bound.step(estimate, motion, state), turns)))
 
 
 def _images(frame: Frame | StereoFrame) -> tuple[Image, ...]:

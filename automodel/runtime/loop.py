@@ -203,6 +203,8 @@ def estimate_faults(estimate: LaneEstimate) -> tuple[str, ...]:
     faults: tuple[str, ...] = ()
     if not all(map(math.isfinite, numbers)):
         faults += ("the estimate's pose is not finite",)
+    if not (pose.offset_bound_m >= 0 and pose.heading_bound_rad >= 0):  # also where it is not a number
+        faults += ("a bound of the estimate's pose is not a number >= 0",)
     if estimate.crossing is not None:
         crossing = estimate.crossing
         if not (math.isfinite(crossing.distance_m) and math.isfinite(crossing.angle_rad)):

@@ -2,7 +2,7 @@
 
 *Unwell* (may pass by itself): no frame yet, the newest older than `frame_timeout_s`, its time not after the one
 before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
-that cannot be true (`runtime.input_checks`).
+that cannot be true or a lane that is too uncertain (`runtime.input_checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
 should not), a command stale before it was sent, a loop that stood still for longer than a command lives, a clock that
 went back. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop,

@@ -7,7 +7,18 @@ from typing import Any
 import pytest
 import tomlkit
 
-from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError, load_car, parse_car
+from automodel.config import (
+    PIPELINE_NAMES,
+    CarConfig,
+    CenterlineConfig,
+    ConfigError,
+    ContourConfig,
+    PipelineConfig,
+    VehicleConfig,
+    WindowsConfig,
+    load_car,
+    parse_car,
+)
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 
@@ -119,6 +130,26 @@ def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value
     if value is not None:
         written = tomlkit.item(list(value) if isinstance(value, tuple) else value).as_string()
         assert parse_car(f"{header}\n{path[-1]} = {written}", "car.toml") == CarConfig()
+
+
+@pytest.mark.parametrize(
+    ("name", "coasting"),
+    [("windows", (1.1, 1.2)), ("contour", (2.5, 1.4)), ("centerline", (3.5, 1.6)), ("my_team:Blind", (3.5, 1.6))],
+)
+def test_each_pipeline_says_how_far_and_how_long_it_coasts(name: str, coasting: tuple[float, float]) -> None:
+    pipeline = PipelineConfig(
+        name=name,
+        windows=WindowsConfig(coast_m=1.1, coast_s=1.2),
+        contour=ContourConfig(coast_lanes=5.0, coast_s=1.4),
+        centerline=CenterlineConfig(coast_lanes=7.0, coast_s=1.6),
+    )
+    assert pipeline.coasting(0.5) == coasting
+
+
+def test_the_free_space_beside_a_car_is_none_where_it_is_wider_than_its_lane() -> None:
+    vehicle = VehicleConfig(width_m=0.2)
+    assert vehicle.free_space_m(0.5) == pytest.approx(0.15)  # 0.25 to the edge, 0.1 of it is the car's
+    assert vehicle.free_space_m(0.1) == 0.0
 
 
 def test_units_are_in_every_name() -> None:

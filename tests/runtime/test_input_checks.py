@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.config import CameraConfig, CarConfig
+from automodel.config import CameraConfig, CarConfig, PipelineConfig, VehicleConfig
 from automodel.curves import line
 from automodel.runtime.input_checks import (
     FLAT_LEVELS,
@@ -16,6 +16,7 @@ from automodel.runtime.input_checks import (
     ImageCheck,
     InputChecks,
     LaneJumpCheck,
+    OffsetBoundCheck,
     SteeringCheck,
     contrast,
 )
@@ -33,6 +34,7 @@ from automodel.signals import (
 from tests.support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline
 
 CAR = dataclasses.replace(CarConfig(), camera=CameraConfig(width_px=160, height_px=90))
+VEHICLE = VehicleConfig(width_m=0.2)  # 0.1 m free on either side in a lane of 0.4 m
 MOTION = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0)
 RNG = np.random.default_rng(0)
 NOISY = [np.tile(np.linspace(20, 220, 160), (90, 1)) + RNG.normal(0, 2, (90, 160)) for _ in range(20)]
@@ -187,12 +189,23 @@ def test_the_size_must_be_the_cameras() -> None:
 
 
 def lane_at(
-    t_ms: float, offset_m: float = 0.0, heading_rad: float = 0.0, status: LaneStatus = LaneStatus.TRACKING
+    t_ms: float,
+    offset_m: float = 0.0,
+    heading_rad: float = 0.0,
+    status: LaneStatus = LaneStatus.TRACKING,
+    bound_m: float = math.inf,
+    bound_rad: float = math.inf,
 ) -> LaneEstimate:
     if status is LaneStatus.LOST:
         return LaneEstimate(t_ns=round(t_ms * MS), status=status)
     pose = LanePose(
-        offset_m=offset_m, heading_rad=heading_rad, width_m=0.4, curvature_per_m=0.0, covariance=np.eye(3) * 1e-4
+        offset_m=offset_m,
+        heading_rad=heading_rad,
+        width_m=0.4,
+        curvature_per_m=0.0,
+        covariance=np.eye(3) * 1e-4,
+        offset_bound_m=bound_m,
+        heading_bound_rad=bound_rad,
     )
     return LaneEstimate(t_ns=round(t_ms * MS), status=status, pose=pose, centerline=line(0.0, 0.0, 0.0, 1.4))
 
@@ -211,47 +224,153 @@ def lane_at(
 def test_half_a_lane_aside_or_a_quarter_turn_is_another_line(
     offset_m: float, heading_rad: float, text: str | None
 ) -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     assert check.step(lane_at(0)) is None
     assert check.step(lane_at(16, offset_m, heading_rad)) == text
 
 
 def test_headings_are_compared_around_the_circle() -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     check.step(lane_at(0, heading_rad=math.pi - 0.1))
     assert check.step(lane_at(16, heading_rad=-math.pi + 0.1)) is None
 
 
 def test_a_lane_that_jumped_stays_wrong_until_it_is_back_or_the_right_one_is_long_ago() -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     check.step(lane_at(0))
     assert all(check.step(lane_at(t_ms, 0.3)) for t_ms in range(16, round(KEPT_S * 1000), 16))
     assert check.step(lane_at(KEPT_S * 1000, 0.3)) is None
     assert check.step(lane_at(KEPT_S * 1000 + 16, 0.0)) is not None  # and the old one has jumped now
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     check.step(lane_at(0))
     check.step(lane_at(16, 0.3))
     assert check.step(lane_at(32, 0.01)) is None
 
 
 def test_a_lane_that_wanders_may_go_anywhere() -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     assert [check.step(lane_at(16 * i, 0.05 * i, 0.1 * i)) for i in range(20)] == [None] * 20
 
 
 def test_a_lost_lane_is_no_jump_but_may_be_one_when_it_is_found() -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     check.step(lane_at(0))
     assert check.step(lane_at(16, status=LaneStatus.LOST)) is None
     assert check.step(lane_at(32, 0.3)) is not None
 
 
 def test_after_dead_reckoning_a_line_that_is_seen_again_is_right() -> None:
-    check = LaneJumpCheck()
+    check = LaneJumpCheck(VEHICLE)
     check.step(lane_at(0))
     check.step(lane_at(16, 0.1, status=LaneStatus.COASTING))
     assert check.step(lane_at(32, 0.35)) is None
     assert check.step(lane_at(48, 0.0)) is not None
+
+
+@pytest.mark.parametrize("status", [LaneStatus.TRACKING, LaneStatus.ONE_LINE, LaneStatus.COASTING])
+@pytest.mark.parametrize(
+    ("before_m", "after_m", "most_m"),
+    [
+        (0.10, 0.05, 0.15),  # what the bounds explain
+        (0.20, 0.30, 0.50),
+        (0.01, 0.02, 0.10),  # less than the free space brings no car out of its lane
+    ],
+)
+def test_bounds_that_are_stated_say_what_a_jump_is_whatever_the_status(
+    status: LaneStatus, before_m: float, after_m: float, most_m: float
+) -> None:
+    for step_m, jumps in ((most_m - 0.005, False), (most_m + 0.005, True)):
+        for sign in (-1.0, 1.0):
+            check = LaneJumpCheck(VEHICLE)
+            check.step(lane_at(0, status=status, bound_m=before_m))
+            said = check.step(lane_at(16, sign * step_m, bound_m=after_m))
+            assert said == (f"the lane has jumped sideways by {step_m:.2f} m" if jumps else None)
+
+
+@pytest.mark.parametrize(("before_m", "after_m"), [(0.01, math.inf), (math.inf, 0.01)])
+def test_one_bound_alone_changes_nothing(before_m: float, after_m: float) -> None:
+    for status, step_m, jumps in (
+        (LaneStatus.TRACKING, 0.19, False),
+        (LaneStatus.TRACKING, 0.21, True),
+        (LaneStatus.COASTING, 0.35, False),
+    ):
+        check = LaneJumpCheck(VEHICLE)
+        check.step(lane_at(0, status=status, bound_m=before_m))
+        assert (check.step(lane_at(16, step_m, bound_m=after_m)) is not None) is jumps
+
+
+def test_after_dead_reckoning_a_turn_that_the_bounds_do_not_explain_is_a_jump() -> None:
+    for turn_rad, bound_rad, jumps in ((0.65, 0.1, True), (0.55, 0.1, False), (0.65, 0.35, False), (0.65, 0.3, True)):
+        check = LaneJumpCheck(VEHICLE)
+        check.step(lane_at(0, status=LaneStatus.COASTING, bound_rad=bound_rad))
+        assert (check.step(lane_at(16, 0.0, turn_rad, bound_rad=bound_rad)) is not None) is jumps
+
+
+def uncertain(
+    seconds: float,
+    bound_m: float,
+    speed_mps: float = 1.0,
+    armed: bool = True,
+    check: OffsetBoundCheck | None = None,
+    from_s: float = 0.0,
+) -> list[str | None]:
+    """What is said each 10 ms of a car that may bridge 1.5 m and 2 s."""
+    check = check or OffsetBoundCheck(VEHICLE, 1.5, 2.0)
+    said = []
+    for t_ms in range(round(from_s * 1000), round((from_s + seconds) * 1000), 10):
+        motion = Motion(t_ns=t_ms * MS, speed_mps=speed_mps, yaw_rate_radps=0.0)
+        state = VehicleState(t_ns=t_ms * MS, armed=armed)
+        said.append(check.step(lane_at(t_ms, bound_m=bound_m), motion, state))
+    return said
+
+
+@pytest.mark.parametrize(("speed_mps", "after_s"), [(1.0, 1.5), (-1.5, 1.0), (0.5, 2.0), (0.0, 2.0)])
+def test_a_car_that_may_be_outside_its_lane_goes_on_as_far_as_one_without_lines(
+    speed_mps: float, after_s: float
+) -> None:
+    said = uncertain(2.5, 0.14, speed_mps)
+    first = next(index for index, text in enumerate(said) if text is not None)
+    assert first * 0.01 == pytest.approx(after_s, abs=0.011)
+    assert set(said[first:]) == {"offset uncertain: 0.14 m (limit 0.10)"}
+
+
+@pytest.mark.parametrize("bound_m", [0.0, 0.09, math.inf])
+def test_a_bound_within_the_free_space_or_not_stated_holds_nobody(bound_m: float) -> None:
+    assert not any(uncertain(5.0, bound_m))
+    assert not any(uncertain(1.0, bound_m, armed=False))
+
+
+def test_a_car_that_is_not_armed_has_nothing_to_bridge() -> None:
+    check = OffsetBoundCheck(VEHICLE, 1.5, 2.0)
+    assert all(uncertain(0.5, 0.14, 0.0, armed=False, check=check))
+    assert not any(uncertain(1.4, 0.14, check=check, from_s=0.5))
+    assert OffsetBoundCheck(VEHICLE, 1.5, 2.0).step(lane_at(0, bound_m=0.14), MOTION, None) is not None
+
+
+def test_an_offset_that_was_certain_again_may_be_uncertain_for_as_long_again() -> None:
+    check = OffsetBoundCheck(VEHICLE, 1.5, 2.0)
+    for begin_s in (0.0, 2.0, 4.0):
+        assert not any(uncertain(1.4, 0.14, check=check, from_s=begin_s))
+        assert not any(uncertain(0.1, 0.05, check=check, from_s=begin_s + 1.4))
+    assert any(uncertain(1.6, 0.14, check=check, from_s=6.0))
+
+
+def test_a_lost_lane_does_not_make_an_uncertain_one_certain() -> None:
+    check = OffsetBoundCheck(VEHICLE, 1.5, 2.0)
+    uncertain(1.0, 0.14, check=check)
+    assert check.step(lane_at(1000, status=LaneStatus.LOST), MOTION, VehicleState(t_ns=0, armed=True)) is None
+    assert any(uncertain(0.6, 0.14, check=check, from_s=1.01))
+
+
+def test_the_car_bridges_what_its_pipeline_does_and_its_width_counts() -> None:
+    car = dataclasses.replace(CAR, pipeline=PipelineConfig(name="windows"), vehicle=VehicleConfig(width_m=0.3))
+    checks, armed = InputChecks(car), VehicleState(t_ns=0, armed=True)
+    coast_s = car.pipeline.windows.coast_s
+    for t_ms in range(0, round(coast_s * 1000), 10):
+        motion = Motion(t_ns=t_ms * MS, speed_mps=0.1, yaw_rate_radps=0.0)
+        assert checks.of_estimate(lane_at(t_ms, bound_m=0.06), motion, armed) == ()
+    late = lane_at(coast_s * 1000, bound_m=0.06)
+    assert checks.of_estimate(late, MOTION, armed) == ("offset uncertain: 0.06 m (limit 0.05)",)
 
 
 WHEELBASE_M = 0.26

@@ -159,6 +159,11 @@ def test_estimate_faults() -> None:
     covariance = np.eye(3)
     covariance[1, 2] = math.inf
     assert len(estimate_faults(replace(good, pose=replace(good.pose, covariance=covariance)))) == 1
+    for offset_m, heading_rad in ((math.nan, 0.1), (0.1, math.nan), (-0.01, 0.1)):
+        pose = replace(good.pose, offset_bound_m=offset_m, heading_bound_rad=heading_rad)
+        assert estimate_faults(replace(good, pose=pose)) == ("a bound of the estimate's pose is not a number >= 0",)
+    stated = replace(good.pose, offset_bound_m=0.0, heading_bound_rad=0.1)
+    assert estimate_faults(replace(good, pose=stated)) == ()
     assert estimate_faults(replace(good, crossing=Crossing(distance_m=1.0, angle_rad=1.5))) == ()
     assert len(estimate_faults(replace(good, crossing=Crossing(distance_m=math.inf, angle_rad=1.5)))) == 1
     assert len(estimate_faults(replace(good, crossing=Crossing(distance_m=1.0, angle_rad=math.nan)))) == 1

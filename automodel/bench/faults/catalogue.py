@@ -9,6 +9,7 @@ from random import Random
 
 from automodel.bench.faults import hooks
 from automodel.bench.faults.fault import (
+    BOUND_S,
     At,
     CameraHook,
     Disk,
@@ -22,9 +23,10 @@ from automodel.bench.faults.fault import (
     Stall,
     WireHook,
 )
-from automodel.config import ConfigError
+from automodel.config import CenterlineConfig, ConfigError
 
 HELD_S = (0.5, 1.0)  # longer than a car is held
+UNCERTAIN_S = CenterlineConfig().coast_s + BOUND_S  # what a car may drive on for without any line
 OTHER_LANE_S = 0.7  # after a wrong lane the right one, too, is another lane at first
 BOOT_S = 0.7  # until a board that has restarted has got the limits again
 SHORT_S = (0.3, 0.8)
@@ -150,6 +152,12 @@ PERCEPTION = (
           hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
     Fault(name="perception-lost-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.25),
           text="no lane for 0.1 to 0.25 s", hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
+    Fault(name="perception-uncertain", kind=Kind.WRONG, must=Must.STOP, duration_s=(3.0, 3.5), within_s=UNCERTAIN_S,
+          text="the offset's bound grows beyond the free space beside the car",
+          hooks=lambda random, end_ns: Hooks(lane=hooks.uncertain(random.uniform(0.12, 0.5)))),
+    Fault(name="perception-uncertain-short", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.2, 1.2),
+          text="the offset's bound is beyond the free space beside the car for 0.2 to 1.2 s",
+          hooks=lambda random, end_ns: Hooks(lane=hooks.uncertain(random.uniform(0.12, 0.5)))),
     Fault(name="perception-coasts", kind=Kind.WRONG, must=Must.NOTHING, duration_s=HELD_S,
           text="no line is seen, but the pipeline predicts the lane",
           hooks=lambda random, end_ns: Hooks(lane=hooks.coasting)),

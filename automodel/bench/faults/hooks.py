@@ -123,6 +123,11 @@ def with_pose(**changes: Any) -> LaneHook:
     return hook
 
 
+def uncertain(offset_bound_m: float) -> LaneHook:
+    """The same lane, but its offset may be wrong by `offset_bound_m`."""
+    return with_pose(offset_bound_m=offset_bound_m)
+
+
 def without_pose(estimate: LaneEstimate) -> LaneEstimate:
     """A valid estimate without a pose."""
     return replace(estimate, pose=None)

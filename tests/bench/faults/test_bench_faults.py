@@ -10,9 +10,10 @@ import pytest
 from automodel.bench.faults import measure as fault_rig
 from automodel.bench.faults.catalogue import FAULTS
 from automodel.bench.faults.fault import Must
+from automodel.config import PipelineConfig
 from automodel.control import longitudinal as speed_module
 from automodel.runtime import safety
-from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, SteeringCheck
+from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, OffsetBoundCheck, SteeringCheck
 from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino
 from firmware_link.emulator import logic
@@ -25,7 +26,7 @@ BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
 def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
-    said = cli(*BENCH, "--runs", "60", "--json")
+    said = cli(*BENCH, "--runs", len(FAULTS), "--json")
     assert (said.code, said.err) == (0, "")
     rows = {row["fault"]: row for row in said.rows}
     assert all(list(row) == KEYS for row in rows.values())
@@ -104,6 +105,10 @@ def _remembering(self: safety.Safety, inputs: safety.SafetyInputs, *rest: object
     return _AT_REST(self, inputs, *rest)  # type: ignore[arg-type]
 
 
+def _no_coasting(self: PipelineConfig, lane_width_m: float) -> tuple[float, float]:
+    return 0.0, 0.0
+
+
 def _newest(self: speed_module.ObstacleGuard) -> float:
     return self._readings[-1] if self._readings else math.inf
 
@@ -115,6 +120,8 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("camera-flat", 1, lambda m: m.setattr(ImageCheck, "step", _nothing), "never went neutral"),
     ("camera-size", 1, lambda m: m.setattr(ImageCheck, "misfit", _nothing), "never went neutral"),
     ("perception-decoy", 1, lambda m: m.setattr(LaneJumpCheck, "step", _nothing), "never went neutral"),
+    ("perception-uncertain", 1, lambda m: m.setattr(OffsetBoundCheck, "step", _nothing), "never went neutral"),
+    ("perception-uncertain-short", 1, lambda m: m.setattr(PipelineConfig, "coasting", _no_coasting), "hold after"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
     ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "expected at most"),
     ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
