@@ -15,12 +15,12 @@ class WindowsConfig:
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
     view_half_lanes: float = 1.6  # half the bird's-eye view's width
     marking_px: float = 5.0  # pixels that the marking is wide in the bird's-eye view
-    contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
+    contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
     coast_m: float = 1.6  # distance [m] that the lane is carried on without any line, at most
     coast_s: float = 2.0  # and for how long at most
 
     def __post_init__(self) -> None:
-        positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px", "contrast")
+        positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px")
         not_negative(self, "coast_m", "coast_s")
 
 
@@ -59,7 +59,7 @@ class ContourConfig:
     nodes: int = 18  # places at which a line is looked for
     piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
     radius_lanes: float = 1.4  # radius of the tightest bend; some 50 on a highway
-    contrast: float = 12.0  # grey levels that a marking stands above its surroundings, at least
+    contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
     colour: str = "grey"  # what is read of a colour image: "blue", "green", "red", or their weighted sum "grey"
     update: str = "gauss_newton"  # or "gradient_descent", as in the thesis
     precision: str = "double"  # or "single", for boards that have no fast doubles
@@ -70,7 +70,7 @@ class ContourConfig:
         one_of("colour", self.colour, ("grey", "blue", "green", "red"))
         one_of("update", self.update, ("gauss_newton", "gradient_descent"))
         one_of("precision", self.precision, ("double", "single"))
-        positive(self, "look_ahead_lanes", "piece_lanes", "radius_lanes", "contrast")
+        positive(self, "look_ahead_lanes", "piece_lanes", "radius_lanes")
         not_negative(self, "coast_lanes", "coast_s")
         if not 4 <= self.nodes <= 100:
             raise ValueError(f"nodes: expected 4 .. 100, got {self.nodes}")

@@ -53,7 +53,9 @@ class Windows:
         self._size = (car.camera.height_px, car.camera.width_px)
         self._birdseye = BirdsEye(camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
-        self._paint_check = TemporalPaintCheck(self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m)
+        self._paint_check = TemporalPaintCheck(
+            camera, self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m
+        )
         self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
         self._windows = SlidingWindows(self.view, lane.marking_width_m)
         self._tracker = LaneTracker(
@@ -83,8 +85,8 @@ class Windows:
             return self._lost(frame)
         view = self._birdseye_view(frame.image)
         self.stages.lap("birdseye")
-        bright, lines = self._white_areas.step(view)  # binarisation, white-areas filter
-        lines = self._painted(lines, bright)  # temporal paint check
+        areas = self._white_areas.step(view)  # binarisation, white-areas filter
+        lines = self._paint_check.step(areas)  # temporal paint check
         self.stages.lap("white_areas")
         crossing = None
         if self._tracker.parameters is None:
@@ -94,7 +96,7 @@ class Windows:
             fitted = self._start(candidate)
             self._confirmed_ns = frame.t_ns + (0 if candidate.pair else self.CONFIRM_NS)
         else:
-            scan = self._scan_crossing(bright)
+            scan = self._scan_crossing(areas.bright)
             crossing = scan.crossing
             self.stages.lap("crossing")
             seen = self._observe(lines, scan)  # sliding windows
@@ -127,12 +129,6 @@ class Windows:
     def _birdseye_view(self, image: Image) -> Image:
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
-
-    def _painted(self, lines: Image, bright: Image) -> Image:
-        """The lines (h, w) that may be paint; `bright` (h, w) is remembered."""
-        painted = self._paint_check.step(lines)
-        self._paint_check.remember(bright)
-        return painted
 
     def _start(self, candidate: LaneCandidate) -> Fitted:
         self._tracker.start(candidate.seen, candidate.solution)

@@ -266,7 +266,7 @@ def test_single_floats_give_the_same_lane(name: str) -> None:
         length = min(one.centerline.length_m, other.centerline.length_m)
         s = np.linspace(0.0, 0.8 * length, 15)
         away = np.abs(one.centerline.position(s) - other.centerline.position(s))
-        assert away.max() < 6.0 * bound_m
+        assert away.max() < 8.0 * bound_m  # at the far end, where one of them may take a node more
 
 
 def test_colour_read_as_grey_is_grey() -> None:

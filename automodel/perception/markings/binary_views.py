@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.types import Image
+from automodel.perception.markings.ridge_noise import FALSE_ALARMS
+from automodel.types import Bools, Image
 
 HIGH, LOW = 160, 70  # of 255: a marking whatever surrounds it; a marking if it exceeds its surroundings
 ABOVE = 34  # by how much it must exceed the mean around it
@@ -102,20 +105,32 @@ class FeaturePoints:
         return np.ones((rows, columns), np.uint8) if max(rows, columns) > 1 else None
 
 
+class MarkingViews(NamedTuple):
+    """A grey bird's-eye view (h, w) filtered: all bright areas and those as wide as a line, 0 or 255, and the contrast.
+
+    `contrast` is how far a pixel is above its surroundings [grey levels], else 0.
+    """
+
+    bright: Image
+    lines: Image
+    contrast: Image
+
+
 class WhiteAreas:
     """The white-areas filter of Balbuena Palma et al. 2020, section IV-B: keeps what is about as wide as a marking.
 
     A pixel is bright relative to the mean of a box five markings wide, so that slow changes of the light have no
-    effect. The threshold follows the image's contrast between `contrast` and six times `contrast` [grey levels]. Of the
-    bright areas, runs along a row between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider
-    than it is). `dark`: markings are darker than the ground.
+    effect. The threshold is a share of the contrast of the brightest pixels, at least `contrast` [grey levels] or,
+    where that is 0, what noise exceeds in `FALSE_ALARMS` runs of a line's width. Of the bright areas, runs along a row
+    between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `dark`: markings are
+    darker than the ground.
     """
 
     NARROW, WIDE = 0.45, 2.4
     SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
     SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
 
-    def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float, dark: bool = False) -> None:
+    def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float = 0.0, dark: bool = False) -> None:
         self.contrast, self.dark = contrast, dark
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
@@ -128,22 +143,36 @@ class WhiteAreas:
         self.mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
         self._thinned = np.ascontiguousarray(self.mask[::3])
         self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
+        # In a false run as long as the opening's kernel all pixels exceed the level.
+        run, normal = self._narrow.size, NormalDist()
+        rate = min(FALSE_ALARMS * run / (3.0 * self._visible_px), 0.25)
+        self._quartiles = normal.inv_cdf(1.0 - rate ** (1.0 / run)) / normal.inv_cdf(0.75)
 
-    def step(self, view: Image) -> tuple[Image, Image]:
-        """Binary views (h, w), 0 or 255, of a grey view (h, w): all bright areas, and those as wide as a line."""
+    def step(self, view: Image) -> MarkingViews:
+        """The filtered views of a grey view (h, w)."""
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
-        contrast = cv2.subtract(around, view) if self.dark else cv2.subtract(view, around)
-        counts = cv2.calcHist([contrast[::3]], [0], self._thinned, [256], [0, 256]).ravel()  # a third of the rows
-        above = np.cumsum(counts[::-1])
-        brightest = 255 - int(np.searchsorted(above, 0.01 * self._visible_px))
-        level = min(max(self.SHARE * brightest, self.contrast), 6.0 * self.contrast)
+        contrast = np.asarray(cv2.subtract(around, view) if self.dark else cv2.subtract(view, around), dtype=np.uint8)
+        level = self._level(contrast)
         bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
         ridge = cv2.threshold(self._above_sides(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
         no_specks = cv2.morphologyEx(cv2.bitwise_and(bright, ridge), cv2.MORPH_OPEN, self._narrow)
         too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
         # Masked only here: an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
         lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self.mask)
-        return np.asarray(cv2.bitwise_and(bright, self.mask), dtype=np.uint8), np.asarray(lines, dtype=np.uint8)
+        bright = cv2.bitwise_and(bright, self.mask)
+        return MarkingViews(np.asarray(bright, dtype=np.uint8), np.asarray(lines, dtype=np.uint8), contrast)
+
+    def _level(self, contrast: Image) -> float:
+        """The contrast [grey levels] from which on a pixel is bright."""
+        counts = cv2.calcHist([contrast[::3]], [0], self._thinned, [256], [0, 256]).ravel()  # a third of the rows
+        shares = np.cumsum(counts) / self._visible_px
+        brightest = float(np.searchsorted(shares, 0.99))
+        if self.contrast > 0.0:
+            return max(self.SHARE * brightest, self.contrast)
+        # Of the contrast's symmetric noise the lower half is cut off at 0, so the third quartile is its spread; a grey
+        # level stands for all values half a level around it.
+        noise = float(np.interp(0.75, shares, np.arange(256.0) + 0.5))
+        return max(self.SHARE * brightest, self._quartiles * noise)
 
     def _above_sides(self, view: Image) -> Image:
         """By how much each pixel exceeds the brighter of its neighbours to the left and right, else 0.
@@ -160,33 +189,53 @@ class WhiteAreas:
 
 @dataclass(slots=True)
 class _PastView:
-    """An earlier view: 255 where the ground was visible and bare; the car's pose and the distance driven then."""
+    """An earlier view's contrast, the largest within the tolerance; the car's pose and the distance driven then."""
 
-    bare: Image
+    contrast: Image
     start_from_then: SE2
     driven_m: float
 
 
 class TemporalPaintCheck:
-    """Removes reflections: compares a filtered view with what was bright a lane width of distance earlier.
+    """Removes reflections: compares a filtered view with the contrast a lane width of distance earlier.
 
     Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
-    odometry gives each place in the earlier view; if the ground was visible and bare there, it carries no paint. Places
-    that were not visible pass, and so does everything until the car has driven far enough.
+    odometry gives each place in the earlier view. Where that showed less than half of the present contrast, there is no
+    paint. Only what the camera resolved then counts, and where a nodding camera and the odometry's error move a place
+    by less than the tolerance; other places pass, and so does everything until the car has driven far enough.
     """
 
     DISTANCE_LANES = 1.0  # to the view that is compared with
     EVERY_LANES = 0.1  # distance between two remembered views
-    TOLERANCE_MARKINGS = 1.0  # lateral error of a point
+    TOLERANCE_MARKINGS = 1.0  # error of a place
+    BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
+    RESOLVED_PX = 2.0  # width of a marking in the image from which on it keeps its contrast
+    NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
 
-    def __init__(self, view: View, visible: Image, lane_width_m: float, marking_width_m: float) -> None:
-        self.view, self._visible = view, visible
+    def __init__(
+        self, camera: GroundCamera, view: View, visible: Image, lane_width_m: float, marking_width_m: float
+    ) -> None:
+        self.view, self._unseen = view, cv2.bitwise_not(visible)
+        self._unseen[~self._reliable(camera, marking_width_m)] = 255
         self._distance_m, self._every_m = self.DISTANCE_LANES * lane_width_m, self.EVERY_LANES * lane_width_m
         across = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_px) + 1
         along = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_row) + 1
         self._kernel = np.ones((along, across), np.uint8)
         self._past: deque[_PastView] = deque()
         self.forget()
+
+    def _reliable(self, camera: GroundCamera, marking_m: float) -> Bools:
+        """Where (h, w) in the view a marking keeps its contrast and its place."""
+        rows, columns = np.arange(self.view.height_px), np.arange(self.view.width_px)
+        x = self.view.to_body(np.column_stack((np.zeros(len(rows)), rows)))[:, 0]
+        y = self.view.to_body(np.column_stack((columns, np.zeros(len(columns)))))[:, 1]
+        left, right = (
+            camera.ground_to_px(np.column_stack((x, np.full(len(x), side * marking_m)))) for side in (0.5, -0.5)
+        )
+        resolved = np.hypot(*(right - left).T) >= self.RESOLVED_PX
+        ahead = x[:, None] - camera.centre_m[0]
+        moved = np.hypot(np.abs(y) * ahead * (self.NOD_RAD / camera.centre_m[2]), self.TURN_RAD * ahead)
+        return np.asarray(resolved[:, None] & (moved < self.TOLERANCE_MARKINGS * marking_m))
 
     def forget(self) -> None:
         """Forget all views."""
@@ -200,21 +249,24 @@ class TemporalPaintCheck:
         while len(self._past) > 1 and self._driven_m - self._past[1].driven_m >= self._distance_m:
             self._past.popleft()
 
-    def remember(self, bright: Image) -> None:
-        """Keep the bright areas (h, w) of this frame, if the car has driven on since the last view kept."""
+    def step(self, views: MarkingViews) -> Image:
+        """The part (h, w) of the lines that may be paint. The contrast is kept if the car has driven on enough."""
+        painted = self._painted(views)
         if not self._past or self._driven_m - self._past[-1].driven_m >= self._every_m:
-            bare = cv2.subtract(self._visible, cv2.dilate(bright, self._kernel))
-            self._past.append(_PastView(np.asarray(bare, dtype=np.uint8), self._start_from_now, self._driven_m))
+            contrast = cv2.bitwise_or(cv2.dilate(views.contrast, self._kernel), self._unseen)
+            self._past.append(_PastView(np.asarray(contrast, np.uint8), self._start_from_now, self._driven_m))
+        return painted
 
-    def step(self, lines: Image) -> Image:
-        """The part of a filtered view (h, w) that may be paint."""
+    def _painted(self, views: MarkingViews) -> Image:
         if not self._past or self._driven_m - self._past[0].driven_m < self._distance_m:
-            return lines
+            return views.lines
         past = self._past[0]
         now = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
         then_from_now = past.start_from_then.inverse() @ self._start_from_now
         then = self.view.to_px(then_from_now.apply(self.view.to_body(now)))
         affine = cv2.getAffineTransform(now.astype(np.float32), then.astype(np.float32))
         size = (self.view.width_px, self.view.height_px)
-        bare = cv2.warpAffine(past.bare, affine, size, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP, borderValue=[0])
-        return np.asarray(cv2.subtract(lines, bare), dtype=np.uint8)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        contrast = cv2.warpAffine(past.contrast, affine, size, flags=flags, borderValue=[255])
+        bare = cv2.compare(contrast, cv2.convertScaleAbs(views.contrast, alpha=self.BARE), cv2.CMP_LT)
+        return np.asarray(cv2.subtract(views.lines, bare), dtype=np.uint8)

@@ -17,7 +17,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from automodel.curves.lanes import ArcLane
 from automodel.geometry import GroundCamera
-from automodel.perception.rows.row_ridges import MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
+from automodel.perception.rows.row_ridges import MARGIN, PER_MARKING, ROUNDING, Brightness, RowRidgeFilter
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 
@@ -41,7 +41,7 @@ class LaneSearchConfig:
     lane_width_m: float
     marking_m: float
     reference_x_m: float
-    contrast: float = 12.0  # grey levels
+    contrast: float = 0.0  # grey levels; 0: measured
     rows: int = 16
     ahead: float = 2.0  # depth of the rows from the nearest visible ground
     headings_rad: tuple[float, int] = (0.7, 19)
@@ -135,7 +135,6 @@ class LineIntegralSearch:
             np.broadcast_to(self._y, (len(self._lookup.rows), len(self._y)))
         )
         self._filter = RowRidgeFilter(len(self._pixels), len(self._y), config.contrast)
-        self._min_noise = 0.06 * config.contrast * WINDOW
         self._fit = LanePairLsq(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
         tightest = 1.0 / (config.radius_lanes * unit)
         kappa, theta = np.meshgrid(self.CURVATURES * tightest, self.HEADINGS_RAD, indexing="ij")
@@ -164,7 +163,7 @@ class LineIntegralSearch:
         height = self._filter.heights(values, MARGIN, samples - MARGIN)
         inside = self._inside[:, : -2 * MARGIN] & self._inside[:, 2 * MARGIN :]
         median = [np.median(np.abs(h[known])) if known.any() else 0.0 for h, known in zip(height, inside, strict=True)]
-        noise = np.array(median, np.float32) + np.float32(self._min_noise)
+        noise = np.array(median, np.float32) + np.float32(ROUNDING)
         excess = height.astype(np.float32) / noise[:, None] - np.float32(self.NOISE_LEVEL)
         evidence = np.zeros(values.shape, np.float32)
         evidence[:, MARGIN:-MARGIN] = np.where(inside, np.clip(excess, self.MIN_EXCESS, self.MAX_EXCESS), 0.0)
@@ -284,7 +283,7 @@ class LanePairLsq:
         values = self._brightness.read(image, pixels)
         heights = self._filter.heights(values, MARGIN, self._SAMPLES - MARGIN)
         best = heights.argmax(axis=1)
-        ridges = self._filter.measure(values, np.arange(len(values)), best + MARGIN)
+        ridges = self._filter.measure(values, np.arange(len(values)), best + MARGIN, noise.astype(np.float32))
         height = heights[np.arange(len(heights)), best] / noise
         strength = np.clip((height - self.MIN_HEIGHT) / (self.FULL_HEIGHT - self.MIN_HEIGHT), 0.0, 1.0)
         return best - self.REACH + ridges.place, ridges.edge.astype(np.float64), strength * inside.all(axis=1)

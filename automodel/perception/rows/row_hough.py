@@ -22,20 +22,20 @@ from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
 from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
-from automodel.types import Bools, Floats, Image, Ints
+from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Votes = NDArray[np.int32]
 Best = tuple[float, int, int, int, int]
 
 
 @compiled
-def row_peaks(height: Votes, within: Bools, least: float, reach: int) -> tuple[Ints, Ints]:
-    """Row and column (n,) of the values above `least`, where `within`, that no value within `reach` columns exceeds."""
+def row_peaks(height: Votes, within: Bools, least: Float32Array, reach: int) -> tuple[Ints, Ints]:
+    """Row and column (n,) of the values above their row's `least`, `within` the image, highest within `reach`."""
     rows, columns = np.empty(height.size, np.intp), np.empty(height.size, np.intp)
     count, last = 0, height.shape[1] - 1
     for r in range(len(height)):
         for c in range(last + 1):
-            if height[r, c] <= least or not within[r, c]:
+            if height[r, c] <= least[r] or not within[r, c]:
                 continue
             highest = True
             for k in range(max(c - reach, 0), min(c + reach, last) + 1):
@@ -222,9 +222,10 @@ class RowHough:
         values = self._brightness.read(image, self._pixels)
         height = self._filter.heights(values, MARGIN, values.shape[1] - MARGIN)
         within = self._within[:, MARGIN:-MARGIN]
-        row, at = row_peaks(height, within, self.config.contrast * WINDOW, PER_MARKING // 2)
+        least = self._filter.thresholds(height, within)
+        row, at = row_peaks(height, within, least, PER_MARKING // 2)
         at += MARGIN
-        ridges = self._filter.measure(values, row, at)
+        ridges = self._filter.measure(values, row, at, least)
         line = ridges.flags[LINE]
         edges = ridges.edge[line]
         self._edge = float(np.sort(edges)[int(self.SHARP * len(edges))]) if len(edges) else 0.0

@@ -1,14 +1,16 @@
 """Ridges of a marking's width in rows of samples, six to the marking's apparent width.
 
 The filter is the mean of the marking's middle minus the brighter of its two sides: an edge (a shadow, a kerb) has one
-bright side and gives nothing. A ridge is classified by the samples above half of its height: their width, and whether
-it is alone. The bars of a zebra crossing lie side by side, lines do not.
+bright side and gives nothing. What bare ground makes of the filter is its noise; a ridge exceeds what noise does at one
+place of a frame (`ridge_noise`). A ridge is classified by the samples above half of its height: their width, and
+whether it is alone. The bars of a zebra crossing lie side by side, lines do not.
 
 `RowRidgeFilter` filters whole rows; `lay_run` and `best_ridges` find the best ridge of short runs of samples.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
+from automodel.perception.markings.ridge_noise import MEDIAN, least_ridge
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Sums = NDArray[np.int32]
@@ -28,7 +31,9 @@ AROUND = 24  # samples on each side by which a ridge is classified
 REACH = 31  # samples on each side of a run's middle
 GATE = 15  # samples on each side of a run's middle among which its ridge is searched
 CHANNELS = {"blue": 0, "green": 1, "red": 2}
+FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed the threshold at once
 LINE, BAR = range(2)
+ROUNDING = WINDOW / math.sqrt(12.0) * MEDIAN  # a filter's noise, median of |height|, where all is rounded alike
 
 _GREY = (0.114, 0.587, 0.299)  # of blue, green, red: ITU-R BT.601
 _BODY = 7  # samples: half of what counts as the marking itself
@@ -75,11 +80,11 @@ class Ridges:
 
 @compiled
 def measure_ridges(
-    values: Float32Array, row: Ints, at: Ints, contrast: float
+    values: Float32Array, row: Ints, at: Ints, least: Float32Array
 ) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
     """The fields of `Ridges` at samples `at` (n,) of rows `row` (n,) in `values` (r, k).
 
-    A marking has at least `contrast` [grey levels]. Beyond its ends a row is continued with its last value.
+    A marking's height exceeds the `least` (r,) of its row. Beyond its ends a row is continued with its last value.
     """
     n, last, half = len(at), values.shape[1] - 1, WINDOW // 2
     place, height, edge = np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32)
@@ -110,17 +115,74 @@ def measure_ridges(
         place[i] = moment / max(width, 1e-6)
         height[i] = middle - max(one, other)
         edge[i] = min(rise, fall)
-        marked = height[i] > contrast * WINDOW and width > _NARROWEST
+        marked = height[i] > least[row[i]] and width > _NARROWEST
         flags[LINE, i] = marked and width < _WIDEST and beside * share < _MAX_BESIDE
         flags[BAR, i] = marked and width < _WIDEST_BAR and beside * share > _MIN_BESIDE and not flags[LINE, i]
     return place, height, edge, flags
 
 
+@compiled
+def median_heights(height: Sums, within: Bools) -> Float32Array:
+    """The median of |height| (r,) of rows (r, n) where `within`, of every third sample; at least `ROUNDING`."""
+    medians = np.empty(len(height), np.float32)
+    values = np.empty(height.shape[1], np.float32)
+    for r in range(len(height)):
+        count = 0
+        for c in range(0, height.shape[1], 3):
+            if within[r, c]:
+                values[count] = abs(height[r, c])
+                count += 1
+        medians[r] = ROUNDING
+        if count:
+            medians[r] = max(float(np.median(values[:count])), ROUNDING)
+    return medians
+
+
+@compiled
+def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
+    """The height (2 k,) that a ridge exceeds, in runs (2 k, 2 REACH + 1) on two rows about each of k places.
+
+    It is `noises` times the median of |height| at the ends of a run, beyond the reach of a line in its middle; the mean
+    over the runs about five neighbouring places.
+    """
+    k = len(values) // 2
+    count = REACH - MARGIN - GATE + 1
+    medians, ends = np.empty(len(values), np.float32), np.empty(2 * count, np.float32)
+    sums = np.empty(values.shape[1] - WINDOW + 1, np.float32)
+    for i in range(len(values)):
+        sums[0] = 0.0
+        for j in range(WINDOW):
+            sums[0] += values[i, j]
+        for j in range(1, len(sums)):
+            sums[j] = sums[j - 1] + values[i, j + WINDOW - 1] - values[i, j - 1]
+        for j in range(count):
+            for end in range(2):
+                at = SIDE + j if end == 0 else len(sums) - 1 - SIDE - j
+                value = abs(sums[at] - max(sums[at - SIDE], sums[at + SIDE]))
+                place = 2 * j + end  # insertion sort
+                while place > 0 and ends[place - 1] > value:
+                    ends[place] = ends[place - 1]
+                    place -= 1
+                ends[place] = value
+        medians[i] = 0.5 * (ends[count - 1] + ends[count])
+    least = np.empty(len(values), np.float32)
+    for i in range(k):
+        total, used = np.float32(0.0), 0
+        for j in range(max(i - 2, 0), min(i + 3, k)):
+            total += medians[j] + medians[k + j]
+            used += 2
+        least[i] = least[k + i] = noises * max(total / used, ROUNDING)
+    return least
+
+
 class RowRidgeFilter:
-    """Filters up to `rows` rows of up to `samples` samples; `contrast` [grey levels] is the minimum of a ridge."""
+    """Filters up to `rows` rows of up to `samples` samples.
+
+    `contrast` [grey levels] is the minimum of a ridge; 0: it follows the noise.
+    """
 
     def __init__(self, rows: int, samples: int, contrast: float) -> None:
-        self._contrast = contrast
+        self._contrast, self._noises = contrast, np.float32(least_ridge(samples / FALSE_SAMPLES))
         self._sums: Sums = np.zeros((rows, samples + 1), np.int32)
 
     def heights(self, values: NDArray[Any], first: int, last: int) -> Sums:
@@ -132,10 +194,16 @@ class RowRidgeFilter:
         height = np.maximum(means[:, : -2 * SIDE], means[:, 2 * SIDE :])
         return np.subtract(means[:, SIDE:-SIDE], height, out=height)
 
-    def measure(self, values: NDArray[Any], row: Ints, at: Ints) -> Ridges:
-        """The ridges (n,) at samples `at` (n,) of rows `row` (n,)."""
+    def thresholds(self, heights: Sums, within: Bools) -> Float32Array:
+        """The height (r,) that a ridge exceeds on each row, from all heights (r, n) that lie `within` the image."""
+        if self._contrast > 0.0:
+            return np.full(len(heights), self._contrast * WINDOW, np.float32)
+        return median_heights(heights, within) * self._noises
+
+    def measure(self, values: NDArray[Any], row: Ints, at: Ints, least: Float32Array) -> Ridges:
+        """The ridges (n,) at samples `at` (n,) of rows `row` (n,); `least` (r,) as of `thresholds`."""
         row, at = np.ascontiguousarray(row), np.ascontiguousarray(at)  # one memory layout is compiled once
-        return Ridges(*measure_ridges(values.astype(np.float32), row, at, self._contrast))
+        return Ridges(*measure_ridges(values.astype(np.float32), row, at, least))
 
 
 @compiled
@@ -146,10 +214,10 @@ def lay_run(pixels: Ints, middle: float, step: float) -> None:
 
 
 @compiled
-def best_ridges(values: Float32Array, contrast: float) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
+def best_ridges(values: Float32Array, least: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
     """The fields of `Ridges` for the best ridge of each of n runs (n, 2 REACH + 1); places relative to the middle."""
     best, runs = _best(values), np.arange(len(values))
-    place, height, edge, flags = measure_ridges(values, runs, best, contrast)
+    place, height, edge, flags = measure_ridges(values, runs, best, least)
     for i in range(len(place)):
         place[i] += best[i] - REACH
     return place, height, edge, flags

@@ -14,7 +14,21 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.line_projection import LineProjection, View, project_lines
-from automodel.perception.rows.row_ridges import BAR, LINE, MARGIN, PER_MARKING, REACH, Brightness, best_ridges, lay_run
+from automodel.perception.markings.ridge_noise import least_ridge
+from automodel.perception.rows.row_ridges import (
+    BAR,
+    FALSE_SAMPLES,
+    GATE,
+    LINE,
+    MARGIN,
+    PER_MARKING,
+    REACH,
+    WINDOW,
+    Brightness,
+    best_ridges,
+    lay_run,
+    run_thresholds,
+)
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
 
 MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not searched
@@ -61,8 +75,8 @@ class NodeMeasurements:
 class RowSearch:
     """Searches nodes at arc lengths `nodes_m` (n,) on each line in images of `size` (height, width) px.
 
-    `contrast` [grey levels] is a ridge's minimum. The search remembers how sharp markings are, so that a much blurrier
-    ridge (a reflection) is rejected; `forget` drops that.
+    `contrast` [grey levels] is a ridge's minimum; 0: it follows the noise. The search remembers how sharp markings are,
+    so that a much blurrier ridge (a reflection) is rejected; `forget` drops that.
     """
 
     HALF_LENGTH = 0.5  # markings: half the distance along the line between a node's two rows; one row at least
@@ -82,6 +96,7 @@ class RowSearch:
         self._projection, self._brightness, self._contrast = projection, brightness, contrast
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
         self._size = size
+        self._noises = least_ridge(4 * len(nodes_m) * (2 * GATE + 1) / FALSE_SAMPLES)  # two lines, two runs a node
         tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / self._sample_m)
         tear[-1] = -1.0  # the next node is the other line's
         self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
@@ -98,9 +113,13 @@ class RowSearch:
         )
         # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
         values = self._brightness.read(image, pixels).astype(np.float32)
+        if self._contrast > 0.0:
+            least = np.full(len(values), self._contrast * WINDOW, np.float32)
+        else:
+            least = run_thresholds(values, self._noises)
         min_edge, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
         found, residual, edge = _agree(
-            values, self._contrast, nodes, column, step, half_m, tear, self._sample_m, min_edge, width
+            values, least, nodes, column, step, half_m, tear, self._sample_m, min_edge, width
         )
         return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
 
@@ -158,7 +177,7 @@ def _lay(
 @compiled
 def _agree(
     values: Float32Array,
-    contrast: float,
+    least: Float32Array,
     nodes: Ints,
     column: Floats,
     step: Floats,
@@ -172,7 +191,7 @@ def _agree(
 
     A node is found if its two ridges agree and lie in the image, next to another such node.
     """
-    place, _, edge, flags = best_ridges(values, contrast)
+    place, _, edge, flags = best_ridges(values, least)
     k = len(nodes)
     found, residual, edges = np.zeros(2 * k, step.dtype), np.empty(2 * k, step.dtype), np.empty(k, edge.dtype)
     marks, means = np.zeros(k, np.bool_), np.empty(k, step.dtype)

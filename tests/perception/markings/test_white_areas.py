@@ -45,7 +45,7 @@ def test_a_kept_line_stays_where_it_is(view: View, slope: float) -> None:
     for place in np.linspace(-0.05, 0.05, 5):  # not the same place between the pixels
         drawn = share(view, line_at(place, slope=slope))
         picture = np.round(40.0 + 160.0 * drawn).astype(np.uint8)
-        lines = filter_.step(picture)[1]
+        lines = filter_.step(picture).lines
         kept = rows_in_sight(filter_, drawn) & (lines.sum(axis=1) > 0)
         assert kept.sum() > 0.9 * rows_in_sight(filter_, drawn).sum()
         shifts.append((middle_columns(lines) - middle_columns(drawn))[kept].mean())
@@ -57,7 +57,7 @@ def test_lines_of_the_right_width_are_kept_whole() -> None:
     for line in (line_at(0.0), line_at(0.0, slope=0.3), line_at(0.5, slope=-0.6)):
         drawn = share(VIEW, line)
         filter_ = white_areas()
-        bright, lines = filter_.step(grey(VIEW, line))
+        bright, lines, _ = filter_.step(grey(VIEW, line))
         inner = (drawn == 1.0) & (filter_.mask > 0)
         assert set(np.unique(lines)) <= {0, 255}
         assert (lines[inner] == 255).mean() > 0.97
@@ -71,21 +71,21 @@ def test_wide_things_and_specks_are_removed() -> None:
     specks = [disc(0.5 + 0.2 * k, 0.1 * k - 0.1, 0.004) for k in range(4)]
     blob = disc(0.9, 0.25, 2.0 * MARKING_M)
     for shape in (wide, blob):
-        bright, lines = filter_.step(grey(VIEW, line_at(0.0), shape))
+        bright, lines, _ = filter_.step(grey(VIEW, line_at(0.0), shape))
         on = (share(VIEW, shape) > 0.0) & (filter_.mask > 0)
         assert (lines[on] > 0).mean() < 0.3  # a disc's top and bottom are as short as a line
         assert (bright[on] > 0).mean() > 0.5
         assert lines.any()
         if shape is wide:
             assert not lines[on].any()
-    lines = filter_.step(grey(VIEW, line_at(0.0), *specks))[1]
+    lines = filter_.step(grey(VIEW, line_at(0.0), *specks)).lines
     assert not lines[(share(VIEW, *specks) > 0.0) & (share(VIEW, line_at(0.0)) == 0.0)].any()
 
 
 def test_crossing_bars_are_bright_but_no_lines() -> None:
     filter_ = white_areas()
     stop = bar(0.8, 0.04)
-    bright, lines = filter_.step(grey(VIEW, line_at(0.2), line_at(-0.2), stop))
+    bright, lines, _ = filter_.step(grey(VIEW, line_at(0.2), line_at(-0.2), stop))
     on = (share(VIEW, stop) == 1.0) & (filter_.mask > 0)
     between = on & (share(VIEW, line_at(0.0, 0.2)) > 0)
     assert (bright[between] > 0).mean() > 0.9
@@ -98,7 +98,7 @@ def test_light_that_changes_over_the_floor_has_no_say() -> None:
     drawn = share(VIEW, line_at(0.2), line_at(-0.2))
     for light in (columns, columns[::-1], np.linspace(0.25, 1.0, VIEW.height_px)[:, None]):
         picture = np.round((60.0 + 190.0 * drawn) * light).astype(np.uint8)
-        bright, lines = filter_.step(picture)
+        bright, lines, _ = filter_.step(picture)
         inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
         assert (lines[inner] > 0).mean() > 0.9
         assert not bright[drawn == 0.0].any()
@@ -112,7 +112,7 @@ def test_nothing_is_seen_on_a_bare_floor() -> None:
         np.full((VIEW.height_px, VIEW.width_px), 255, np.uint8),
         np.clip(rng.normal(60.0, 2.0, (VIEW.height_px, VIEW.width_px)), 0, 255).astype(np.uint8),
     ):
-        bright, lines = filter_.step(picture)
+        bright, lines, _ = filter_.step(picture)
         assert not bright.any()
         assert not lines.any()
 
@@ -121,9 +121,22 @@ def test_faint_markings_count_from_the_contrast_on() -> None:
     inner = share(VIEW, line_at(0.0)) == 1.0
     for step, seen in ((8.0, False), (30.0, True)):
         filter_ = white_areas(contrast=12.0)
-        lines = filter_.step(grey(VIEW, line_at(0.0), floor=50.0, marking=50.0 + step))[1]
+        lines = filter_.step(grey(VIEW, line_at(0.0), floor=50.0, marking=50.0 + step)).lines
         inner &= rows_in_sight(filter_, inner)[:, None]
         assert (lines[inner] > 0).mean() > 0.95 if seen else not lines.any()
+
+
+@pytest.mark.parametrize("noise", [1.0, 4.0, 16.0])
+def test_without_a_contrast_the_noise_decides(noise: float) -> None:
+    """Nothing on bare ground, however noisy; a line of four noises is found, and far below 12 grey levels."""
+    filter_, line = white_areas(contrast=0.0), line_at(0.0)
+    grain = np.random.default_rng(1).normal(0.0, noise, (VIEW.height_px, VIEW.width_px))
+    bare = np.clip(100.0 + grain, 0, 255).round().astype(np.uint8)
+    assert np.count_nonzero(filter_.step(bare).lines) < 5e-4 * bare.size
+    drawn = share(VIEW, line)
+    inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
+    painted = np.clip(100.0 + 4.0 * noise * drawn + grain, 0, 255).round().astype(np.uint8)
+    assert (filter_.step(painted).lines[inner] > 0).mean() > 0.6
 
 
 def test_dark_markings_are_the_negative() -> None:
@@ -133,7 +146,7 @@ def test_dark_markings_are_the_negative() -> None:
     for one, other in zip(light, dark, strict=True):
         assert (one != other).mean() < 0.002
         assert one.any()
-    assert not white_areas(dark=True).step(picture)[1][share(VIEW, line_at(0.2)) == 1.0].any()
+    assert not white_areas(dark=True).step(picture).lines[share(VIEW, line_at(0.2)) == 1.0].any()
 
 
 @pytest.mark.parametrize("side", [+1, -1])
@@ -144,7 +157,7 @@ def test_a_line_that_the_pictures_edge_cuts_is_kept_inside_of_it(side: int) -> N
     for row in np.flatnonzero(visible.any(axis=1)):  # the view repeats the image's edge
         inside = np.flatnonzero(visible[row])
         seen[row, : inside[0]], seen[row, inside[-1] + 1 :] = seen[row, inside[0]], seen[row, inside[-1]]
-    lines = filter_.step(seen)[1]
+    lines = filter_.step(seen).lines
     drawn = share(VIEW, shape)
     assert not lines[filter_.mask == 0].any()
     assert not lines[drawn == 0.0].any()

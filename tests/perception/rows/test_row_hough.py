@@ -166,11 +166,11 @@ def table(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_peaks_are_the_highest_around_them_and_above_the_least() -> None:
     height = np.array([[0, 5, 9, 5, 0, 0, 7, 7, 0], [3, 0, 0, 0, 8, 0, 0, 0, 2]], np.int32)
     within = np.ones(height.shape, bool)
-    row, column = row_peaks(height, within, 2.5, 3)
+    row, column = row_peaks(height, within, np.full(2, 2.5, np.float32), 3)
     assert list(zip(row.tolist(), column.tolist(), strict=True)) == [(0, 2), (0, 6), (0, 7), (1, 0), (1, 4)]
     within[1, 4] = False
-    assert len(row_peaks(height, within, 2.5, 3)[0]) == 4
-    assert len(row_peaks(height, within, 9.0, 3)[0]) == 0
+    assert len(row_peaks(height, within, np.full(2, 2.5, np.float32), 3)[0]) == 4
+    assert len(row_peaks(height, within, np.full(2, 9.0, np.float32), 3)[0]) == 0
 
 
 def test_ridges_vote_about_their_place_and_nowhere_else() -> None:

@@ -2,23 +2,30 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from automodel.perception.markings.ridge_noise import MEDIAN
 from automodel.perception.rows.row_ridges import (
     AROUND,
     BAR,
     GATE,
     LINE,
+    MARGIN,
     PER_MARKING,
     REACH,
+    ROUNDING,
+    WINDOW,
     Brightness,
     Ridges,
     RowRidgeFilter,
     best_ridges,
     lay_run,
     measure_ridges,
+    run_thresholds,
 )
 from automodel.types import FloatArray
 
@@ -31,9 +38,14 @@ def covered(at: FloatArray, low: float, high: float) -> FloatArray:
     return np.clip(np.minimum(at + 0.5, high) - np.maximum(at - 0.5, low), 0.0, 1.0)
 
 
+def least(rows: int) -> NDArray[np.float32]:
+    """The least height of a ridge on each row."""
+    return np.full(rows, CONTRAST * WINDOW, np.float32)
+
+
 def ridge_of(values: NDArray[np.float32]) -> Ridges:
     """The ridge in the middle of one column of brightness."""
-    fields = measure_ridges(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), CONTRAST)
+    fields = measure_ridges(np.ascontiguousarray(values.T), np.zeros(1, np.intp), np.array([AROUND]), least(1))
     return Ridges(*fields)
 
 
@@ -42,7 +54,7 @@ def run_ridges(picture: NDArray[np.uint8], first: FloatArray, step: float = 1.0,
     pixels = np.empty((len(first), 2 * REACH + 1), np.intp)
     for run, middle in zip(pixels, first, strict=True):
         lay_run(run, middle, step)
-    return Ridges(*best_ridges(Brightness("grey", dark).read(picture, pixels).astype(np.float32), CONTRAST))
+    return Ridges(*best_ridges(Brightness("grey", dark).read(picture, pixels).astype(np.float32), least(len(first))))
 
 
 def around(*markings: tuple[float, float]) -> NDArray[np.float32]:
@@ -193,6 +205,32 @@ def test_the_filter_along_whole_rows_peaks_in_the_middle_of_the_marking() -> Non
         for r, m in ((rows[0].astype(float), 100), (rows[1].astype(float), 143))
     ]
     assert [heights[0, 80], heights[1, 123]] == pytest.approx(wanted)
-    ridges = ridge_filter.measure(rows, np.array([0, 1, 1]), np.array([101, 139, 60]))
+    ridges = ridge_filter.measure(rows, np.array([0, 1, 1]), np.array([101, 139, 60]), least(2))
     assert ridges.place[:2] == pytest.approx([-1.0, 1.0], abs=0.25)
     assert ridges.flags[LINE].tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize("noise", [2.0, 20.0])
+def test_without_a_contrast_the_least_height_follows_the_noise(noise: float) -> None:
+    """One false ridge a row, at any noise; a marking in it counts for nothing."""
+    rng, rows, samples = np.random.default_rng(2), 400, 400
+    values = rng.normal(100.0, noise, (rows, samples)).round().astype(np.int32)
+    values[:, 200:206] += 90
+    ridge_filter = RowRidgeFilter(rows, samples, 0.0)
+    heights = ridge_filter.heights(values, MARGIN, samples - MARGIN)
+    threshold = ridge_filter.thresholds(heights, np.ones(heights.shape, bool))
+    bare = np.delete(heights, np.arange(180 - MARGIN, 226 - MARGIN), axis=1)
+    peaks = (bare > threshold[:, None]).sum() / WINDOW  # a false ridge is about as long as the window
+    assert 0.2 < peaks / rows < 2.0
+    assert 1.0 < threshold.mean() / (math.sqrt(WINDOW) * noise) < 4.0
+
+
+@pytest.mark.parametrize("noise", [2.0, 20.0])
+def test_the_threshold_of_a_run_is_that_of_its_ends(noise: float) -> None:
+    rng, k = np.random.default_rng(3), 40
+    values = rng.normal(100.0, noise, (2 * k, 2 * REACH + 1)).astype(np.float32)
+    bare = run_thresholds(values, 1.0)
+    values[:, REACH - 3 : REACH + 4] += 90.0
+    np.testing.assert_allclose(run_thresholds(values, 1.0), bare, rtol=1e-5)
+    assert bare.mean() == pytest.approx(MEDIAN * math.sqrt(WINDOW) * noise, rel=0.1)
+    assert run_thresholds(np.zeros_like(values), 1.0) == pytest.approx(ROUNDING)
