@@ -7,6 +7,7 @@ own road. Availability counts the frames in which a marking of the lane is in vi
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 import functools
 import math
@@ -37,7 +38,7 @@ FRAMES = 300  # a world, ten seconds
 START_S = 0.5  # availability does not count before: a pipeline knows nothing yet
 COLUMNS = (
     "pipeline", "seed", "misled_pct", "bound_exceeded_pct", "availability_pct", "false_lane_pct", "world",
-    "phantom_pct", "bound_median_m", "offset_mae_pct", "heading_mae_deg", "frames",
+    "phantom_pct", "estimate_pct", "bound_median_m", "offset_mae_pct", "heading_mae_deg", "frames",
 )  # fmt: skip
 TRUTH: overlay.Colour = (255, 200, 0)  # the true lane's lines in a worst frame
 
@@ -206,10 +207,15 @@ def measure_world(
 
 
 def row_of(pipeline: str, seed: int | None, words: str, meter: AccuracyMeter) -> Row:
-    """A row of the table; `phantom_pct` is None on a road with markings."""
-    unmarked = ~np.array(meter.marked, np.bool_)
+    """A row of the table; `phantom_pct` is None on a road with markings.
+
+    `estimate_pct` is the share of all frames with an estimate, markings in view or not.
+    """
+    unmarked, known = ~np.array(meter.marked, np.bool_), np.isfinite(np.array(meter.estimated).reshape(-1, 2)[:, 0])
     phantom = 100.0 * float(meter.phantoms()[unmarked].mean()) if unmarked.any() else None
-    return {"pipeline": pipeline, "seed": seed, "world": words, **meter.row(), "phantom_pct": phantom}
+    claimed = 100.0 * float(known.mean()) if len(known) else 0.0
+    row: Row = {"pipeline": pipeline, "seed": seed, "world": words}
+    return row | meter.row() | {"phantom_pct": phantom, "estimate_pct": claimed}
 
 
 def save_worst(path: Path, world: RandomWorld, seer: Seer) -> None:
@@ -238,30 +244,37 @@ def save_worst(path: Path, world: RandomWorld, seer: Seer) -> None:
 
 
 def measure(car: CarConfig, choice: WorldChoice, jobs: int | None, plot: Path | None) -> list[Row]:
-    """A row for each pipeline and world, then one for all worlds of each pipeline; `plot` gets a PNG.
+    """A row for each pipeline and world, then for each pipeline those of each kind and all; `plot` gets a PNG.
 
     Of `car` the camera counts in scale worlds, the pipeline's settings in all. Raises ConfigError.
     """
-    names = choice.pipelines or PIPELINE_NAMES
+    names = tuple(dict.fromkeys(choice.pipelines or PIPELINE_NAMES))
     for name in names:
         make_pipeline(name, car)  # raises for what it cannot work with before any work
     if choice.worst is not None:
         make_folder(choice.worst)
+    cases = choice.cases()
     work = functools.partial(measure_world, car, names, choice)
-    rows: list[Row] = []
-    whole = {name: AccuracyMeter() for name in names}
-    for found in spread("bench accuracy", work, choice.cases(), jobs):
+    rows: dict[str, list[Row]] = {name: [] for name in names}
+    meters: dict[tuple[str, str], AccuracyMeter] = {}
+    for (_, kind), found in zip(cases, spread("bench accuracy", work, cases, jobs), strict=True):
         for name, (row, meter) in zip(names, found, strict=True):
-            rows.append(row)
-            whole[name].include(meter)
-    if len(choice.seeds) > 1:
-        rows = sorted(rows, key=lambda row: names.index(row["pipeline"]))
-        rows += [row_of(name, None, f"all {len(choice.seeds)}", meter) for name, meter in whole.items()]
+            rows[name].append(row)
+            meters.setdefault((name, kind), AccuracyMeter()).include(meter)
+    counts = collections.Counter(kind for _, kind in cases)
+    whole: dict[str, AccuracyMeter] = {}
+    for (name, kind), meter in meters.items():
+        whole.setdefault(name, AccuracyMeter()).include(meter)
+        if len(counts) > 1:
+            rows[name].append(row_of(name, None, f"all {counts[kind]} {kind}", meter))
+    table = [row for name in names for row in rows[name]]
+    if len(cases) > 1:
+        table += [row_of(name, None, f"all {len(cases)}", meter) for name, meter in whole.items()]
     if plot is not None:
         from automodel.viewer.plots import plot_reliability
 
         plot_reliability(plot, [(name, *_claims(meter)) for name, meter in whole.items()])
-    return rows
+    return table
 
 
 def make_folder(path: Path) -> None:
@@ -273,7 +286,8 @@ def make_folder(path: Path) -> None:
 
 
 def _claims(meter: AccuracyMeter) -> tuple[list[str], FloatArray, FloatArray]:
-    """Status (n), bounds (n, 2) and errors (n, 2) of offset [m] and heading [rad] where both are known."""
+    """Status (n), bounds (n, 2) and errors (n, 2) of offset [lane widths] and heading [rad] where both are known."""
     errors, bounds = np.stack(meter.errors(), axis=-1), np.array(meter.bounds).reshape(-1, 2)
     known = np.isfinite(errors[:, 0]) & np.array(meter.marked, np.bool_)
-    return [meter.statuses[k].value for k in np.flatnonzero(known)], bounds[known], errors[known]
+    units = np.array(meter.true).reshape(-1, 3)[known][:, [2, 2]] * [1.0, 0.0] + [0.0, 1.0]  # [m], [rad]
+    return [meter.statuses[k].value for k in np.flatnonzero(known)], bounds[known] / units, errors[known] / units

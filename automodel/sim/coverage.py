@@ -149,8 +149,8 @@ def _runs(counts: Ints) -> tuple[Ints, Ints]:
     return owner, np.arange(len(owner)) - starts[owner]
 
 
-# in the order in which they are drawn; asphalt: bare ground without paint; the last five are shades of the ground
-COLOURS = ("white", "yellow", "red", "asphalt", "stone", "gutter", "tar", "crack", "shade")
+# in the order in which they are drawn; asphalt: bare ground without paint; the last six are shades of the ground
+COLOURS = ("white", "yellow", "red", "asphalt", "stone", "pale", "gutter", "tar", "crack", "shade")
 FAR_ROWS = 1.0  # markings are drawn up to this many rows below the horizon
 STEP_PX = 2.0  # motion blur is the mean over poses this far apart
 MAX_STEPS = 4

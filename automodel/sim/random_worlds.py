@@ -418,7 +418,7 @@ def _track(seed: int, kind: str, style: str, width_m: float, draws: Draws) -> tu
             track = build_track(sections, road.line)
         except ValueError:
             continue
-        return dataclasses.replace(track, roadside=track.roadside + _lines(kind, track, width_m, lanes, draws)), trap
+        return dataclasses.replace(track, roadside=track.roadside + _lines(scene, track, draws)), trap
     raise RuntimeError(f"world {seed}: no road found")
 
 
@@ -571,11 +571,11 @@ def _boxes(scene: Scene, draws: Draws) -> tuple[Box, ...]:
     return tuple(boxes)
 
 
-def _lines(kind: str, track: Track, width_m: float, lanes: int, draws: Draws) -> tuple[Paint, ...]:
+def _lines(scene: Scene, track: Track, draws: Draws) -> tuple[Paint, ...]:
     """Line-like things on the ground that are no markings."""
-    half_m = 0.5 * lanes * width_m
-    if kind == "unmarked":
-        return street(track.road, half_m, width_m, draws.rng("street"))
-    if kind == "circuit" or not draws.happens("litter"):
+    rng = draws.rng("street")
+    if scene.kind == "unmarked":
+        return street(track.road, scene.width_m, rng)
+    if scene.kind == "circuit" or not draws.happens("litter"):
         return ()
-    return ground_lines(track.road, half_m, width_m, draws.rng("street"))
+    return ground_lines(track.road, scene.half_m, scene.width_m, rng, rails=scene.style == "road")

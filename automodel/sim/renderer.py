@@ -182,7 +182,14 @@ GREY_OF_BGR = np.array([0.114, 0.587, 0.299])
 SCALE_CAMERA_M = 0.18  # the camera height at which the scene unit is 1 m
 TEXEL_UNITS = 0.002
 KERB_BGR = np.array([45.0, 40.0, 165.0])
-SHADES = {"stone": 1.45, "gutter": 0.78, "tar": 0.5, "crack": 0.35, "shade": 0.5}  # shares of the floor's grey
+SHADES = {
+    "stone": 1.45,
+    "pale": 1.2,
+    "gutter": 0.78,
+    "tar": 0.5,
+    "crack": 0.35,
+    "shade": 0.5,
+}  # shares of the floor's grey
 HAZE_TOP = 20.0  # height of the layer of haze [scene units]
 
 
@@ -355,7 +362,7 @@ class Renderer:
         for colour, share in (*beside.items(), *self._paint.shares(pose, travel_m).items()):
             if colour == "asphalt":
                 continue
-            if "wear" in sampled:
+            if "wear" in sampled and colour not in SHADES:
                 share = np.asarray(
                     cv2.multiply(share, sampled["wear"], scale=1.0 / 255.0, dtype=cv2.CV_32F), np.float32
                 )

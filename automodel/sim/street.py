@@ -19,7 +19,12 @@ from automodel.types import FloatArray
 class StreetRanges:
     """What a street is drawn from, uniformly between (low, high); in widths of a lane, counts per ten of them."""
 
+    half: tuple[float, float] = (0.9, 1.7)  # from the middle of the street to its kerbs, which mark no lane
     kerb: tuple[float, float] = (0.03, 0.08)  # width of the kerb stones; 0.12 m beside a lane of 3 m
+    stone: tuple[float, float] = (0.22, 0.4)  # length of a kerb stone; 1 m
+    jointed: float = 0.7  # share of kerbs whose stones have visible joints
+    joint: tuple[float, float] = (0.004, 0.015)  # width of such a joint
+    pale: float = 0.5  # share of kerbs that are hardly lighter than the street
     gutter: tuple[float, float] = (0.05, 0.12)  # width of the gutter beside them; 0.3 m
     gutters: float = 0.7  # share of kerbs with a gutter
     seam: tuple[float, float] = (0.008, 0.03)  # width of a tar seam
@@ -34,24 +39,38 @@ class StreetRanges:
     post: tuple[float, float] = (0.6, 2.0)  # from post to post
 
 
-def street(road: Curve, half_m: float, width_m: float, rng: Generator) -> tuple[Paint, ...]:
-    """A paved street of half width `half_m` around `road` with kerbs at its sides and with `ground_lines`.
+def street(road: Curve, width_m: float, rng: Generator) -> tuple[Paint, ...]:
+    """A paved street around `road` with kerbs at its sides and with `ground_lines`.
 
     `width_m` is the width of a lane, to which everything is in proportion.
     """
     ranges, grain = StreetRanges(), Grain.of_lane(width_m)
+    half_m = width_m * float(rng.uniform(*ranges.half))
     made = list(_along(road, (-half_m, half_m), "asphalt", grain))
     for side in (1.0, -1.0):
-        stone = width_m * float(rng.uniform(*ranges.kerb))
-        made += _along(road, _ordered(side * half_m, side * (half_m + stone)), "stone", grain)
-        gutter = width_m * float(rng.uniform(*ranges.gutter))
-        if rng.random() < ranges.gutters:
-            made += _along(road, _ordered(side * (half_m - gutter), side * half_m), "gutter", grain)
+        made += _kerb(road, side, half_m, width_m, rng)
     return (*made, *ground_lines(road, half_m, width_m, rng))
 
 
-def ground_lines(road: Curve, half_m: float, width_m: float, rng: Generator) -> tuple[Paint, ...]:
-    """Seams, cracks and the shadows of rails on the road."""
+def _kerb(road: Curve, side: float, half_m: float, width_m: float, rng: Generator) -> Iterator[Paint]:
+    """The stones of one side, the joints between them, and the gutter."""
+    ranges, grain = StreetRanges(), Grain.of_lane(width_m)
+    size_m, stone_m, joint_m, gutter_m = (
+        width_m * float(rng.uniform(*limits)) for limits in (ranges.kerb, ranges.stone, ranges.joint, ranges.gutter)
+    )
+    colour = "pale" if rng.random() < ranges.pale else "stone"
+    between = _ordered(side * half_m, side * (half_m + size_m))
+    yield from _along(road, between, colour, grain)
+    if rng.random() < ranges.jointed:
+        for s_m in np.arange(0.0, road.length_m - joint_m, stone_m).tolist():
+            joint = strip(road, (s_m, s_m + joint_m), between, grain.error_m)
+            yield Paint(polygon_m=joint, colour="crack", kind="ground")
+    if rng.random() < ranges.gutters:
+        yield from _along(road, _ordered(side * (half_m - gutter_m), side * half_m), "gutter", grain)
+
+
+def ground_lines(road: Curve, half_m: float, width_m: float, rng: Generator, rails: bool = True) -> tuple[Paint, ...]:
+    """Seams and cracks on the road, and with `rails` the shadows of rails."""
     ranges, grain = StreetRanges(), Grain.of_lane(width_m)
     tens = road.length_m / (10.0 * width_m)
     made: list[Paint] = []
@@ -64,7 +83,7 @@ def ground_lines(road: Curve, half_m: float, width_m: float, rng: Generator) -> 
     for _ in range(int(rng.poisson(tens * rng.uniform(*ranges.cracks)))):
         place = road.offset_position(rng.uniform(0.0, road.length_m), rng.uniform(-half_m, half_m))
         made += _crack(place, width_m, rng)
-    return (*made, *_rails(road, half_m, width_m, rng))
+    return (*made, *(_rails(road, half_m, width_m, rng) if rails else ()))
 
 
 def _ordered(a: float, b: float) -> tuple[float, float]:
@@ -97,7 +116,8 @@ def _crack(place_m: FloatArray, width_m: float, rng: Generator) -> Iterator[Pain
     """A crack that wanders from a point on."""
     size_m, step_m = width_m * float(rng.uniform(*StreetRanges().crack)), 0.08 * width_m
     count = int(rng.integers(4, 30))
-    heading = rng.uniform(0.0, math.tau) + np.cumsum(rng.normal(0.0, 0.45, count))
+    drift, jag = rng.normal(0.0, 0.12, count), rng.normal(0.0, 0.5, count)  # rad a step, rad
+    heading = rng.uniform(0.0, math.tau) + np.cumsum(drift) + jag
     steps = step_m * np.stack((np.cos(heading), np.sin(heading)), axis=-1)
     points = place_m + np.concatenate((np.zeros((1, 2)), np.cumsum(steps, axis=0)))
     for a, b in itertools.pairwise(points):

@@ -102,48 +102,49 @@ def _drawn(sheet: SheetImage) -> Image:
     return np.asarray(np.vstack((strip, image)), dtype=np.uint8)
 
 
-# name of the pipeline, status of each estimate (n), bounds (n, 2) and errors (n, 2) of offset [m] and heading [rad]
+# name of the pipeline, status of each estimate (n), bounds (n, 2) and errors (n, 2) of offset [lane widths] and heading
+# [rad]
 Claims = tuple[str, Sequence[str], FloatArray, FloatArray]
 _BIN_FRAMES, _MOST_BINS = 100, 10  # frames a bin at least, and bins a curve at most
+_QUANTILES = {0.5: ":", 0.99: "--", 0.999: "-"}  # of the error, and their lines
+_STATUS_COLOURS = {"TRACKING": "tab:green", "ONE_LINE": "tab:olive", "COASTING": "tab:red"}
 
 
 def plot_reliability(path: Path, claims: Sequence[Claims]) -> None:
-    """Claimed bound against observed errors, a row a pipeline: offset on the left, heading on the right.
+    """Claimed bounds against observed errors, a row a pipeline: offset on the left, heading on the right.
 
-    Frames of one status are binned by their bound; of each bin the 50th, 99th and 99.9th percentile of the error are
-    drawn (dotted, dashed, solid). Where the solid curve lies below the diagonal the bound holds.
+    Frames of one status are binned by their bound. Drawn are the 50th, 99th and 99.9th percentile of the error (dotted,
+    dashed, solid), taken of error over bound in each bin and multiplied by the bin's median bound: a curve lies below
+    the diagonal where the bound holds in that share of frames.
     """
-    colours = {"TRACKING": "tab:green", "ONE_LINE": "tab:olive", "COASTING": "tab:orange"}
     with plotted(path, (12, 5.0 * len(claims))) as figure:
         axes = figure.subplots(len(claims), 2, squeeze=False)
         for (name, statuses, bounds, errors), row in zip(claims, axes, strict=True):
-            for axis, column, scale, what in (
-                (row[0], 0, 100.0, "offset [cm]"),
+            for axis, k, scale, what in (
+                (row[0], 0, 100.0, "offset [% of the lane]"),
                 (row[1], 1, 57.29578, "heading [deg]"),
             ):
-                for status, colour in colours.items():
-                    chosen = np.array([s == status for s in statuses], np.bool_) & np.isfinite(bounds[:, column])
-                    x, y = _binned(scale * bounds[chosen, column], scale * errors[chosen, column])
-                    for quantile, style in zip(y.T, (":", "--", "-"), strict=True):
-                        label = f"{status}, {int(chosen.sum())} frames" if style == "-" else None
+                stated = np.isfinite(bounds[:, k])
+                for status, colour in _STATUS_COLOURS.items():
+                    chosen = np.array([s == status for s in statuses], np.bool_) & stated
+                    x, y = binned(scale * bounds[chosen, k], scale * errors[chosen, k])
+                    for quantile, style, share in zip(y.T, _QUANTILES.values(), _QUANTILES, strict=True):
+                        label = f"{status}, {int(chosen.sum())} frames" if share == max(_QUANTILES) else None
                         axis.plot(x, quantile, style, color=colour, marker=".", label=label)
-                stated = np.isfinite(bounds[:, column])
-                ends = np.array([0.05, 200.0])
-                axis.plot(ends, ends, color="black", linewidth=0.8)
-                axis.set_xscale("log")
-                axis.set_yscale("log")
-                axis.set_xlabel(f"claimed bound, {what}")
-                axis.set_ylabel(f"error, {what}")
+                axis.axline((1.0, 1.0), slope=1.0, color="black", linewidth=0.8)
+                axis.set(xscale="log", yscale="log", xlabel=f"claimed bound, {what}", ylabel=f"error, {what}")
                 axis.set_title(f"{name}: {int((~stated).sum())} frames without a bound", fontsize=9, loc="left")
                 axis.grid(alpha=0.3)
                 axis.legend(fontsize=8)
 
 
-def _binned(bounds: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Median bound (b,) and the error's quantiles (b, 3) of bins with equally many frames."""
+def binned(bounds: FloatArray, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Median bound (b,) and the error's quantiles (b, q) of bins with equally many frames."""
     count = min(len(bounds) // _BIN_FRAMES, _MOST_BINS)
     if not count:
-        return np.empty(0), np.empty((0, 3))
+        return np.empty(0), np.empty((0, len(_QUANTILES)))
     bins = np.array_split(np.argsort(bounds, kind="stable"), count)
     middles = np.array([np.median(bounds[chosen]) for chosen in bins])
-    return middles, np.array([np.quantile(errors[chosen], (0.5, 0.99, 0.999)) for chosen in bins])
+    ratio = errors / np.maximum(bounds, 1e-12)
+    quantiles = np.array([np.quantile(ratio[chosen], list(_QUANTILES)) for chosen in bins])
+    return middles, middles[:, None] * quantiles

@@ -76,6 +76,7 @@ def test_without_markings_only_a_bound_of_half_a_lane_does_not_mislead() -> None
     assert row["phantom_pct"] == row["misled_pct"] == 40.0
     assert row["offset_mae_m"] is row["availability_pct"] is row["bound_exceeded_pct"] is None
     assert row["false_lane_pct"] == 0.0
+    assert row["estimate_pct"] == 80.0
     assert row_of("contour", 1, "plain", met(claim(0.0, 0.05)))["phantom_pct"] is None
 
 
@@ -114,8 +115,12 @@ def test_a_short_run_has_its_rows_and_pictures(tmp_path: Path) -> None:
     assert [(row["pipeline"], row["seed"], row["frames"]) for row in rows] == [
         ("windows", 0, 8),
         ("windows", 1, 8),
+        ("windows", None, 8),
+        ("windows", None, 8),
         ("windows", None, 16),
     ]
+    assert [row["world"] for row in rows[2:]] == ["all 1 plain", "all 1 unmarked", "all 2"]
+    assert all(rows[2][name] == rows[0][name] for name in rows[0] if name not in ("seed", "world"))
     assert rows[1]["world"].startswith("unmarked")
     assert rows[1]["phantom_pct"] is not None
     assert {path.name for path in tmp_path.iterdir()} == {"windows-0000.png", "windows-0001.png", "plot.png"}

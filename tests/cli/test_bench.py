@@ -78,7 +78,7 @@ def test_random_worlds_have_their_keys_and_pictures(tmp_path: Path, cli) -> None
     quick += ["--seed", "4", "--seeds", "2", "--kind", "plain"]
     said = cli(*quick, "--save-worst", tmp_path / "worst", "--plot", tmp_path / "plot.png", "--json")
     assert (said.code, said.err) == (0, "")
-    keys = ["pipeline", "seed", "world", *ACCURACY_KEYS[4:], "phantom_pct"]
+    keys = ["pipeline", "seed", "world", *ACCURACY_KEYS[4:], "phantom_pct", "estimate_pct"]
     assert [list(row) for row in said.rows] == 3 * [keys]
     assert [(row["seed"], row["frames"]) for row in said.rows] == [(4, 5), (5, 5), (None, 10)]
     assert len(list((tmp_path / "worst").glob("windows-*.png"))) == 2

@@ -133,7 +133,9 @@ def test_speeds_are_those_of_the_positions_also_around_a_stop() -> None:
 def test_an_unmarked_world_has_line_like_things() -> None:
     drawn = world(2, "unmarked")
     assert not drawn.track.painted
-    assert {"asphalt", "stone"} <= {paint.colour for paint in drawn.track.roadside}
+    colours = {paint.colour for paint in drawn.track.roadside}
+    assert "asphalt" in colours
+    assert colours & {"stone", "pale"}
 
 
 def test_a_kind_that_does_not_exist() -> None:
