@@ -77,18 +77,30 @@ class VehicleConfig:
         return max(0.5 * (lane_width_m - self.width_m), 0.0)
 
 
+POLARITIES = ("light", "dark", "both")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneConfig:
-    """The expected lane. The width is where the estimate starts; the pipelines follow the real one."""
+    """The expected lane. The width is where the estimate starts; the pipelines follow the real one.
+
+    `dark_markings` is the older key for `markings`; it is None here.
+    """
 
     width_m: float = 0.40
     marking_width_m: float = 0.03
-    dark_markings: bool = False  # True: dark lines on a bright floor
+    markings: str = ""  # against the floor: "light", "dark" or "both"; empty: light
+    dark_markings: bool | None = None
 
     def __post_init__(self) -> None:
         positive(self, "width_m", "marking_width_m")
         if self.marking_width_m > 0.5 * self.width_m:
             raise ValueError(f"marking_width_m: {self.marking_width_m} is more than half the lane's width")
+        if self.markings and self.dark_markings is not None:
+            raise ValueError("dark_markings: remove it; [lane] markings is given")
+        object.__setattr__(self, "markings", self.markings or ("dark" if self.dark_markings else "light"))
+        object.__setattr__(self, "dark_markings", None)
+        one_of("markings", self.markings, POLARITIES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -49,9 +49,10 @@ def make_markings(car: CarConfig) -> Markings:
     options = car.pipeline.centerline
     if options.markings == "ridge":
         camera = GroundCamera.from_config(car.camera)
-        return RidgeFilter.of_camera(camera, car.lane.marking_width_m, dark=car.lane.dark_markings)
+        return RidgeFilter.of_camera(camera, car.lane.marking_width_m, markings=car.lane.markings)
     return MarkingNetwork(
-        UnetConfig(model=options.model, size=options.network, providers=options.providers, threads=options.threads)
+        UnetConfig(model=options.model, size=options.network, providers=options.providers, threads=options.threads),
+        car.lane.markings,
     )
 
 

@@ -74,7 +74,7 @@ class Contour:
         camera = GroundCamera.from_config(car.camera)
         self._size = (car.camera.height_px, car.camera.width_px)
         dtype = PRECISIONS[options.precision]
-        brightness = Brightness(options.colour, car.lane.dark_markings)
+        brightness = Brightness(options.colour, car.lane.markings == "dark")
         nodes = self._nodes(camera, car)
         self._tracker = self._make_tracker(nodes, car, dtype)
         self._pair = self._tracker.pair
@@ -88,7 +88,7 @@ class Contour:
             radius_lanes=options.radius_lanes,
             ahead=min(options.look_ahead_lanes, 2.0),
         )
-        self._lane_search = RowHough(camera, searched, brightness)
+        self._lane_search = RowHough(camera, searched, brightness, car.lane.markings == "both")
         self.stages = StageClock()
         self.reset()
         self._warm_up()
@@ -201,7 +201,7 @@ class Contour:
     def _restart(self, lane: InitialLane) -> None:
         self._tracker.start(lane)
         self._new_m = self.NEW * self._unit
-        self._search.forget(lane.edge)
+        self._search.forget(lane.edge, lane.dark)
         self._paired = lane.pair
 
     def _within(self) -> bool:

@@ -52,7 +52,7 @@ class Windows:
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
         self._birdseye = BirdsEye(camera, self.view)
-        self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.dark_markings)
+        self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.markings)
         self._paint_check = TemporalPaintCheck(
             camera, self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m
         )

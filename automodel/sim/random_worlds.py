@@ -306,7 +306,10 @@ def random_world(seed: int, kind: str | None, car: CarConfig) -> RandomWorld:
     true = dataclasses.replace(
         car,
         lane=dataclasses.replace(
-            car.lane, width_m=width_m, marking_width_m=marking_m, dark_markings=look.marking_grey < look.floor_grey
+            car.lane,
+            width_m=width_m,
+            marking_width_m=marking_m,
+            markings="dark" if look.marking_grey < look.floor_grey else "light",
         ),
     )
     drive_style = _drive_style(kind, draws)

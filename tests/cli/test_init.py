@@ -37,7 +37,7 @@ UNITS = {  # the ending of a key -> how its comment begins
     "_radps": "[rad/s]", "_s": "[s]", "_us": "[us]", "_v": "[V]", "_per_m": "[1/m]",
 }  # fmt: skip
 WITHOUT_A_UNIT = {"source", "device", "colour", "name", "markings", "providers", "controller", "kind", "port"} | {
-    "directory", "image", "dark_markings"
+    "directory", "image"
 }  # fmt: skip
 
 
@@ -92,7 +92,7 @@ def test_a_kit_says_all_that_people_set(kit: str) -> None:
     """All sections in full; of the pipelines' own keys only some: their place is the README."""
     keys = given(parse_toml(kit_text(kit), kit))
     left_out = {key for key in flat(CarConfig()) if key not in keys}
-    own = ("pipeline.", "calibration.", "camera.right", "link.autonomos.", "control.")
+    own = ("pipeline.", "calibration.", "camera.right", "link.autonomos.", "control.", "lane.dark_markings")
     assert {key for key in left_out if not key.startswith(own)} == set()
     assert {"control.speed_mps", "control.controller", "pipeline.name"} <= keys
 

@@ -51,6 +51,10 @@ REFUSED = {
     "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: expected a positive number, got 0.0",
     "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: expected a number >= 0, got -0.1",
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
+    '[lane]\nmarkings = "darkk"': "car.toml:2: [lane] markings: expected one of light, dark, both, got 'darkk'; "
+    "did you mean 'dark'?",
+    '[lane]\nmarkings = "dark"\ndark_markings = true': "car.toml:3: [lane] dark_markings: remove it; [lane] markings "
+    "is given",
     '[pipeline]\nname = "window"': (
         f"car.toml:2: [pipeline] name: expected one of {', '.join(PIPELINE_NAMES)}, "
         "or package.module:Class, got 'window'; did you mean 'windows'?"
@@ -193,3 +197,18 @@ def test_an_error_names_the_file_that_was_asked_for(tmp_path: Path) -> None:
     with pytest.raises(ConfigError) as caught:
         load_car(path)
     assert str(caught.value) == f"{path}:2: [lane] width_m: expected a positive number, got -1.0"
+
+
+@pytest.mark.parametrize(
+    ("given", "markings"),
+    [
+        ("", "light"),
+        ("dark_markings = true", "dark"),
+        ("dark_markings = false", "light"),
+        ('markings = "both"', "both"),
+    ],
+)
+def test_markings_and_its_older_key(given: str, markings: str) -> None:
+    lane = parse_car(f"[lane]\n{given}\n", "car.toml").lane
+    assert lane.markings == markings
+    assert dataclasses.replace(lane, width_m=0.5).markings == markings

@@ -118,7 +118,7 @@ def test_other_cameras(name: str) -> None:
 
 
 def test_dark_markings_on_a_bright_floor() -> None:
-    car = replace(CAR, lane=replace(CAR.lane, dark_markings=True))
+    car = replace(CAR, lane=replace(CAR.lane, markings="dark"))
     look = Appearance(floor_grey=200.0, marking_grey=40.0)
     track = road(*ROADS["bend"])
     seen = drive(track, 0.3, 3.0, car, look=look)

@@ -122,16 +122,18 @@ class WhiteAreas:
     A pixel is bright relative to the mean of a box five markings wide, so that slow changes of the light have no
     effect. The threshold is a share of the contrast of the brightest pixels, at least `contrast` [grey levels] or,
     where that is 0, what noise exceeds in `FALSE_ALARMS` runs of a line's width. Of the bright areas, runs along a row
-    between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `dark`: markings are
-    darker than the ground.
+    between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `markings` are
+    "light" or "dark" against the ground, or "both": then what is darker than its surroundings counts as bright too.
     """
 
     NARROW, WIDE = 0.45, 2.4
     SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
     SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
 
-    def __init__(self, birdseye: BirdsEye, marking_width_m: float, contrast: float = 0.0, dark: bool = False) -> None:
-        self.contrast, self.dark = contrast, dark
+    def __init__(
+        self, birdseye: BirdsEye, marking_width_m: float, contrast: float = 0.0, markings: str = "light"
+    ) -> None:
+        self.contrast, self._markings = contrast, markings
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
         self._reach = round(1.6 * marking_px)
@@ -151,7 +153,7 @@ class WhiteAreas:
     def step(self, view: Image) -> MarkingViews:
         """The filtered views of a grey view (h, w)."""
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
-        contrast = np.asarray(cv2.subtract(around, view) if self.dark else cv2.subtract(view, around), dtype=np.uint8)
+        contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
         level = self._level(contrast)
         bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
         ridge = cv2.threshold(self._above_sides(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
@@ -169,22 +171,32 @@ class WhiteAreas:
         brightest = float(np.searchsorted(shares, 0.99))
         if self.contrast > 0.0:
             return max(self.SHARE * brightest, self.contrast)
-        # Of the contrast's symmetric noise the lower half is cut off at 0, so the third quartile is its spread; a grey
-        # level stands for all values half a level around it.
-        noise = float(np.interp(0.75, shares, np.arange(256.0) + 0.5))
+        # The third quartile of symmetric noise is the median of its absolute values; the rest of `contrast` is cut off
+        # at 0 where one polarity counts. A grey level stands for all values half a level around it.
+        noise = float(np.interp(0.5 if self._markings == "both" else 0.75, shares, np.arange(256.0) + 0.5))
         return max(self.SHARE * brightest, self._quartiles * noise)
+
+    def _contrast(self, view: Image, around: Image) -> Image:
+        """How far each pixel is above its surroundings, or below them for dark markings; else 0."""
+        if self._markings == "both":
+            return np.asarray(cv2.absdiff(view, around), dtype=np.uint8)
+        light = self._markings == "light"
+        return np.asarray(cv2.subtract(view, around) if light else cv2.subtract(around, view), dtype=np.uint8)
 
     def _above_sides(self, view: Image) -> Image:
         """By how much each pixel exceeds the brighter of its neighbours to the left and right, else 0.
 
-        The rim of a bright patch exceeds one side only.
+        The rim of a bright patch exceeds one side only. Dark markings are below both neighbours.
         """
         reach = self._reach
         padded = cv2.copyMakeBorder(view, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
         left, right = padded[:, : view.shape[1]], padded[:, 2 * reach :]
-        if self.dark:
-            return np.asarray(cv2.subtract(cv2.min(left, right), view), dtype=np.uint8)
-        return np.asarray(cv2.subtract(view, cv2.max(left, right)), dtype=np.uint8)
+        if self._markings == "light":
+            return np.asarray(cv2.subtract(view, cv2.max(left, right)), dtype=np.uint8)
+        below = cv2.subtract(cv2.min(left, right), view)
+        if self._markings == "both":
+            below = cv2.max(below, cv2.subtract(view, cv2.max(left, right)))
+        return np.asarray(below, dtype=np.uint8)
 
 
 @dataclass(slots=True)

@@ -43,9 +43,9 @@ class RidgeFilter:
     candidates between `contrast` and `MOST` times `contrast` [grey levels].
 
     `width_px_per_row` (h,) is the width of a marking on each row of an image `image_width_px` wide; 0: no ground.
-    `dark`: markings are darker than the ground. An image wider than `MAX_WIDTH_PX` is reduced to that; `size_px` is
-    (width, height) of the evidence. Raises ValueError for widths that are not finite and a contrast that is not
-    positive.
+    `markings` are "light" or "dark" against the ground, or "both". An image wider than `MAX_WIDTH_PX` is reduced to
+    that; `size_px` is (width, height) of the evidence. Raises ValueError for widths that are not finite and a contrast
+    that is not positive.
     """
 
     MAX_WIDTH_PX = 512
@@ -58,7 +58,7 @@ class RidgeFilter:
     LEVEL = 128  # the evidence at the threshold
 
     def __init__(
-        self, width_px_per_row: ArrayLike, image_width_px: int, contrast: float = 12.0, dark: bool = False
+        self, width_px_per_row: ArrayLike, image_width_px: int, contrast: float = 12.0, markings: str = "light"
     ) -> None:
         given = np.asarray(width_px_per_row, dtype=np.float64)
         if given.ndim != 1 or not np.isfinite(given).all() or contrast <= 0.0:
@@ -66,7 +66,7 @@ class RidgeFilter:
         scale = min(1.0, self.MAX_WIDTH_PX / image_width_px)
         self.size_px = (round(scale * image_width_px), max(round(scale * len(given)), 1))
         self._image_shape = (len(given), image_width_px)
-        self._contrast, self._dark = contrast, dark
+        self._contrast, self._markings = contrast, markings
         rows = (np.arange(self.size_px[1]) + 0.5) * len(given) / self.size_px[1] - 0.5
         width = np.interp(rows, np.arange(len(given)), given) * self.size_px[0] / image_width_px
         self._bands = self._split(width)
@@ -74,10 +74,10 @@ class RidgeFilter:
 
     @classmethod
     def of_camera(
-        cls, camera: GroundCamera, marking_width_m: float, contrast: float = 12.0, dark: bool = False
+        cls, camera: GroundCamera, marking_width_m: float, contrast: float = 12.0, markings: str = "light"
     ) -> RidgeFilter:
         """The filter for a calibrated camera over flat ground."""
-        return cls(apparent_width_px(camera, marking_width_m), camera.camera.width_px, contrast, dark)
+        return cls(apparent_width_px(camera, marking_width_m), camera.camera.width_px, contrast, markings)
 
     def _split(self, width_px: FloatArray) -> list[_Band]:
         bands: list[_Band] = []
@@ -104,7 +104,12 @@ class RidgeFilter:
             # Up to a factor of 2 bilinear sampling skips no pixel, and costs a tenth.
             method = cv2.INTER_LINEAR if 2 * self.size_px[0] >= grey.shape[1] else cv2.INTER_AREA
             grey = np.asarray(cv2.resize(grey, self.size_px, interpolation=method), dtype=np.uint8)
-        response = self._response(grey)
+        if self._markings == "light":
+            response = self._response(grey)
+        else:
+            response = self._response(np.asarray(cv2.bitwise_not(grey), dtype=np.uint8))
+            if self._markings == "both":
+                response = np.asarray(cv2.max(response, self._response(grey)), dtype=np.uint8)
         evidence: Image = np.zeros_like(grey)
         cv2.convertScaleAbs(response[self._ground], evidence[self._ground], self.LEVEL / self._level(response))
         return evidence
@@ -113,7 +118,7 @@ class RidgeFilter:
         """How far each pixel exceeds its sides."""
         middle, left, right = (np.zeros_like(grey) for _ in range(3))
         for band in self._bands:
-            rows = cv2.bitwise_not(grey[band.rows]) if self._dark else grey[band.rows]
+            rows = grey[band.rows]
             cv2.blur(rows, (band.middle_px, 1), middle[band.rows], borderType=cv2.BORDER_REPLICATE)
             reach = band.shift_px
             padded = cv2.copyMakeBorder(rows, 0, 0, reach, reach, cv2.BORDER_REPLICATE)

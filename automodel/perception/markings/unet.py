@@ -55,10 +55,14 @@ class MarkingNetwork:
     `provider` runs the network, `notice` says in one line which one and why; `faults` counts unusable outputs, for each
     of which `step` returned an empty mask. Raises ConfigError when the file is not a network that may be loaded, or
     fails the test on all providers.
+
+    The network knows light `markings`; for "dark" ones it gets the negative, for "both" it runs on both, and the larger
+    probability counts.
     """
 
-    def __init__(self, config: UnetConfig | None = None) -> None:
+    def __init__(self, config: UnetConfig | None = None, markings: str = "light") -> None:
         config = config or UnetConfig()
+        self._markings = markings
         self.width_px, self.height_px = SIZES[config.size]
         self.faults = 0
         name, data = read_network(config)
@@ -76,9 +80,18 @@ class MarkingNetwork:
         if grey.dtype != np.uint8 or grey.ndim != 2 or not grey.size:
             return self._no_mask()
         try:
-            return run_network(self._session, self._resized(grey))
+            return self._run(self._resized(grey))
         except session_errors():
             return self._no_mask()
+
+    def _run(self, grey: Image) -> Image:
+        """The mask of an image of the network's size."""
+        if self._markings == "light":
+            return run_network(self._session, grey)
+        mask = run_network(self._session, np.asarray(cv2.bitwise_not(grey), dtype=np.uint8))
+        if self._markings == "both":
+            mask = np.asarray(cv2.max(mask, run_network(self._session, grey)), dtype=np.uint8)
+        return mask
 
     def _resized(self, grey: Image) -> Image:
         """The image at the network's size."""

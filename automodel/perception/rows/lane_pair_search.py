@@ -26,12 +26,13 @@ class InitialLane(ArcLane):
     """A lane to start with, and how it was found.
 
     `pair`: both lines support it. `edge`: how sharp markings are, as in `Ridges`. `fitted`: it was fitted to many rows
-    of both lines, and its error is some hundredths of a lane width.
+    of both lines, and its error is some hundredths of a lane width. `dark`: its lines are darker than the ground.
     """
 
     pair: bool
     edge: float
     fitted: bool = False
+    dark: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,9 +123,9 @@ class LineIntegralSearch:
     FOUND = 3.5  # minimum score of a pair
     MIN_SPREAD = 0.4  # of the sums on a bare road
 
-    def __init__(self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness) -> None:
+    def __init__(self, camera: GroundCamera, config: LaneSearchConfig) -> None:
         unit = config.lane_width_m
-        self._unit, self._brightness = unit, brightness
+        self._unit = unit
         self._near = max(camera.first_visible_x_m(), config.reference_x_m)
         far = self._near + self.AHEAD * unit
         self._step = config.marking_m / PER_MARKING
@@ -135,7 +136,7 @@ class LineIntegralSearch:
             np.broadcast_to(self._y, (len(self._lookup.rows), len(self._y)))
         )
         self._filter = RowRidgeFilter(len(self._pixels), len(self._y), config.contrast)
-        self._fit = LanePairLsq(camera, config, brightness, (self._near, far), 2 * self.ROWS - 1)
+        self._fit = LanePairLsq(camera, config, (self._near, far), 2 * self.ROWS - 1)
         tightest = 1.0 / (config.radius_lanes * unit)
         kappa, theta = np.meshgrid(self.CURVATURES * tightest, self.HEADINGS_RAD, indexing="ij")
         self._kappa, self._theta = kappa.ravel(), theta.ravel()
@@ -148,17 +149,17 @@ class LineIntegralSearch:
         prior = (self._theta / self.HEADING_RAD) ** 2 + (self._kappa / tightest / self.CURVATURE) ** 2
         self._prior_loss: Float32Array = (0.5 * prior).astype(np.float32)[:, None]
 
-    def step(self, image: Image) -> InitialLane | None:
+    def step(self, image: Image, brightness: Brightness) -> InitialLane | None:
         """The lane with the largest line integrals; None where none is large enough."""
-        evidence, noise = self._evidence(image)
+        evidence, noise = self._evidence(image, brightness)
         rough = self._pair(self._sums(evidence) * self._weight)
         if rough is None:
             return None
-        return self._fit.step(image, rough, np.interp(self._fit.rows, self._lookup.rows, noise))
+        return self._fit.step(image, brightness, rough, np.interp(self._fit.rows, self._lookup.rows, noise))
 
-    def _evidence(self, image: Image) -> tuple[Float32Array, Float32Array]:
+    def _evidence(self, image: Image, brightness: Brightness) -> tuple[Float32Array, Float32Array]:
         """The filter's response (r, n) above the noise, in noises of the row, limited; and the noises (r,)."""
-        values = self._brightness.read(image, self._pixels)
+        values = brightness.read(image, self._pixels)
         samples = values.shape[1]
         height = self._filter.heights(values, MARGIN, samples - MARGIN)
         inside = self._inside[:, : -2 * MARGIN] & self._inside[:, 2 * MARGIN :]
@@ -219,13 +220,12 @@ class LanePairLsq:
         self,
         camera: GroundCamera,
         config: LaneSearchConfig,
-        brightness: Brightness,
         between_m: tuple[float, float],
         rows: int,
     ) -> None:
         self._near, self._unit, self._marking = between_m[0], config.lane_width_m, config.marking_m
         self._reference_x_m = config.reference_x_m
-        self._brightness, self._step = brightness, config.marking_m / PER_MARKING
+        self._step = config.marking_m / PER_MARKING
         self._lookup = RowGroundLookup(camera, between_m, rows)
         self.rows = self._lookup.rows
         count = 2 * len(self._lookup.rows)
@@ -240,14 +240,14 @@ class LanePairLsq:
         sigmas = np.array((unit, 0.2, 0.5 * kappa, 0.3 * unit, 2.0 * self.TAPER))
         self._prior = np.diag(sigmas**-2.0)
 
-    def step(self, image: Image, rough: RoughPair, noise: Floats) -> InitialLane | None:
+    def step(self, image: Image, brightness: Brightness, rough: RoughPair, noise: Floats) -> InitialLane | None:
         """The lane near `rough`; None where too few rows show it.
 
         `noise` (r,): the ridge filter's usual response to the road on each of `rows` [sums of `WINDOW` grey levels].
         """
         start = np.array((rough.middle_m, rough.heading_rad, rough.curvature_per_m, rough.width_m, 0.0))
         line = self._design @ start
-        place, edge, strength = self._ridges(image, line, np.tile(noise, 2))
+        place, edge, strength = self._ridges(image, brightness, line, np.tile(noise, 2))
         y = line + place * self._step
         prior = self._prior @ np.array((rough.middle_m, 0.0, 0.0, self._unit, 0.0))
         x, weight = start, strength
@@ -274,13 +274,15 @@ class LanePairLsq:
             fitted=both,
         )
 
-    def _ridges(self, image: Image, line: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
+    def _ridges(
+        self, image: Image, brightness: Brightness, line: Floats, noise: Floats
+    ) -> tuple[Floats, Floats, Floats]:
         """The best ridge of each run about `line` (2 r,): place [samples to the left], edge, and weight 0 .. 1."""
         rows = len(self._lookup.rows)
         samples = np.arange(self._SAMPLES) - (self.REACH + MARGIN)
         places = line.reshape(2, rows, 1) + samples * self._step
         pixels, inside = (np.concatenate(part) for part in zip(*map(self._lookup.pixels, places), strict=True))
-        values = self._brightness.read(image, pixels)
+        values = brightness.read(image, pixels)
         heights = self._filter.heights(values, MARGIN, self._SAMPLES - MARGIN)
         best = heights.argmax(axis=1)
         ridges = self._filter.measure(values, np.arange(len(values)), best + MARGIN, noise.astype(np.float32))

@@ -11,6 +11,7 @@ On roads with large radii `LineIntegralSearch` is tried first: lines there are o
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -144,7 +145,10 @@ def best_single(
 
 
 class RowHough:
-    """Searches a lane on some rows of single images of one camera. Raises ValueError where no row shows the ground."""
+    """Searches a lane on some rows of single images of one camera. Raises ValueError where no row shows the ground.
+
+    With `both` the markings may be of either polarity: that of the last lane found is tried first.
+    """
 
     TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: distance of a ridge from a lane's line: near, growth with distance
     HIT = 2  # votes of a row whose ridge lies within half the tolerance; 1 within the whole
@@ -158,10 +162,12 @@ class RowHough:
     SHARP, BLURRED = 0.75, 0.5  # quantile of the edges that represents paint, and the share of it below which none is
     DULL, FINE_PX = 0.42, 2.0  # edge of a reflection relative to its height, where a sample has so many pixels
 
-    def __init__(self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness) -> None:
-        self.config, self._brightness = config, brightness
+    def __init__(
+        self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness, both: bool = False
+    ) -> None:
+        self.config, self._polarities = config, (brightness, brightness.negative())[: 1 + both]
         gentle = config.radius_lanes >= self.GENTLE_LANES
-        self._integrals = LineIntegralSearch(camera, config, brightness) if gentle else None
+        self._integrals = LineIntegralSearch(camera, config) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
         x, self._rows, self._steps = self._choose_rows(camera, near, self.GENTLE_ROWS if gentle else config.rows)
@@ -196,10 +202,18 @@ class RowHough:
 
     def step(self, image: Image) -> InitialLane | None:
         """The lane with the most votes, less its prior loss; None where no lane has enough."""
-        fitted = self._integrals.step(image) if self._integrals is not None else None
+        for brightness in self._polarities:
+            lane = self._search(image, brightness)
+            if lane is not None:
+                self._polarities = tuple(sorted(self._polarities, key=lambda each: each is not brightness))
+                return replace(lane, dark=brightness.dark)
+        return None
+
+    def _search(self, image: Image, brightness: Brightness) -> InitialLane | None:
+        fitted = self._integrals.step(image, brightness) if self._integrals is not None else None
         if fitted is not None:
             return fitted
-        lines = accumulate(self._votes(image), self._table)
+        lines = accumulate(self._votes(image, brightness), self._table)
         return max(self._pair(lines), self._single(lines), key=lambda found: found[0])[1]
 
     def _choose_rows(self, camera: GroundCamera, near_m: float, count: int) -> tuple[Floats, Ints, Floats]:
@@ -217,9 +231,9 @@ class RowHough:
         step = -line.area[at] / line.along[1, at] * (config.marking_m / PER_MARKING)
         return x[at], rows, np.abs(step)
 
-    def _votes(self, image: Image) -> Votes:
+    def _votes(self, image: Image, brightness: Brightness) -> Votes:
         """The votes (rows * samples + 1,) of each sample, as in `row_votes`."""
-        values = self._brightness.read(image, self._pixels)
+        values = brightness.read(image, self._pixels)
         height = self._filter.heights(values, MARGIN, values.shape[1] - MARGIN)
         within = self._within[:, MARGIN:-MARGIN]
         least = self._filter.thresholds(height, within)

@@ -48,7 +48,7 @@ class Brightness:
     """
 
     def __init__(self, colour: str, dark: bool) -> None:
-        self._sign = -1 if dark else 1
+        self.colour, self.dark = colour, dark
         self._channel = CHANNELS.get(colour)
         self._grey: Floats = np.array(_GREY)
 
@@ -61,7 +61,11 @@ class Brightness:
             values = image.reshape(-1, 3)[:, self._channel].take(pixels, mode="clip")
         else:
             values = np.rint(image.reshape(-1, 3).take(pixels, axis=0, mode="clip") @ self._grey).astype(np.int32)
-        return values if self._sign > 0 else -values.astype(np.int32)
+        return -values.astype(np.int32) if self.dark else values
+
+    def negative(self) -> Brightness:
+        """The brightness for markings of the other polarity."""
+        return Brightness(self.colour, not self.dark)
 
 
 @dataclass(slots=True, eq=False)

@@ -102,9 +102,11 @@ class RowSearch:
         self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
         self.forget()
 
-    def forget(self, edge: float = 0.0) -> None:
-        """Forget how sharp markings are, or start again with an `edge` as in `Ridges`."""
+    def forget(self, edge: float = 0.0, dark: bool | None = None) -> None:
+        """Forget how sharp markings are, or start again with an `edge` as in `Ridges`; `dark`: their polarity."""
         self._usual = edge
+        if dark is not None and dark != self._brightness.dark:
+            self._brightness = self._brightness.negative()
 
     def look(self, image: Image, shape: Nodes, width_m: float) -> NodeMeasurements:
         """Measure the pair `shape` whose lines are `width_m` apart."""

@@ -123,10 +123,13 @@ def test_light_that_changes_slowly_has_no_say() -> None:
 def test_dark_markings_are_bright_ones_of_the_negative() -> None:
     grey = picture(share(CAMERA, line_at(0.0)))
     bright = RidgeFilter.of_camera(CAMERA, MARKING_M).step(grey)
-    dark = RidgeFilter.of_camera(CAMERA, MARKING_M, dark=True).step(255 - grey)
+    dark = RidgeFilter.of_camera(CAMERA, MARKING_M, markings="dark").step(255 - grey)
     assert (np.abs(bright.astype(int) - dark) <= 16).mean() > 0.99  # rounding
     assert bright.max() == dark.max() == 255
-    assert not (RidgeFilter.of_camera(CAMERA, MARKING_M, dark=True).step(grey) >= 128)[200:, 300:340].any()
+    assert not (RidgeFilter.of_camera(CAMERA, MARKING_M, markings="dark").step(grey) >= 128)[200:, 300:340].any()
+    both = RidgeFilter.of_camera(CAMERA, MARKING_M, markings="both")
+    for image in (grey, 255 - grey):
+        assert ((both.step(image) >= 128) == (bright >= 128)).mean() > 0.99
 
 
 class TestLevel:

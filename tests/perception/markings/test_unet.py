@@ -62,6 +62,15 @@ def test_the_mask_is_where_the_line_is(path: Path) -> None:
     assert network.faults == 0
 
 
+@pytest.mark.parametrize(("markings", "light", "dark"), [("light", 1, 0), ("dark", 0, 1), ("both", 1, 1)])
+def test_dark_markings_are_light_ones_of_the_negative(path: Path, markings: str, light: int, dark: int) -> None:
+    grey = np.full(SMALL, 120, np.uint8)
+    grey[:, 60:64], grey[:, 180:184] = 250, 10
+    mask = MarkingNetwork(config(path), markings).step(grey)
+    assert [bool((mask[:, at : at + 4] >= 128).all()) for at in (60, 180)] == [bool(light), bool(dark)]
+    assert not (mask[:, 100:140] >= 128).any()
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.5, 5.0])
 def test_pictures_of_any_size_are_stretched_to_the_networks(path: Path, factor: float) -> None:
     h, w = round(96 * factor), round(320 * factor)

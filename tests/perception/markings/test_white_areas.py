@@ -21,8 +21,8 @@ VIEW = VIEWS[0]
 CAMERA = GroundCamera.from_config(CarConfig().camera)
 
 
-def white_areas(view: View = VIEW, contrast: float = 12.0, dark: bool = False) -> WhiteAreas:
-    return WhiteAreas(BirdsEye(CAMERA, view), MARKING_M, contrast, dark)
+def white_areas(view: View = VIEW, contrast: float = 12.0, markings: str = "light") -> WhiteAreas:
+    return WhiteAreas(BirdsEye(CAMERA, view), MARKING_M, contrast, markings)
 
 
 def middle_columns(lines: np.ndarray) -> np.ndarray:
@@ -142,11 +142,21 @@ def test_without_a_contrast_the_noise_decides(noise: float) -> None:
 def test_dark_markings_are_the_negative() -> None:
     picture = grey(VIEW, line_at(0.2), line_at(-0.2, slope=0.1))
     light = white_areas().step(picture)
-    dark = white_areas(dark=True).step(255 - picture)
+    dark = white_areas(markings="dark").step(255 - picture)
     for one, other in zip(light, dark, strict=True):
         assert (one != other).mean() < 0.002
         assert one.any()
-    assert not white_areas(dark=True).step(picture).lines[share(VIEW, line_at(0.2)) == 1.0].any()
+    assert not white_areas(markings="dark").step(picture).lines[share(VIEW, line_at(0.2)) == 1.0].any()
+
+
+def test_both_polarities_at_once() -> None:
+    filter_ = white_areas(contrast=0.0, markings="both")
+    light, dark = share(VIEW, line_at(0.2)), share(VIEW, line_at(-0.2))
+    lines = filter_.step(np.round(120.0 + 80.0 * light - 80.0 * dark).astype(np.uint8)).lines
+    for drawn in (light, dark):
+        inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
+        assert (lines[inner] > 0).mean() > 0.95
+    assert not lines[(light == 0.0) & (dark == 0.0)].any()
 
 
 @pytest.mark.parametrize("side", [+1, -1])

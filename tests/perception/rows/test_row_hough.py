@@ -144,6 +144,17 @@ def test_a_camera_that_looks_over_the_road_is_refused() -> None:
         RowHough(mounted(pitch_rad=-0.8), HIGHWAY, Brightness("grey", False))
 
 
+def test_both_polarities_stay_with_the_one_that_makes_lines() -> None:
+    light = draw(mounted(), lane(0.3), seed=1)
+    search = RowHough(mounted(), HIGHWAY, Brightness("grey", False), both=True)
+    for picture, dark in ((255 - light, True), (light, False), (255 - light, True)):
+        for _ in range(2):
+            found = search.step(picture)
+            assert found is not None
+            assert found.dark is dark
+            assert found.offset_m == pytest.approx(0.3, abs=0.06)
+
+
 def test_dark_lines_on_a_bright_floor() -> None:
     picture = 255 - draw(mounted(), lane(0.3), seed=1)
     found = RowHough(mounted(), HIGHWAY, Brightness("grey", True)).step(picture)

@@ -112,7 +112,10 @@ def test_lines_turned_to_the_left_are_measured_so(turn: float) -> None:
 def test_dark_markings_are_found_where_they_are_looked_for() -> None:
     picture = drawn("none", "straight", paint=-80)
     assert np.count_nonzero(seen(search(dark=True).look(picture, shaped("straight"), LANE))) >= 14
-    assert not seen(search().look(picture, shaped("straight"), LANE)).any()
+    other = search()
+    assert not seen(other.look(picture, shaped("straight"), LANE)).any()
+    other.forget(dark=True)
+    assert np.count_nonzero(seen(other.look(picture, shaped("straight"), LANE))) >= 14
 
 
 def test_one_line_alone_is_found_and_the_other_is_not_made_up() -> None:
