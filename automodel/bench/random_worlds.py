@@ -225,7 +225,7 @@ def save_worst(path: Path, world: RandomWorld, seer: Seer) -> None:
         return
     believed = world.believed
     pose, seen = shot.estimate.pose, GroundCamera.from_config(believed.camera)
-    note = f"seed {world.seed} true {100 * shot.truth.offset_m:+.1f} cm"
+    note = f"seed {world.seed} {shot.estimate.t_ns * 1e-9:.1f} s true {100 * shot.truth.offset_m:+.1f} cm"
     if pose is not None:
         note += f" bound {100 * pose.offset_bound_m:.1f} cm"
     canvas = overlay.draw(shot.image, shot.estimate, seen, reference_x_m=believed.vehicle.reference_x_m, note=note)

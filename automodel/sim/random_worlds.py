@@ -40,8 +40,8 @@ from automodel.sim.track_sections import (
 from automodel.sim.trajectory import CircuitDrive, Drive, DrivenPose
 from automodel.types import FloatArray
 
-# of twenty seeds in a row, the worlds of each kind
-KINDS = {"plain": 4, "crossing": 7, "widths": 3, "circuit": 4, "unmarked": 2}
+# of twenty seeds in a row, the worlds of each kind; "start" begins at a standstill inside a crossing
+KINDS = {"plain": 4, "crossing": 6, "start": 1, "widths": 3, "circuit": 4, "unmarked": 2}
 LOOKS = {  # by kind: the styles of `Appearance.random`, each with its weight
     "scale": {"competition": 4, "varied": 6, "road": 2, "taped": 3, "faint": 2, "noisy": 2, "reflections": 2},
     "circuit": {"dry": 1, "wet": 1, "hazy": 1},
@@ -67,6 +67,7 @@ class WorldRanges:
     dash_gap: tuple[float, float] = (0.6, 1.5)  # of the gap, in dashes
     solid_centre: float = 0.25
     dashed_edge: float = 0.2  # each
+    dashed_start: float = 0.6  # each, in a "start" world
     yellow: float = 0.15
     zebra: float = 0.4  # of crossing roads
     zebra_bar: tuple[float, float] = (0.08, 0.15)
@@ -329,7 +330,7 @@ def random_world(seed: int, kind: str | None, car: CarConfig) -> RandomWorld:
         drive_style=drive_style,
         speed_mps=speed_mps,
         start_s_m=_start(kind, track, lane, mirrored, speed_mps, draws),
-        stop_s=_stop(draws),
+        stop_s=_stop(kind, draws),
         odometry=not draws.happens("no_motion"),
         nod=_nod(draws),
     )
@@ -360,10 +361,10 @@ def _drive_style(kind: str, draws: Draws) -> str:
     return "oscillating" if draws.happens("oscillating") and kind != "unmarked" else "centred"
 
 
-def _stop(draws: Draws) -> tuple[float, float] | None:
-    if not draws.happens("standing"):
+def _stop(kind: str, draws: Draws) -> tuple[float, float] | None:
+    if not draws.happens("standing") and kind != "start":
         return None
-    from_s = 0.0 if draws.happens("standing_first") else draws.within("standing_from")
+    from_s = 0.0 if kind == "start" or draws.happens("standing_first") else draws.within("standing_from")
     return from_s, from_s + draws.within("standing_for")
 
 
@@ -403,7 +404,7 @@ def _start(kind: str, track: Track, lane: Lane, mirrored: bool, speed_mps: float
     near = length_m * (1.0 - share if mirrored else share)
     at = lane.centerline.project(point, near, 0.05 * length_m)[0]
     width_m = float(lane.width_m(at))
-    if draws.happens("inside"):
+    if kind == "start" or draws.happens("inside"):
         return float((at + rng.uniform(-1.0, 0.5) * width_m) % length_m)
     return float((at - speed_mps * draws.within("lead") - width_m) % length_m)
 
@@ -411,7 +412,7 @@ def _start(kind: str, track: Track, lane: Lane, mirrored: bool, speed_mps: float
 def _track(seed: int, kind: str, style: str, width_m: float, draws: Draws) -> tuple[Track, bool]:
     """The track, and whether the own lane's lines are missing behind a crossing."""
     lanes = 1 if kind in ("widths", "circuit") or not (kind == "unmarked" or draws.happens("two_lanes")) else 2
-    loops = int(draws.rng("loops").integers(1, 4)) if kind == "crossing" else 0
+    loops = int(draws.rng("loops").integers(1, 4)) if kind in ("crossing", "start") else 0
     rng = draws.rng("road")
     for _ in range(50):  # an edge of a road of changing width may fold in a tight bend
         road = random_road(rng, width_m, lanes, loops, CIRCUIT_ROADS if kind == "circuit" else SCALE_ROADS)
@@ -429,7 +430,7 @@ def _sections(scene: Scene, draws: Draws) -> tuple[TrackFile, bool]:
     """The track file of the road, and whether it has a trap."""
     width_m, line, circuit = scene.width_m, scene.road.line, scene.kind == "circuit"
     traps = _traps(scene, draws) if scene.road.crossings and draws.happens("trap") else []
-    gaps = _gaps(scene, draws) if scene.kind in ("plain", "crossing") and draws.happens("gappy") else []
+    gaps = _gaps(scene, draws) if scene.kind in ("plain", "crossing", "start") and draws.happens("gappy") else []
     points = line.position(np.linspace(0.0, line.length_m, 400))
     beyond = scene.half_m + width_m * draws.within("margin")
     (x0_m, y0_m), (x1_m, y1_m) = points.min(axis=0) - beyond, points.max(axis=0) + beyond
@@ -465,7 +466,8 @@ def _markings(scene: Scene, draws: Draws) -> MarkingsSection:
     made = {}
     for name in ("left", "centre", "right"):
         share, style, colour = rng.uniform(*ranges.unevenness), rng.random(), rng.random()
-        dashed = style > ranges.solid_centre if name == "centre" else style < ranges.dashed_edge
+        edge = ranges.dashed_start if scene.kind == "start" else ranges.dashed_edge
+        dashed = style > ranges.solid_centre if name == "centre" else style < edge
         plain = scene.kind in ("widths", "circuit")
         made[name] = Marking(
             style="none" if name == "centre" and scene.lanes == 1 else "dashed" if dashed and not plain else "solid",

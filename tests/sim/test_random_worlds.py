@@ -19,6 +19,9 @@ from automodel.sim.truth import TruthFollower
 
 CAR = CarConfig()
 BLOCK = sum(KINDS.values())
+KINDS_DRAWN = ["start", "unmarked", "plain", "circuit", "plain", "crossing"]
+WORDS_DRAWN = "crossing 2 varied mirrored pitch-1.9 h1.07 w1.08 m1.76"
+VALUES_DRAWN = (49.098929478338476, 2.833991160927759, 0.4870001789167942, 1.8205769965514298)
 
 
 def world(seed: int, kind: str | None = None) -> RandomWorld:
@@ -38,6 +41,25 @@ def flat(drawn: RandomWorld) -> list[object]:
 def test_a_seed_is_one_world(kind: str) -> None:
     assert flat(world(3, kind)) == flat(world(3, kind))
     assert flat(world(3, kind)) != flat(world(4, kind))
+
+
+def test_worlds_are_the_same_on_every_machine() -> None:
+    """Drawn once; a change of ranges or of what is drawn with them makes other worlds, and new figures here."""
+    assert [kind_of(seed) for seed in range(6)] == KINDS_DRAWN
+    drawn = world(0, "crossing")
+    assert drawn.words == WORDS_DRAWN
+    found = (drawn.track.road.length_m, drawn.start_s_m, drawn.speed_mps, drawn.look.read_noise)
+    assert found == pytest.approx(VALUES_DRAWN, rel=1e-9)
+
+
+def test_a_start_world_begins_at_rest_in_a_crossing() -> None:
+    for seed in range(8):
+        drawn = world(seed, "start")
+        first, soon = drawn.poses([0.0, 0.5])
+        assert (first.speed_mps, first.x_m) == (0.0, soon.x_m)
+        places = [drawn.track.road.position(c.s_first_m) for c in drawn.track.crossings]
+        near_m = min(math.hypot(first.x_m - x, first.y_m - y) for x, y in places)
+        assert near_m < 1.5 * drawn.car.lane.width_m
 
 
 def test_twenty_seeds_have_every_kind_in_its_share() -> None:
@@ -70,7 +92,7 @@ def test_roads_are_closed_and_cross_themselves_as_often_as_asked(loops: int) -> 
 def check(drawn: RandomWorld) -> None:
     ranges, lane_m = WorldRanges(), drawn.car.lane.width_m
     assert drawn.track.closed
-    assert (len(drawn.track.crossings) > 0) == (drawn.kind == "crossing")
+    assert (len(drawn.track.crossings) > 0) == (drawn.kind in ("crossing", "start"))
     assert drawn.marked == bool(drawn.track.painted)
     assert 0.01 - 1e-9 <= drawn.car.lane.marking_width_m / lane_m <= 0.08 + 1e-9
     widths = drawn.lane.width_m(np.linspace(0.0, drawn.lane.centerline.length_m, 300))
