@@ -1,4 +1,4 @@
-"""The surroundings of the floor: a panorama at infinity that moves with the car's heading."""
+"""The surroundings of the floor: a panorama at infinity that moves with the car's heading; haze in front of it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,11 @@ import numpy as np
 
 from automodel.geometry import GroundCamera
 from automodel.sim.appearance import Appearance
+from automodel.sim.ground_projection import GroundProjection
 from automodel.types import Bools, FloatArray, Image
 
 TURN = 2.0 * math.pi
+HAZE_TOP = 20.0  # height of the layer of haze [scene units]
 
 
 def directions(camera: GroundCamera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,3 +175,29 @@ class Background:
             source, self._columns + np.float32(turn), self._rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP
         )
         return np.asarray(seen, dtype=np.uint8)
+
+
+class Haze:
+    """Fades what is far away into the colour of the horizon, by Koschmieder's law: contrasts fall as exp(-haze d)."""
+
+    def __init__(self, projection: GroundProjection, look: Appearance, unit_m: float) -> None:
+        camera = projection.camera
+        height, width = projection.seen.shape
+        rows, columns = np.mgrid[0:height, 0:width]
+        elevation = directions(camera, np.stack((columns, rows), axis=-1).astype(np.float64))[1]
+        flat = np.linalg.norm(np.nan_to_num(projection.ground_m) - camera.centre_m[:2], axis=-1)
+        above = HAZE_TOP * unit_m / np.maximum(np.sin(np.nan_to_num(elevation, nan=1.0)), 1e-3)
+        distance_m = np.where(projection.seen, np.hypot(flat, camera.centre_m[2]), above)
+        self._left = np.exp(-look.haze * distance_m / unit_m).astype(np.float32)
+        self._air = np.float32(look.background_grey) * (1.0 - self._left)
+
+    def apply(self, image: Image, light: FloatArray) -> Image:
+        """The hazy image; `light` is a factor for each channel."""
+        channels = cv2.split(image) if image.ndim == 3 else [image]
+        hazy = [
+            cv2.convertScaleAbs(
+                cv2.addWeighted(cv2.multiply(c, self._left, dtype=cv2.CV_32F), 1.0, self._air, float(gain), 0.0)
+            )
+            for c, gain in zip(channels, light, strict=True)
+        ]
+        return np.asarray(cv2.merge(hazy) if image.ndim == 3 else hazy[0], dtype=np.uint8)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from automodel.config import Intrinsics
 from automodel.geometry import SE2, CameraModel, GroundCamera
 from automodel.sim.appearance import Appearance
-from automodel.sim.background import Background, directions
+from automodel.sim.background import Background, Haze
 from automodel.sim.coverage import PaintView, PolygonSet, covered_softly
 from automodel.sim.ground_light import (
     NEUTRAL,
@@ -190,7 +190,6 @@ SHADES = {
     "crack": 0.35,
     "shade": 0.5,
 }  # shares of the floor's grey
-HAZE_TOP = 20.0  # height of the layer of haze [scene units]
 
 
 class NoddingView:
@@ -236,32 +235,6 @@ class NoddingView:
             return np.asarray(cv2.warpPerspective(image, wide_from_px, self._size, flags=flags), dtype=np.uint8)
         maps = self.wide.camera.project(self._rays @ rest_from_nodding.T).astype(np.float32)
         return np.asarray(cv2.remap(image, maps, NO_MAP, cv2.INTER_LINEAR), dtype=np.uint8)
-
-
-class Haze:
-    """Fades what is far away into the colour of the horizon, by Koschmieder's law: contrasts fall as exp(-haze d)."""
-
-    def __init__(self, projection: GroundProjection, look: Appearance, unit_m: float) -> None:
-        camera = projection.camera
-        height, width = projection.seen.shape
-        rows, columns = np.mgrid[0:height, 0:width]
-        elevation = directions(camera, np.stack((columns, rows), axis=-1).astype(np.float64))[1]
-        flat = np.linalg.norm(np.nan_to_num(projection.ground_m) - camera.centre_m[:2], axis=-1)
-        above = HAZE_TOP * unit_m / np.maximum(np.sin(np.nan_to_num(elevation, nan=1.0)), 1e-3)
-        distance_m = np.where(projection.seen, np.hypot(flat, camera.centre_m[2]), above)
-        self._left = np.exp(-look.haze * distance_m / unit_m).astype(np.float32)
-        self._air = np.float32(look.background_grey) * (1.0 - self._left)
-
-    def apply(self, image: Image, light: FloatArray) -> Image:
-        """The hazy image; `light` is a factor for each channel."""
-        channels = cv2.split(image) if image.ndim == 3 else [image]
-        hazy = [
-            cv2.convertScaleAbs(
-                cv2.addWeighted(cv2.multiply(c, self._left, dtype=cv2.CV_32F), 1.0, self._air, float(gain), 0.0)
-            )
-            for c, gain in zip(channels, light, strict=True)
-        ]
-        return np.asarray(cv2.merge(hazy) if image.ndim == 3 else hazy[0], dtype=np.uint8)
 
 
 class Renderer:

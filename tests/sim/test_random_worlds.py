@@ -12,8 +12,9 @@ import pytest
 from automodel.bench.centerline_paper import full_scale_car
 from automodel.config import CarConfig
 from automodel.sim.appearance import Appearance
+from automodel.sim.random_draws import WorldRanges
 from automodel.sim.random_roads import RoadRanges, random_road
-from automodel.sim.random_worlds import KINDS, RandomWorld, WorldRanges, kind_of, random_world
+from automodel.sim.random_worlds import KINDS, RandomWorld, kind_of, random_world
 from automodel.sim.track_files import closing_error
 from automodel.sim.truth import TruthFollower
 
