@@ -148,6 +148,8 @@ def _run(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | Non
     result = runner.run(stop=finished)
     if result.traceback is not None:
         say(result.traceback.rstrip())
+    if runner.warning:
+        say(runner.warning)
     return result
 
 

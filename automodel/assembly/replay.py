@@ -117,6 +117,8 @@ def _replay(
                 csv.row(frame, tick.estimate, tick.command, times_ms[-1])
             paint(frame, tick)
             bar()
+    if loop.warning:
+        say(loop.warning)
     return _row(path, car, statuses, times_ms)
 
 

@@ -79,26 +79,46 @@ class Centerline:
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
-        marking = max(lane.marking_width_m, self.MIN_MARKING_LANES * lane.width_m)
-        self.view = road_view(
-            GroundCamera.from_config(car.camera),
-            options.view_ahead_lanes * lane.width_m,
-            options.view_half_lanes * lane.width_m,
-            marking / options.marking_px,
-        )
+        self._car, self._camera = car, GroundCamera.from_config(car.camera)
         self._options, self._unit, self._reference_x_m = options, lane.width_m, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
-        self._ahead_m = self.view.x_far_m - self._reference_x_m
+        ahead_m = self._camera.first_visible_x_m() + options.view_ahead_lanes * lane.width_m
+        self._ahead_m = ahead_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
-        self._features = FeaturePoints(car.camera, self.view, lane.marking_width_m, options.threshold)
-        self._initialisation = LineInitialisation(self.view, lane.width_m, marking, self._reference_x_m)
-        self._following = LineFollowing(self.view, lane.width_m, marking, self._features.visible)
+        from automodel.perception.markings.marking_width import MarkingWidth  # compiled: slow to import
+
+        self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
+        self._look_for(lane.marking_width_m)
         self.notice = _provider_notice(self._markings, options)
         self.stages = StageClock()
         self.reset()
 
+    def _look_for(self, marking_m: float) -> None:
+        """Look for markings of this width from now on."""
+        options, unit, self._marking_m = self._options, self._unit, marking_m
+        shown_m = max(marking_m, self.MIN_MARKING_LANES * unit)
+        self.view = road_view(
+            self._camera,
+            options.view_ahead_lanes * unit,
+            options.view_half_lanes * unit,
+            shown_m / options.marking_px,
+        )
+        if isinstance(self._markings, RidgeFilter):
+            self._markings = RidgeFilter.of_camera(self._camera, marking_m, markings=self._car.lane.markings)
+        self._features = FeaturePoints(self._car.camera, self.view, marking_m, options.threshold)
+        self._initialisation = LineInitialisation(self.view, unit, shown_m, self._reference_x_m)
+        self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
+
+    @property
+    def warning(self) -> str:
+        """A line for the user after a run, which may be empty."""
+        return self._width.warning
+
     def reset(self) -> None:
-        """Forget the lane."""
+        """Forget the lane and the markings' measured width."""
+        self._width.reset()
+        if self._marking_m != self._width.width_m:
+            self._look_for(self._width.width_m)
         self._lane: TrackedLane | None = None
         self._last_t_ns: int | None = None
         self._seen_t_ns = 0
@@ -111,6 +131,8 @@ class Centerline:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
+        if self._width.step(frame.image):
+            self._look_for(self._width.width_m)
         mask = self._line_mask(frame.image)  # U-Net, or ridge filter
         self.stages.lap("markings")
         features = self._feature_points(mask)  # adaptive threshold, bird's-eye view, morphological cleaning

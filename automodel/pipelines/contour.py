@@ -2,7 +2,8 @@
 
 Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
 them -> robust least squares -> pose. The whole image is never processed, and nothing of it is projected onto the
-ground: under 2 % of the pixels are read while tracking, about as many when a lane is searched on whole rows.
+ground: under 2 % of the pixels are read while tracking, about as many when a lane is searched on whole rows, and as
+many again in the frames in which the markings' width is measured.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, Trac
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
+from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig
 from automodel.perception.rows.row_hough import RowHough
 from automodel.perception.rows.row_ridges import Brightness
@@ -72,26 +74,38 @@ class Contour:
         options, unit, marking = car.pipeline.contour, car.lane.width_m, car.lane.marking_width_m
         self._options, self._unit, self._settled_m = options, unit, self.SETTLED * marking
         camera = GroundCamera.from_config(car.camera)
+        self._car, self._camera = car, camera
         self._size = (car.camera.height_px, car.camera.width_px)
         dtype = PRECISIONS[options.precision]
-        brightness = Brightness(options.colour, car.lane.markings == "dark")
-        nodes = self._nodes(camera, car)
-        self._tracker = self._make_tracker(nodes, car, dtype)
+        self._nodes_m = self._nodes(camera, car)
+        self._tracker = self._make_tracker(self._nodes_m, car, dtype)
         self._pair = self._tracker.pair
-        projection = LineProjection(camera, dtype)
-        self._search = RowSearch(projection, brightness, options.contrast, nodes, marking, self._size)
+        self._projection = LineProjection(camera, dtype)
+        self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
+        self._look_for(marking, car.lane.markings == "dark")
+        self.stages = StageClock()
+        self.reset()
+        self._warm_up()
+
+    def _look_for(self, marking_m: float, dark: bool) -> None:
+        """Look for markings of this width from now on, and first of this polarity."""
+        options, unit, self._marking_m = self._options, self._unit, marking_m
+        brightness = Brightness(options.colour, dark)
+        self._search = RowSearch(self._projection, brightness, options.contrast, self._nodes_m, marking_m, self._size)
         searched = LaneSearchConfig(
             lane_width_m=unit,
-            marking_m=marking,
-            reference_x_m=car.vehicle.reference_x_m,
+            marking_m=marking_m,
+            reference_x_m=self._car.vehicle.reference_x_m,
             contrast=options.contrast,
             radius_lanes=options.radius_lanes,
             ahead=min(options.look_ahead_lanes, 2.0),
         )
-        self._lane_search = RowHough(camera, searched, brightness, car.lane.markings == "both")
-        self.stages = StageClock()
-        self.reset()
-        self._warm_up()
+        self._lane_search = RowHough(self._camera, searched, brightness, self._car.lane.markings == "both")
+
+    @property
+    def warning(self) -> str:
+        """A line for the user after a run, which may be empty."""
+        return self._width.warning
 
     def _make_tracker(self, nodes: Floats, car: CarConfig, dtype: type[np.floating[Any]]) -> ClothoidTracker:
         options, unit, reference = self._options, self._unit, car.vehicle.reference_x_m
@@ -106,7 +120,10 @@ class Contour:
         )
 
     def reset(self) -> None:
-        """Forget the lane."""
+        """Forget the lane and the markings' measured width."""
+        self._width.reset()
+        if self._marking_m != self._width.width_m:
+            self._look_for(self._width.width_m, self._car.lane.markings == "dark")
         self._last_t_ns: int | None = None
         self._odometry.reset()
         self._odometry_used = self._odometry_rejected = False  # in this frame; up to this frame
@@ -127,6 +144,9 @@ class Contour:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
+        if self._width.step(frame.image):
+            self._look_for(self._width.width_m, self._search.dark)
+        self.stages.lap("width")
         fitted = False
         if self._tracker.parameters is None:
             started = self._start(frame)  # line integrals, row Hough transform

@@ -42,36 +42,52 @@ class Windows:
 
     def __init__(self, car: CarConfig) -> None:
         options, lane = car.pipeline.windows, car.lane
-        camera = GroundCamera.from_config(car.camera)
-        self.view = road_view(
-            camera,
-            options.view_ahead_lanes * lane.width_m,
-            options.view_half_lanes * lane.width_m,
-            lane.marking_width_m / options.marking_px,
-        )
+        self._camera = GroundCamera.from_config(car.camera)
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
-        self._birdseye = BirdsEye(camera, self.view)
-        self._white_areas = WhiteAreas(self._birdseye, lane.marking_width_m, options.contrast, lane.markings)
-        self._paint_check = TemporalPaintCheck(
-            camera, self.view, self._white_areas.mask, lane.width_m, lane.marking_width_m
-        )
-        self._crossings = CrossingSearch(self.view, lane.width_m, lane.marking_width_m)
-        self._windows = SlidingWindows(self.view, lane.marking_width_m)
+        from automodel.perception.markings.marking_width import MarkingWidth  # compiled: slow to import
+
+        self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
+        near_x_m = self._camera.first_visible_x_m()
+        ahead_m = near_x_m + options.view_ahead_lanes * lane.width_m - self._reference_x_m
         self._tracker = LaneTracker(
             LaneFitConfig(
                 lane_width_m=lane.width_m,
                 reference_x_m=self._reference_x_m,
-                ahead_lanes=(self.view.x_far_m - self._reference_x_m) / lane.width_m + 0.3,
+                ahead_lanes=ahead_m / lane.width_m + 0.3,
             ),
-            self.view.x_near_m,
+            near_x_m,
         )
-        self._initialiser = LaneInitialiser(self._windows, self._tracker)
+        self._look_for(lane.marking_width_m)
         self.stages = StageClock()
         self.reset()
 
+    def _look_for(self, marking_m: float) -> None:
+        """Look for markings of this width from now on."""
+        options, lane, self._marking_m = self._options, self._lane, marking_m
+        self.view = road_view(
+            self._camera,
+            options.view_ahead_lanes * lane.width_m,
+            options.view_half_lanes * lane.width_m,
+            marking_m / options.marking_px,
+        )
+        self._birdseye = BirdsEye(self._camera, self.view)
+        self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
+        self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
+        self._crossings = CrossingSearch(self.view, lane.width_m, marking_m)
+        self._windows = SlidingWindows(self.view, marking_m)
+        self._initialiser = LaneInitialiser(self._windows, self._tracker)
+
+    @property
+    def warning(self) -> str:
+        """A line for the user after a run, which may be empty."""
+        return self._width.warning
+
     def reset(self) -> None:
-        """Forget the lane."""
+        """Forget the lane and the markings' measured width."""
+        self._width.reset()
+        if self._marking_m != self._width.width_m:
+            self._look_for(self._width.width_m)
         self._forget()
         self._last_t_ns: int | None = None
         self._seen_t_ns = self._confirmed_ns = 0
@@ -83,6 +99,8 @@ class Windows:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._lost(frame)
+        if self._width.step(frame.image):
+            self._look_for(self._width.width_m)
         view = self._birdseye_view(frame.image)
         self.stages.lap("birdseye")
         areas = self._white_areas.step(view)  # binarisation, white-areas filter

@@ -115,6 +115,11 @@ class Loop:
         self._checks = checks
         self._failures = 0  # of the pipeline, in a row
 
+    @property
+    def warning(self) -> str:
+        """What the pipeline found wrong in car.toml, in one line; empty where nothing, or where it does not look."""
+        return str(getattr(self._pipeline, "warning", ""))
+
     def tick(self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None, t_ns: int) -> Tick:
         """The chain for one frame; `motion` is the car's since the frame before, `t_ns` the time of the command.
 

@@ -96,6 +96,11 @@ class Runner:
         self._error: Exception | None = None
         self._traceback: str | None = None
 
+    @property
+    def warning(self) -> str:
+        """The loop's."""
+        return self._loop.warning
+
     def run(self, stop: Callable[[], bool] | None = None, max_frames: int | None = None) -> RunResult:
         """Drive until `stop` says so, after `max_frames`, at the source's end, or on a signal.
 

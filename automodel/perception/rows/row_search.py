@@ -108,6 +108,11 @@ class RowSearch:
         if dark is not None and dark != self._brightness.dark:
             self._brightness = self._brightness.negative()
 
+    @property
+    def dark(self) -> bool:
+        """Whether it looks for markings that are darker than the ground."""
+        return self._brightness.dark
+
     def look(self, image: Image, shape: Nodes, width_m: float) -> NodeMeasurements:
         """Measure the pair `shape` whose lines are `width_m` apart."""
         nodes, pixels, column, step, half_m = _lay(
