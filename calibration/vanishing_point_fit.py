@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.geometry import CameraModel
+from automodel.perception.markings.ridge import ridge_sums
 from automodel.sources.images import with_channels
 from automodel.types import Float32Array, FloatArray, Image, Ints
 
@@ -95,9 +96,7 @@ def marking_points(image: Image, camera: CameraModel, vanishing_px: FloatArray, 
 
 def _ridge(values: Float32Array, span: int, apart: int) -> Float32Array:
     """Means of `span` samples minus the brighter of the means `apart` on each side; shorter by the margins."""
-    sums = np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1)
-    means = (sums[:, span:] - sums[:, :-span]) / np.float32(span)
-    return np.asarray(means[:, apart:-apart] - np.maximum(means[:, : -2 * apart], means[:, 2 * apart :]))
+    return np.asarray(ridge_sums(np.cumsum(np.pad(values, ((0, 0), (1, 0))), axis=1), span, apart) / np.float32(span))
 
 
 def _summits(values: Float32Array, least: float, reach: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.perception.markings.ridge import ridge_image
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
 from automodel.types import Bools, Image
 
@@ -156,7 +157,7 @@ class WhiteAreas:
         contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
         level = self._level(contrast)
         bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
-        ridge = cv2.threshold(self._above_sides(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
+        ridge = cv2.threshold(self._ridges(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
         no_specks = cv2.morphologyEx(cv2.bitwise_and(bright, ridge), cv2.MORPH_OPEN, self._narrow)
         too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
         # Masked only here: an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
@@ -183,20 +184,17 @@ class WhiteAreas:
         light = self._markings == "light"
         return np.asarray(cv2.subtract(view, around) if light else cv2.subtract(around, view), dtype=np.uint8)
 
-    def _above_sides(self, view: Image) -> Image:
+    def _ridges(self, view: Image) -> Image:
         """By how much each pixel exceeds the brighter of its neighbours to the left and right, else 0.
 
-        The rim of a bright patch exceeds one side only. Dark markings are below both neighbours.
+        The rim of a bright patch exceeds one side only. Dark markings are ridges of the negative.
         """
-        reach = self._reach
-        padded = cv2.copyMakeBorder(view, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
-        left, right = padded[:, : view.shape[1]], padded[:, 2 * reach :]
         if self._markings == "light":
-            return np.asarray(cv2.subtract(view, cv2.max(left, right)), dtype=np.uint8)
-        below = cv2.subtract(cv2.min(left, right), view)
+            return ridge_image(view, 1, 1, self._reach)
+        ridges = ridge_image(np.asarray(cv2.bitwise_not(view), dtype=np.uint8), 1, 1, self._reach)
         if self._markings == "both":
-            below = cv2.max(below, cv2.subtract(view, cv2.max(left, right)))
-        return np.asarray(below, dtype=np.uint8)
+            ridges = np.asarray(cv2.max(ridges, ridge_image(view, 1, 1, self._reach)), dtype=np.uint8)
+        return ridges
 
 
 @dataclass(slots=True)

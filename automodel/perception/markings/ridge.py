@@ -1,18 +1,43 @@
-"""Marking evidence of a grey frame: a ridge filter as wide as a marking appears on each row.
+"""The ridge filter: the mean of a window less the brighter of the means of two windows beside it.
 
-After section 3.1 of the paper of wide-baseline stereo lane detection; `centerline` uses it instead of the network.
+An edge (a shadow, a kerb) has one bright side and gives nothing. `ridge_sums` filters rows of samples, for searches and
+calibrations; `ridge_image` filters images. `RidgeFilter` filters an image with the width that a marking has on each
+row, after section 3.1 of the paper of wide-baseline stereo lane detection: `centerline` uses it instead of the network.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from automodel.geometry import GroundCamera
+from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, MANY, least_ridge_over_many
 from automodel.types import FloatArray, Image
+
+
+def ridge_sums(sums: NDArray[Any], window: int, apart: int) -> NDArray[Any]:
+    """The filter times `window` (r, k - 2 apart - window) of rows by their cumulative sums (r, k), which start with 0.
+
+    The windows are `window` samples long, and the outer ones `apart` from the middle one.
+    """
+    windows = sums[:, window:] - sums[:, :-window]
+    height = np.maximum(windows[:, : -2 * apart], windows[:, 2 * apart :])
+    return np.subtract(windows[:, apart:-apart], height, out=height)
+
+
+def ridge_image(image: Image, middle_px: int, side_px: int, apart_px: int) -> Image:
+    """The filter on the rows of an image (h, w), 0 where it is negative; the windows' lengths are odd."""
+    middle = image
+    if middle_px > 1:
+        middle = np.asarray(cv2.blur(image, (middle_px, 1), borderType=cv2.BORDER_REPLICATE), dtype=np.uint8)
+    padded = cv2.copyMakeBorder(image, 0, 0, apart_px, apart_px, cv2.BORDER_REPLICATE)
+    sides = cv2.blur(padded, (side_px, 1), borderType=cv2.BORDER_REPLICATE) if side_px > 1 else padded
+    brighter = cv2.max(sides[:, : image.shape[1]], sides[:, 2 * apart_px :])
+    return np.asarray(cv2.subtract(middle, brighter), dtype=np.uint8)
 
 
 def apparent_width_px(camera: GroundCamera, marking_width_m: float) -> FloatArray:
@@ -26,43 +51,40 @@ def apparent_width_px(camera: GroundCamera, marking_width_m: float) -> FloatArra
 
 
 class _Band(NamedTuple):
-    """Adjacent rows with the same filter: the boxes' widths, and the lateral shift of the outer boxes."""
+    """Adjacent rows with the same filter."""
 
     rows: slice
     middle_px: int
     side_px: int
-    shift_px: int
+    apart_px: int
 
 
 class RidgeFilter:
     """Computes how far each pixel exceeds both its sides, as a marking does.
 
-    On each row the mean over half a marking's width is compared with the means over one marking's width on either
-    side: the mean of both differences, limited to `BALANCE` times the smaller one, so that the rim of a bright area
-    does not count. The threshold minimises the variance within the two classes (Otsu 1979) among equally spaced
-    candidates between `contrast` and `MOST` times `contrast` [grey levels].
+    The threshold minimises the variance within the two classes (Otsu 1979) among equally spaced candidates from
+    `contrast` [grey levels] on, or, where that is 0, from what noise exceeds at `FALSE_ALARMS` places.
 
     `width_px_per_row` (h,) is the width of a marking on each row of an image `image_width_px` wide; 0: no ground.
     `markings` are "light" or "dark" against the ground, or "both". An image wider than `MAX_WIDTH_PX` is reduced to
-    that; `size_px` is (width, height) of the evidence. Raises ValueError for widths that are not finite and a contrast
-    that is not positive.
+    that; `size_px` is (width, height) of the evidence. Raises ValueError for widths that are not finite and a negative
+    contrast.
     """
 
     MAX_WIDTH_PX = 512
     MIN_WIDTH_PX = 0.75  # of a marking; rows where it is narrower have no evidence
-    MIDDLE, SIDE, SHIFT = 0.5, 1.0, 1.75  # widths of the middle and of a side, and their distance, in markings
-    BALANCE = 2.0
-    MOST = 4.0
+    # Lengths of the windows and their distance, in markings: a short middle gives evidence as wide as the marking.
+    MIDDLE, SIDE, APART = 0.5, 1.0, 1.75
     CANDIDATES = 32
     NEXT_BAND = 1.1  # ratio of the marking's widths at which a new band starts
     LEVEL = 128  # the evidence at the threshold
 
     def __init__(
-        self, width_px_per_row: ArrayLike, image_width_px: int, contrast: float = 12.0, markings: str = "light"
+        self, width_px_per_row: ArrayLike, image_width_px: int, contrast: float = 0.0, markings: str = "light"
     ) -> None:
         given = np.asarray(width_px_per_row, dtype=np.float64)
-        if given.ndim != 1 or not np.isfinite(given).all() or contrast <= 0.0:
-            raise ValueError("RidgeFilter: expected finite widths (h,) and a positive contrast")
+        if given.ndim != 1 or not np.isfinite(given).all() or contrast < 0.0:
+            raise ValueError("RidgeFilter: expected finite widths (h,) and a contrast >= 0")
         scale = min(1.0, self.MAX_WIDTH_PX / image_width_px)
         self.size_px = (round(scale * image_width_px), max(round(scale * len(given)), 1))
         self._image_shape = (len(given), image_width_px)
@@ -70,11 +92,13 @@ class RidgeFilter:
         rows = (np.arange(self.size_px[1]) + 0.5) * len(given) / self.size_px[1] - 0.5
         width = np.interp(rows, np.arange(len(given)), given) * self.size_px[0] / image_width_px
         self._bands = self._split(width)
+        area = sum((band.rows.stop - band.rows.start) * self.size_px[0] for band in self._bands)
+        self._least = least_ridge_over_many(area / FALSE_SAMPLES, math.sqrt(self.MIDDLE / self.SIDE))
         self._ground = slice(min(b.rows.start for b in self._bands), None) if self._bands else slice(0, 0)
 
     @classmethod
     def of_camera(
-        cls, camera: GroundCamera, marking_width_m: float, contrast: float = 12.0, markings: str = "light"
+        cls, camera: GroundCamera, marking_width_m: float, contrast: float = 0.0, markings: str = "light"
     ) -> RidgeFilter:
         """The filter for a calibrated camera over flat ground."""
         return cls(apparent_width_px(camera, marking_width_m), camera.camera.width_px, contrast, markings)
@@ -89,8 +113,14 @@ class RidgeFilter:
         for first_row, end in zip(edges, [*edges[1:], len(width_px)], strict=True):
             width = float(width_px[first_row:end].mean())
             if width >= self.MIN_WIDTH_PX:
-                boxes = _odd(self.MIDDLE * width), _odd(self.SIDE * width)
-                bands.append(_Band(slice(first_row, end), *boxes, max(round(self.SHIFT * width), 2)))
+                bands.append(
+                    _Band(
+                        slice(first_row, end),
+                        _odd(self.MIDDLE * width),
+                        _odd(self.SIDE * width),
+                        max(round(self.APART * width), 2),
+                    )
+                )
         return bands
 
     def step(self, grey: Image) -> Image:
@@ -116,31 +146,32 @@ class RidgeFilter:
 
     def _response(self, grey: Image) -> Image:
         """How far each pixel exceeds its sides."""
-        middle, left, right = (np.zeros_like(grey) for _ in range(3))
+        response = np.zeros_like(grey)
         for band in self._bands:
-            rows = grey[band.rows]
-            cv2.blur(rows, (band.middle_px, 1), middle[band.rows], borderType=cv2.BORDER_REPLICATE)
-            reach = band.shift_px
-            padded = cv2.copyMakeBorder(rows, 0, 0, reach, reach, cv2.BORDER_REPLICATE)
-            sides = cv2.blur(padded, (band.side_px, 1), borderType=cv2.BORDER_REPLICATE)
-            left[band.rows], right[band.rows] = sides[:, : grey.shape[1]], sides[:, 2 * reach :]
-        above_left, above_right = cv2.subtract(middle, left), cv2.subtract(middle, right)
-        mean = cv2.addWeighted(above_left, 0.5, above_right, 0.5, 0.0)
-        least = cv2.convertScaleAbs(cv2.min(above_left, above_right), alpha=self.BALANCE)
-        return np.asarray(cv2.min(mean, least), dtype=np.uint8)
+            response[band.rows] = ridge_image(grey[band.rows], *band[1:])
+        return response
 
     def _level(self, response: Image) -> float:
         """The response that separates markings from the rest."""
         counts = cv2.calcHist([response[self._ground][::2]], [0], None, [256], [0, 256]).ravel().astype(np.float64)
         values = np.arange(256.0)
         below = [np.cumsum(counts * values**power) for power in range(3)]
-        at = np.unique(
-            np.linspace(self._contrast, self.MOST * self._contrast, self.CANDIDATES).astype(np.intp).clip(0, 255)
-        )
+        least, most = self._contrast or self._noise_level(response), float(np.searchsorted(below[0], below[0][-1]))
+        at = np.linspace(least, max(least, most), self.CANDIDATES).round().astype(np.intp).clip(1, 255)
         within: FloatArray = np.zeros(len(at))
         for number, first, second in ([b[at - 1] for b in below], [b[-1] - b[at - 1] for b in below]):
             within = within + second - first**2 / np.maximum(number, 1.0)
         return float(at[int(within.argmin())])
+
+    def _noise_level(self, response: Image) -> float:
+        """The response that noise exceeds at `FALSE_ALARMS` places.
+
+        It is measured on the farther half of the ground, where the windows are shortest.
+        """
+        ground = response[self._ground]
+        counts = cv2.calcHist([ground[: len(ground) // 2 + 1]], [0], None, [256], [0, 256]).ravel()
+        shares = np.cumsum(counts.astype(np.float64)) / max(float(counts.sum()), 1.0)
+        return self._least * float(np.interp(1.0 - MANY, shares, np.arange(256.0) + 0.5))
 
 
 def _odd(width_px: float) -> int:

@@ -8,30 +8,35 @@ most places show bare ground.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 FALSE_ALARMS = 1.0  # among all places that are searched at once; ten times as many lower thresholds by a quarter
 
 
-def _exceeded(height: float) -> float:
-    """The probability that m - max(l, r) exceeds a height, for independent standard normal m, l and r."""
+def _exceeded(height: float, sides: float = 1.0) -> float:
+    """The probability that m - max(l, r) exceeds a height: normal, m of variance 1, l and r of variance `sides`^2."""
     m = np.linspace(-8.0, 8.0, 161)
-    below = np.array([0.5 + 0.5 * math.erf((x - height) / math.sqrt(2.0)) for x in m])
+    below = np.array([0.5 + 0.5 * math.erf((x - height) / (sides * math.sqrt(2.0))) for x in m])
     density = np.exp(-0.5 * m * m) / math.sqrt(2.0 * math.pi)
     return float((density * below**2).sum() * (m[1] - m[0]))
 
 
-def _root(rising: float, low: float, high: float, of_absolute: bool) -> float:
-    """The height that is exceeded with a probability, by bisection; `of_absolute`: the absolute value exceeds it."""
-    for _ in range(50):
+def _height(exceeded: Callable[[float], float], rate: float) -> float:
+    """The height that is exceeded at a rate, by bisection."""
+    low, high = 0.0, 8.0
+    for _ in range(40):
         middle = 0.5 * (low + high)
-        exceeded = _exceeded(middle) + ((1.0 - _exceeded(-middle)) if of_absolute else 0.0)
-        low, high = (middle, high) if exceeded > rising else (low, middle)
+        low, high = (middle, high) if exceeded(middle) > rate else (low, middle)
     return 0.5 * (low + high)
 
 
-MEDIAN = _root(0.5, 0.0, 8.0, True)  # the median of |m - max(l, r)| over the standard deviation of m
+# The median of |m - max(l, r)| over the standard deviation of m.
+MEDIAN = _height(lambda height: _exceeded(height) + 1.0 - _exceeded(-height), 0.5)
+MANY = 1.0 / 6.0  # share of places: half of those with a ridge above 0, so that paint and rounding change little
+FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed a threshold at once
 
 
 def least_ridge(places: float) -> float:
@@ -40,4 +45,17 @@ def least_ridge(places: float) -> float:
     m, l, r are the means of three windows of equal length that do not overlap, the median is that of the absolute
     value; `places` is the number of independent ones.
     """
-    return _root(min(FALSE_ALARMS / places, 0.25), 0.0, 8.0, False) / MEDIAN
+    return _height(_exceeded, _rate(places)) / MEDIAN
+
+
+def least_ridge_over_many(places: float, sides: float) -> float:
+    """As `least_ridge`, over the height that is exceeded at the share `MANY` of the places.
+
+    The outer windows may be longer: `sides` is the standard deviation of l and r over that of m.
+    """
+    exceeded = partial(_exceeded, sides=sides)
+    return _height(exceeded, _rate(places)) / _height(exceeded, MANY)
+
+
+def _rate(places: float) -> float:
+    return min(FALSE_ALARMS / max(places, 1.0), 0.25)

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-from automodel.perception.markings.ridge_noise import MEDIAN, least_ridge
+from automodel.perception.markings.ridge import ridge_sums
+from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, MEDIAN, least_ridge
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Sums = NDArray[np.int32]
@@ -31,7 +32,6 @@ AROUND = 24  # samples on each side by which a ridge is classified
 REACH = 31  # samples on each side of a run's middle
 GATE = 15  # samples on each side of a run's middle among which its ridge is searched
 CHANNELS = {"blue": 0, "green": 1, "red": 2}
-FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed the threshold at once
 LINE, BAR = range(2)
 ROUNDING = WINDOW / math.sqrt(12.0) * MEDIAN  # a filter's noise, median of |height|, where all is rounded alike
 
@@ -194,9 +194,7 @@ class RowRidgeFilter:
         sums = self._sums[: len(values)]
         np.add.accumulate(values, axis=1, dtype=np.int32, out=sums[:, 1:])
         low, high = first - MARGIN, last + MARGIN + 1
-        means = sums[:, low + WINDOW : high] - sums[:, low : high - WINDOW]  # times WINDOW
-        height = np.maximum(means[:, : -2 * SIDE], means[:, 2 * SIDE :])
-        return np.subtract(means[:, SIDE:-SIDE], height, out=height)
+        return ridge_sums(sums[:, low:high], WINDOW, SIDE)
 
     def thresholds(self, heights: Sums, within: Bools) -> Float32Array:
         """The height (r,) that a ridge exceeds on each row, from all heights (r, n) that lie `within` the image."""

@@ -14,10 +14,9 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.line_projection import LineProjection, View, project_lines
-from automodel.perception.markings.ridge_noise import least_ridge
+from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
 from automodel.perception.rows.row_ridges import (
     BAR,
-    FALSE_SAMPLES,
     GATE,
     LINE,
     MARGIN,
