@@ -212,12 +212,10 @@ class TemporalPaintCheck:
     Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
     odometry gives each place in the earlier view. Where that showed less than half of the present contrast, there is no
     paint. Only what the camera resolved then counts, and where a nodding camera and the odometry's error move a place
-    by less than the tolerance; other places pass, and so does everything until the car has driven far enough.
+    by less than a marking; other places pass, and so does everything until the car has driven far enough.
     """
 
-    DISTANCE_LANES = 1.0  # to the view that is compared with
     EVERY_LANES = 0.1  # distance between two remembered views
-    TOLERANCE_MARKINGS = 1.0  # error of a place
     BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
     RESOLVED_PX = 2.0  # width of a marking in the image from which on it keeps its contrast
     NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
@@ -227,9 +225,9 @@ class TemporalPaintCheck:
     ) -> None:
         self.view, self._unseen = view, cv2.bitwise_not(visible)
         self._unseen[~self._reliable(camera, marking_width_m)] = 255
-        self._distance_m, self._every_m = self.DISTANCE_LANES * lane_width_m, self.EVERY_LANES * lane_width_m
-        across = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_px) + 1
-        along = 2 * round(self.TOLERANCE_MARKINGS * marking_width_m / view.m_per_row) + 1
+        self._distance_m, self._every_m = lane_width_m, self.EVERY_LANES * lane_width_m
+        across = 2 * round(marking_width_m / view.m_per_px) + 1
+        along = 2 * round(marking_width_m / view.m_per_row) + 1
         self._kernel = np.ones((along, across), np.uint8)
         self._past: deque[_PastView] = deque()
         self.forget()
@@ -245,7 +243,7 @@ class TemporalPaintCheck:
         resolved = np.hypot(*(right - left).T) >= self.RESOLVED_PX
         ahead = x[:, None] - camera.centre_m[0]
         moved = np.hypot(np.abs(y) * ahead * (self.NOD_RAD / camera.centre_m[2]), self.TURN_RAD * ahead)
-        return np.asarray(resolved[:, None] & (moved < self.TOLERANCE_MARKINGS * marking_m))
+        return np.asarray(resolved[:, None] & (moved < marking_m))
 
     def forget(self) -> None:
         """Forget all views."""

@@ -12,26 +12,26 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.config import LaneConfig
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.ridge_noise import MEDIAN, least_ridge
+from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge, rounding_noise
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
 from automodel.perception.rows.row_ridges import Brightness
 from automodel.types import Bools, Float32Array, FloatArray, Floats, Image, Ints
 
-SCALES = (4, 8, 16)  # samples: half, once and twice the configured width
-PER_MARKING = SCALES[1]
+PER_MARKING = 8  # samples
+SCALES = (PER_MARKING // 2, PER_MARKING, 2 * PER_MARKING)  # of the filters
 FAINT = 0.5  # of the highest ridge of a row: what is lower does not count
 LOW = 0.7  # scales: the narrowest ridge of a scale; the widest is twice as wide
-ROUNDING = MEDIAN / math.sqrt(12.0 * SCALES[0] / 2)  # noise of a filter [grey levels], by rounding alone
-LEAST = least_ridge(1.0 / 1e-3)  # over the median of a scale's heights: one false ridge in a thousand samples
 
 
 @compiled
-def ridge_widths(values: Float32Array, within: Bools, noises: float) -> tuple[Ints, Ints, Floats, Floats]:
+def ridge_widths(
+    values: Float32Array, within: Bools, noises: float, rounding: float
+) -> tuple[Ints, Ints, Floats, Floats]:
     """The ridges (n,) on rows of samples (r, k), by row: row, sample, width at half height [samples], height.
 
     A ridge is the mean of a middle half as long as its scale over the brighter of two such means a scale and a half
-    away. Its height exceeds `noises` times the median of the row's, and it has bare ground beside it over 1.5 of its
-    own widths: a zebra's bars have not.
+    away. Its height exceeds `noises` times the median of the row's, which is at least `rounding`, and it has bare
+    ground beside it over 1.5 of its own widths: a zebra's bars have not.
     """
     rows, samples = values.shape
     row, at = np.empty(rows * samples, np.intp), np.empty(rows * samples, np.intp)
@@ -58,7 +58,7 @@ def ridge_widths(values: Float32Array, within: Bools, noises: float) -> tuple[In
                     response[c] = 0.0
             if known == 0:
                 continue
-            least = noises * max(float(np.median(noise[:known])), ROUNDING)
+            least = noises * max(float(np.median(noise[:known])), rounding)
             for c in range(margin, samples - margin):
                 if response[c] <= least:
                     continue
@@ -141,16 +141,12 @@ class MarkingWidth:
     """
 
     ROWS = 16
-    AHEAD_LANES, LATERAL_LANES = (
-        (1.0, 2.0),
-        1.2,
-    )  # of the ground that is searched: least and largest depth; to each side
-    MIN_PX = 4.0  # width of the configured marking in the image, where the depth allows it
+    LATERAL_LANES = 1.2  # to each side of the car, over a lane width ahead
     EVERY = 16  # frames between two measurements once the width is settled
-    BINS, RANGE = 31, 3.0  # of the histogram, between a third and three times the start value
+    BIN = 0.07  # relative width of a bin of the histogram
     MEMORY = 0.9  # share of the histogram that is kept at a measurement
     PRIOR = 8.0
-    CHANGE, WARNING = 1.2, 1.3  # ratios: of a width that is used instead of the last, and of one that is reported
+    CHANGE = 1.3  # ratio from which on a width is used instead of the last one, and reported
     SETTLED = 0.05  # relative sigma from which on an estimate is used
 
     def __init__(
@@ -165,16 +161,16 @@ class MarkingWidth:
         self._brightness = (brightness, brightness.negative()) if lane.markings == "both" else (brightness,)
         self._step_m = marking_width_m / PER_MARKING
         near = max(camera.first_visible_x_m(), reference_x_m)
-        resolved = camera.centre_m[0] + camera.camera.matrix[0, 0] * marking_width_m / self.MIN_PX
-        least, most = (near + depth * lane_width_m for depth in self.AHEAD_LANES)
-        far = min(max(resolved, least), most)
-        lookup = RowGroundLookup(camera, (near, far), self.ROWS)
+        lookup = RowGroundLookup(camera, (near, near + lane_width_m), self.ROWS)
         half = math.ceil(self.LATERAL_LANES * lane_width_m / self._step_m)
         y = np.arange(-half, half) * self._step_m
         self._pixels, self._within = lookup.pixels(np.broadcast_to(y, (len(lookup.rows), len(y))))
         self._ahead = lookup.ahead_m / self._step_m
-        self._bin = 2.0 * math.log(self.RANGE) / self.BINS
-        ridges = ridge_widths(np.zeros(self._pixels.shape, np.float32), self._within, LEAST)
+        self._noises = least_ridge(self._pixels.size / FALSE_SAMPLES)
+        self._rounding = rounding_noise(SCALES[0] // 2)
+        self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
+        self._bins = 2 * self._half + 1
+        ridges = ridge_widths(np.zeros(self._pixels.shape, np.float32), self._within, self._noises, self._rounding)
         continued(*ridges, self._ahead)
         self.reset()
 
@@ -182,7 +178,7 @@ class MarkingWidth:
         """Start again with the configured width."""
         self.width_m = self.measured_m = self._start_m
         self.sigma = math.inf
-        self._counts: FloatArray = np.zeros(self.BINS)
+        self._counts: FloatArray = np.zeros(self._bins)
         self._wait = 0
 
     def step(self, image: Image) -> bool:
@@ -193,7 +189,7 @@ class MarkingWidth:
         self._counts *= self.MEMORY
         for brightness in self._brightness:
             values = brightness.read(image, self._pixels).astype(np.float32)
-            self.add(*continued(*ridge_widths(values, self._within, LEAST), self._ahead))
+            self.add(*continued(*ridge_widths(values, self._within, self._noises, self._rounding), self._ahead))
         if self.sigma > self.SETTLED:
             return False
         self._wait = self.EVERY
@@ -204,27 +200,27 @@ class MarkingWidth:
 
     def add(self, widths: Floats, weights: Floats) -> None:
         """Count ridges of widths (n,) [samples of the configured width / `PER_MARKING`] with weights (n,)."""
-        place = np.log(np.maximum(widths, 1e-9) / PER_MARKING) / self._bin + 0.5 * self.BINS
-        inside = (place >= 0.0) & (place < self.BINS)
+        place = np.log(np.maximum(widths, 1e-9) / PER_MARKING) / self.BIN + 0.5 * self._bins
+        inside = (place >= 0.0) & (place < self._bins)
         if inside.any():
             share = weights[inside] ** 2 / (weights[inside] ** 2).mean()
-            self._counts += np.bincount(place[inside].astype(np.intp), share, self.BINS)
-        prior = np.exp(-0.5 * ((np.arange(self.BINS) - self.BINS // 2) * self._bin / math.log(self.CHANGE)) ** 2)
+            self._counts += np.bincount(place[inside].astype(np.intp), share, self._bins)
+        prior = np.exp(-0.5 * ((np.arange(self._bins) - self._half) * self.BIN / math.log(self.CHANGE)) ** 2)
         counts = self._counts + self.PRIOR / prior.sum() * prior
         smooth = np.convolve(counts, (0.5, 1.0, 0.5), "same")
         peak = int(smooth.argmax())
         about = slice(max(peak - 2, 0), peak + 3)
         number = float(counts[about].sum())
-        middles = (np.arange(self.BINS)[about] - self.BINS // 2) * self._bin
+        middles = (np.arange(self._bins)[about] - self._half) * self.BIN
         mean = float((counts[about] * middles).sum() / number)
-        spread = math.sqrt(float((counts[about] * (middles - mean) ** 2).sum() / number) + self._bin**2 / 12.0)
+        spread = math.sqrt(float((counts[about] * (middles - mean) ** 2).sum() / number) + self.BIN**2 / 12.0)
         self.measured_m = self._start_m * math.exp(mean)
         self.sigma = spread / math.sqrt(number) * float(counts.sum() / number)
 
     @property
     def warning(self) -> str:
         """One line where the measured width differs from the configured one, else empty."""
-        if self.sigma > self.SETTLED or abs(math.log(self.measured_m / self._start_m)) < math.log(self.WARNING):
+        if self.sigma > self.SETTLED or abs(math.log(self.measured_m / self._start_m)) < math.log(self.CHANGE):
             return ""
         return (
             f"[lane] marking_width_m = {self._start_m:.3g}: the markings are {self.measured_m:.2g} m wide, which is"

@@ -33,10 +33,19 @@ def _height(exceeded: Callable[[float], float], rate: float) -> float:
     return 0.5 * (low + high)
 
 
-# The median of |m - max(l, r)| over the standard deviation of m.
-MEDIAN = _height(lambda height: _exceeded(height) + 1.0 - _exceeded(-height), 0.5)
+def _median() -> float:
+    """The median of |m - max(l, r)| over the standard deviation of m."""
+    return _height(lambda height: _exceeded(height) + 1.0 - _exceeded(-height), 0.5)
+
+
+MEDIAN = _median()
 MANY = 1.0 / 6.0  # share of places: half of those with a ridge above 0, so that paint and rounding change little
 FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed a threshold at once
+
+
+def rounding_noise(window: int) -> float:
+    """The median of a filter's |height| [grey levels] by rounding to grey levels alone, for windows of some pixels."""
+    return MEDIAN / math.sqrt(12.0 * window)
 
 
 def least_ridge(places: float) -> float:

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from automodel.curves.lanes import ArcLane
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
-from automodel.perception.rows.row_ridges import MARGIN, PER_MARKING, ROUNDING, Brightness, RowRidgeFilter
+from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, Brightness, RowRidgeFilter
 from automodel.types import Float32Array, Floats, Image, Ints
 
 
@@ -122,7 +122,7 @@ class LineIntegralSearch:
         height = self._filter.heights(values, MARGIN, samples - MARGIN)
         inside = self._inside[:, : -2 * MARGIN] & self._inside[:, 2 * MARGIN :]
         median = [np.median(np.abs(h[known])) if known.any() else 0.0 for h, known in zip(height, inside, strict=True)]
-        noise = np.array(median, np.float32) + np.float32(ROUNDING)
+        noise = np.array(median, np.float32) + np.float32(LEVEL)
         excess = height.astype(np.float32) / noise[:, None] - np.float32(self.NOISE_LEVEL)
         evidence = np.zeros(values.shape, np.float32)
         evidence[:, MARGIN:-MARGIN] = np.where(inside, np.clip(excess, self.MIN_EXCESS, self.MAX_EXCESS), 0.0)

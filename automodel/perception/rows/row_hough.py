@@ -22,7 +22,7 @@ from automodel.curves.foot import foot_on_circle
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
-from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, WINDOW, Brightness, RowRidgeFilter
+from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, Brightness, RowRidgeFilter
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Votes = NDArray[np.int32]
@@ -158,9 +158,7 @@ class RowHough:
     SINGLE_LOSS = 4.0  # of a single line
     THIRD = 0.6  # relative to the weaker line of a pair: a line between the two with so many votes rejects the lane
     GENTLE_LANES = 15.0  # radius of the tightest bend from which on `LineIntegralSearch` is tried first
-    GENTLE_ROWS = 12  # that are searched after that, so that both together read few pixels
     SHARP, BLURRED = 0.75, 0.5  # quantile of the edges that represents paint, and the share of it below which none is
-    DULL, FINE_PX = 0.42, 2.0  # edge of a reflection relative to its height, where a sample has so many pixels
 
     def __init__(
         self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness, both: bool = False
@@ -170,7 +168,7 @@ class RowHough:
         self._integrals = LineIntegralSearch(camera, config) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
-        x, self._rows, self._steps = self._choose_rows(camera, near, self.GENTLE_ROWS if gentle else config.rows)
+        x, self._rows, self._steps = self._choose_rows(camera, near, config.rows)
         width = camera.camera.width_px
         samples = max(math.ceil(width / self._steps.min()), 2 * MARGIN + 1)
         self._filter = RowRidgeFilter(len(x), samples, config.contrast)
@@ -243,8 +241,7 @@ class RowHough:
         line = ridges.flags[LINE]
         edges = ridges.edge[line]
         self._edge = float(np.sort(edges)[int(self.SHARP * len(edges))]) if len(edges) else 0.0
-        dull = (self.DULL / WINDOW) * ridges.height * (self._steps[row] > self.FINE_PX)
-        line[line] = edges > np.maximum(self.BLURRED * self._edge, dull[line])  # a reflection is faint and blurred
+        line[line] = edges > self.BLURRED * self._edge  # a reflection is blurred
         return row_votes(row[line], (at + ridges.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
 
     def _pair(self, lines: Votes) -> tuple[float, InitialLane | None]:

@@ -10,7 +10,6 @@ whether it is alone. The bars of a zebra crossing lie side by side, lines do not
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,7 +32,7 @@ REACH = 31  # samples on each side of a run's middle
 GATE = 15  # samples on each side of a run's middle among which its ridge is searched
 CHANNELS = {"blue": 0, "green": 1, "red": 2}
 LINE, BAR = range(2)
-ROUNDING = WINDOW / math.sqrt(12.0) * MEDIAN  # a filter's noise, median of |height|, where all is rounded alike
+LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 
 _GREY = (0.114, 0.587, 0.299)  # of blue, green, red: ITU-R BT.601
 _BODY = 7  # samples: half of what counts as the marking itself
@@ -127,7 +126,7 @@ def measure_ridges(
 
 @compiled
 def median_heights(height: Sums, within: Bools) -> Float32Array:
-    """The median of |height| (r,) of rows (r, n) where `within`, of every third sample; at least `ROUNDING`."""
+    """The median of |height| (r,) of rows (r, n) where `within`, of every third sample; at least `LEVEL`."""
     medians = np.empty(len(height), np.float32)
     values = np.empty(height.shape[1], np.float32)
     for r in range(len(height)):
@@ -136,9 +135,9 @@ def median_heights(height: Sums, within: Bools) -> Float32Array:
             if within[r, c]:
                 values[count] = abs(height[r, c])
                 count += 1
-        medians[r] = ROUNDING
+        medians[r] = LEVEL
         if count:
-            medians[r] = max(float(np.median(values[:count])), ROUNDING)
+            medians[r] = max(float(np.median(values[:count])), LEVEL)
     return medians
 
 
@@ -175,7 +174,7 @@ def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
         for j in range(max(i - 2, 0), min(i + 3, k)):
             total += medians[j] + medians[k + j]
             used += 2
-        least[i] = least[k + i] = noises * max(total / used, ROUNDING)
+        least[i] = least[k + i] = noises * max(total / used, LEVEL)
     return least
 
 

@@ -88,7 +88,7 @@ class LineInitialisation:
 
     NEAR_LANES = 2.0  # depth of the near part
     DIRECTIONS = tuple(math.radians(degrees) for degrees in range(-60, 61, 10))  # at the near part's middle
-    CURVATURES = (0.0, 0.25, -0.25, 0.5, -0.5)  # there, in 1 / lane width
+    CURVATURES = np.linspace(-0.5, 0.5, 5)  # there, in 1 / lane width
     HALF_LANES = 1.6  # lateral reach to each side, at the near part's middle
     CELL_LANES = 0.15  # length of the pieces along the arc, each of which counts once
     WIDTHS = (0.65, 1.35)  # of a pair, in lane widths
@@ -111,9 +111,7 @@ class LineInitialisation:
         sides = [2 * round(0.5 * self.AREA * marking_width_m / m) + 1 for m in (view.m_per_row, view.m_per_px)]
         self._area = np.ones(sides, np.uint8)
         self._places: FloatArray = np.arange(0.5 - 0.5 * self._bins, 0.5 * self._bins) * self._bin_m
-        directions, kappas = np.meshgrid(
-            np.array(self.DIRECTIONS), np.array(self.CURVATURES) / lane_width_m, indexing="ij"
-        )
+        directions, kappas = np.meshgrid(np.array(self.DIRECTIONS), self.CURVATURES / lane_width_m, indexing="ij")
         arcs = _Arcs(view.x_near_m + 0.5 * depth, directions.ravel(), kappas.ravel())
         self._arcs = arcs.select(np.abs(arcs.headings_rad(reference_x_m)) <= self.MAX_HEADING_RAD)
         heading = np.abs(self._arcs.headings_rad(reference_x_m))

@@ -36,7 +36,7 @@ class HistogramStart:
     the inner line is out of view.
     """
 
-    SLOPES = tuple(np.tan(np.radians((0.0, -10.0, 10.0, -20.0, 20.0, -30.0, 30.0, -40.0, 40.0))))
+    SLOPES = tuple(math.tan(math.radians(degrees)) for degrees in sorted(range(-40, 41, 10), key=abs))
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
     SINGLES = 4

@@ -10,7 +10,8 @@ import pytest
 
 from automodel.config import CarConfig, LaneConfig
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.marking_width import LEAST, PER_MARKING, MarkingWidth, continued, ridge_widths
+from automodel.perception.markings.marking_width import PER_MARKING, MarkingWidth, continued, ridge_widths
+from automodel.perception.markings.ridge_noise import least_ridge, rounding_noise
 from automodel.sim.appearance import Appearance
 from automodel.types import Image
 from tests.support.masked_drives import line, road
@@ -19,6 +20,7 @@ from tests.support.rendered_drives import renderer
 CAR = CarConfig()
 CAMERA = GroundCamera.from_config(CAR.camera)
 TRUE_M = 0.03
+NOISES = least_ridge(1000.0), rounding_noise(2)
 
 
 def rendered(marking_m: float = TRUE_M, yaw_rad: float = 0.0, noise: float = 1.0, **look: float) -> Image:
@@ -49,7 +51,7 @@ def rows_of(*marks: tuple[float, float], samples: int = 240, noise: float = 0.5)
 @pytest.mark.parametrize("width", [3.5, 5.0, 8.0, 12.0, 18.0])
 def test_a_ridge_has_its_width_at_any_scale(width: float) -> None:
     values = rows_of((120.3, width))
-    row, at, widths, heights = ridge_widths(values, np.ones(values.shape, bool), LEAST)
+    row, at, widths, heights = ridge_widths(values, np.ones(values.shape, bool), *NOISES)
     assert row.tolist() == list(range(8))  # one on each row
     assert np.abs(at - 120.3).max() < 1.0 + 0.3 * width
     assert widths == pytest.approx(width, rel=0.08)
@@ -58,9 +60,9 @@ def test_a_ridge_has_its_width_at_any_scale(width: float) -> None:
 
 def test_bars_side_by_side_edges_and_noise_are_no_markings() -> None:
     for values in (rows_of(*((60.0 + 16.0 * k, 8.0) for k in range(8))), rows_of((180.0, 100.0))):
-        assert len(ridge_widths(values, np.ones(values.shape, bool), LEAST)[0]) == 0
+        assert len(ridge_widths(values, np.ones(values.shape, bool), *NOISES)[0]) == 0
     values = rows_of(noise=20.0)
-    ridges = ridge_widths(values, np.ones(values.shape, bool), LEAST)
+    ridges = ridge_widths(values, np.ones(values.shape, bool), *NOISES)
     assert len(continued(*ridges, np.arange(8) * 8.0)[0]) <= 2
 
 
