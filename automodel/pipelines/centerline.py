@@ -17,6 +17,7 @@ from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2, GroundCamera
 from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view
+from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing
@@ -85,8 +86,6 @@ class Centerline:
         ahead_m = self._camera.first_visible_x_m() + options.view_ahead_lanes * lane.width_m
         self._ahead_m = ahead_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
-        from automodel.perception.markings.marking_width import MarkingWidth  # compiled: slow to import
-
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
         self._look_for(lane.marking_width_m)
         self.notice = _provider_notice(self._markings, options)

@@ -24,9 +24,9 @@ from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig
 from automodel.perception.rows.row_hough import RowHough
-from automodel.perception.rows.row_ridges import Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion

@@ -21,6 +21,7 @@ from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import SE2, BirdsEye, GroundCamera
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
+from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.windows.sliding_windows import SlidingWindows
 from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.pipelines.stages import StageClock
@@ -45,8 +46,6 @@ class Windows:
         self._camera = GroundCamera.from_config(car.camera)
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
-        from automodel.perception.markings.marking_width import MarkingWidth  # compiled: slow to import
-
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
         near_x_m = self._camera.first_visible_x_m()
         ahead_m = near_x_m + options.view_ahead_lanes * lane.width_m - self._reference_x_m

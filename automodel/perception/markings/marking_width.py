@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 
-from automodel.compiled import compiled
 from automodel.config import LaneConfig
 from automodel.geometry import GroundCamera
+from automodel.perception.markings.ridge import ridge_sums
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge, rounding_noise
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
-from automodel.perception.rows.row_ridges import Brightness
 from automodel.types import Bools, Float32Array, FloatArray, Floats, Image, Ints
 
 PER_MARKING = 8  # samples
@@ -23,7 +24,6 @@ FAINT = 0.5  # of the highest ridge of a row: what is lower does not count
 LOW = 0.7  # scales: the narrowest ridge of a scale; the widest is twice as wide
 
 
-@compiled
 def ridge_widths(
     values: Float32Array, within: Bools, noises: float, rounding: float
 ) -> tuple[Ints, Ints, Floats, Floats]:
@@ -33,101 +33,68 @@ def ridge_widths(
     away. Its height exceeds `noises` times the median of the row's, which is at least `rounding`, and it has bare
     ground beside it over 1.5 of its own widths: a zebra's bars have not.
     """
-    rows, samples = values.shape
-    row, at = np.empty(rows * samples, np.intp), np.empty(rows * samples, np.intp)
-    widths, heights, count = np.empty(rows * samples), np.empty(rows * samples), 0
-    noise, response = np.empty(samples), np.empty(samples)
-    sums = np.zeros(samples + 1)
-    for r in range(rows):
-        begin, highest_of_row = count, 0.0
-        for c in range(samples):
-            sums[c + 1] = sums[c] + values[r, c]
-        for scale in SCALES:
-            window, apart = scale // 2, 3 * scale // 2
-            margin, known = apart + window, 0
-            for c in range(margin, samples - margin):
-                first = c - window // 2
-                middle = sums[first + window] - sums[first]
-                left = sums[first + window - apart] - sums[first - apart]
-                right = sums[first + window + apart] - sums[first + apart]
-                response[c] = (middle - max(left, right)) / window
-                if within[r, c - margin] and within[r, c + margin]:
-                    noise[known] = abs(response[c])
-                    known += 1
-                else:
-                    response[c] = 0.0
-            if known == 0:
-                continue
-            least = noises * max(float(np.median(noise[:known])), rounding)
-            for c in range(margin, samples - margin):
-                if response[c] <= least:
-                    continue
-                highest = True
-                for k in range(max(c - window, margin), min(c + window + 1, samples - margin)):
-                    highest = highest and (response[k] < response[c] or (response[k] == response[c] and k >= c))
-                if not highest:
-                    continue
-                width = _width_at(values[r], sums, c, window, apart)
-                if LOW * scale < width <= 2.0 * LOW * scale:  # where the scales meet: each ridge counts once
-                    row[count], at[count], widths[count], heights[count] = r, c, width, response[c]
-                    highest_of_row = max(highest_of_row, response[c])
-                    count += 1
-        every, count = count, begin
-        for i in range(begin, every):  # texture is fainter than paint
-            if heights[i] > FAINT * highest_of_row:
-                row[count], at[count], widths[count], heights[count] = row[i], at[i], widths[i], heights[i]
-                count += 1
-    return row[:count], at[:count], widths[:count], heights[:count]
+    sums = np.cumsum(np.pad(values.astype(np.float64), ((0, 0), (1, 0))), axis=1)
+    found: list[tuple[int, int, float, float]] = []
+    for scale in SCALES:
+        window, apart = scale // 2, 3 * scale // 2
+        margin = apart + window // 2  # of the responses' first sample
+        response = (ridge_sums(sums, window, apart) / window).astype(np.float32)
+        end = margin + response.shape[1]
+        if response.shape[1] == 0 or end + margin > values.shape[1] + 1:
+            continue
+        known = within[:, : response.shape[1]] & within[:, -response.shape[1] :]
+        response[~known] = 0.0
+        size = np.sort(np.where(known, np.abs(response), np.float32(np.inf)), axis=1)
+        median = size[np.arange(len(size)), known.sum(axis=1) // 2]
+        least = noises * np.maximum(median, rounding)[:, None]
+        highest = cv2.dilate(response, np.ones((1, 2 * window + 1), np.uint8))
+        for r, c in np.argwhere((response > least) & (response >= highest)).tolist():
+            width = _width_at(values[r], sums[r], c + margin, window, apart)
+            if LOW * scale < width <= 2.0 * LOW * scale:  # where the scales meet: each ridge counts once
+                found.append((r, c + margin, width, float(response[r, c])))
+    row, at, widths, heights = np.array(sorted(found)).reshape(-1, 4).T
+    row = row.astype(np.intp)
+    top = np.zeros(len(values))
+    np.maximum.at(top, row, heights)
+    plain = heights > FAINT * top[row]  # texture is fainter than paint
+    return row[plain], at[plain].astype(np.intp), widths[plain], heights[plain]
 
 
-@compiled
 def continued(row: Ints, at: Ints, widths: Floats, heights: Floats, ahead: Floats) -> tuple[Floats, Floats]:
     """Those of the ridges (n,) that go on in the next row: widths (m,) across their own direction, and heights (m,).
 
     `ahead` (r,) [samples] is the distance of the rows' ground. A ridge goes on where the next row has one of about the
     same width at less than 45 degrees.
     """
-    across, height, count = np.empty(len(row)), np.empty(len(row)), 0
-    for i in range(len(row)):
-        nearest, slope = 1.0, 0.0
-        for j in range(len(row)):
-            if row[j] != row[i] + 1 or not 0.75 * widths[i] < widths[j] < widths[i] / 0.75:
-                continue
-            lean = (at[j] - at[i]) / (ahead[row[j]] - ahead[row[i]])
-            if abs(lean) < nearest:
-                nearest, slope = abs(lean), lean
-        if nearest < 1.0:
-            across[count], height[count] = widths[i] / math.sqrt(1.0 + slope * slope), heights[i]
-            count += 1
-    return across[:count], height[:count]
+    following = row == row[:, None] + 1
+    ratio = widths / widths[:, None]
+    following &= (ratio > 0.75) & (ratio < 1.0 / 0.75)
+    depth = ahead[row] - ahead[row][:, None]
+    lean = np.where(following, np.abs((at - at[:, None]) / np.where(following, depth, 1.0)), 1.0)
+    slope = lean.min(axis=1, initial=1.0)
+    goes_on = slope < 1.0
+    return widths[goes_on] / np.sqrt(1.0 + slope[goes_on] ** 2), heights[goes_on]
 
 
-@compiled
 def _width_at(row: Float32Array, sums: Floats, c: int, window: int, apart: int) -> float:
     """The width at half height of the ridge at sample `c`; 0 where it has no bare ground beside it."""
     first = c - window // 2
-    top = (sums[first + window] - sums[first]) / window
-    left = (sums[first + window - apart] - sums[first - apart]) / window
-    right = (sums[first + window + apart] - sums[first + apart]) / window
+    top, left, right = (float(sums[at + window] - sums[at]) / window for at in (first, first - apart, first + apart))
     ground = 0.5 * (left + right)
-    half, edges = 0.5 * (top + ground), np.empty(2)
-    for side in range(2):
-        step, at = 2 * side - 1, c
-        while 0 < at < len(row) - 1 and row[at] > half:
-            at += step
-        above, below = row[at - step], row[at]
-        share = (above - half) / (above - below) if above > half >= below else 0.0
-        edges[side] = at - step + share * step
-        if at in (0, len(row) - 1):
+    half = 0.5 * (top + ground)
+    edges = []
+    for step in (-1, 1):
+        beyond = np.flatnonzero(row[c::step] <= half)
+        if len(beyond) == 0:
             return 0.0
+        at = c + step * int(beyond[0])
+        above, below = float(row[at - step]), float(row[at])
+        edges.append(at - step + step * ((above - half) / (above - below) if above > half else 0.0))
     width = edges[1] - edges[0]
-    reach = 1.5 * width
-    quarter = ground + 0.25 * (top - ground)
-    for side in range(2):
-        start = edges[side] + (2 * side - 1) * 0.25 * width
-        low, high = (start, start + reach) if side == 1 else (start - reach, start)
+    near, far = 0.25 * width, 1.75 * width
+    for low, high in ((edges[0] - far, edges[0] - near), (edges[1] + near, edges[1] + far)):
         a, b = math.ceil(low), math.floor(high) + 1
-        if a < 0 or b > len(row) or (b > a and (sums[b] - sums[a]) / (b - a) > quarter):
+        if a < 0 or b > len(row) or (b > a and float(sums[b] - sums[a]) / (b - a) > ground + 0.25 * (top - ground)):
             return 0.0
     return width
 
@@ -137,12 +104,12 @@ class MarkingWidth:
 
     `width_m` is the width in use, `measured_m` the last estimate and `sigma` its relative standard deviation. It is the
     peak of a histogram of the logarithm of the ridges' widths, weighted by the squares of their heights; the start
-    value counts as `PRIOR` ridges. What compiles is compiled at construction.
+    value counts as `PRIOR` ridges.
     """
 
     ROWS = 16
     LATERAL_LANES = 1.2  # to each side of the car, over a lane width ahead
-    EVERY = 16  # frames between two measurements once the width is settled
+    EVERY = 32  # frames between two measurements once the width is settled
     BIN = 0.07  # relative width of a bin of the histogram
     MEMORY = 0.9  # share of the histogram that is kept at a measurement
     PRIOR = 8.0
@@ -170,8 +137,6 @@ class MarkingWidth:
         self._rounding = rounding_noise(SCALES[0] // 2)
         self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
         self._bins = 2 * self._half + 1
-        ridges = ridge_widths(np.zeros(self._pixels.shape, np.float32), self._within, self._noises, self._rounding)
-        continued(*ridges, self._ahead)
         self.reset()
 
     def reset(self) -> None:
@@ -179,13 +144,15 @@ class MarkingWidth:
         self.width_m = self.measured_m = self._start_m
         self.sigma = math.inf
         self._counts: FloatArray = np.zeros(self._bins)
-        self._wait = 0
+        self._wait = self._tries = 0
 
     def step(self, image: Image) -> bool:
         """Measure in an image of the camera's size; whether `width_m` has changed."""
         self._wait -= 1
         if self._wait > 0:
             return False
+        self._tries += 1
+        self._wait = 1 + self._tries // 8  # ever more seldom where nothing is found
         self._counts *= self.MEMORY
         for brightness in self._brightness:
             values = brightness.read(image, self._pixels).astype(np.float32)

@@ -17,8 +17,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from automodel.curves.lanes import ArcLane
 from automodel.geometry import GroundCamera
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
-from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, Brightness, RowRidgeFilter
+from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, RowRidgeFilter
 from automodel.types import Float32Array, Floats, Image, Ints
 
 

@@ -21,8 +21,9 @@ from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
 from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
-from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, Brightness, RowRidgeFilter
+from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, RowRidgeFilter
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Votes = NDArray[np.int32]

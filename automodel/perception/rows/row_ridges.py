@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from automodel.compiled import compiled
 from automodel.perception.markings.ridge import ridge_sums
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, MEDIAN, least_ridge
-from automodel.types import Bools, Float32Array, Floats, Image, Ints
+from automodel.types import Bools, Float32Array, Floats, Ints
 
 Sums = NDArray[np.int32]
 
@@ -30,41 +30,12 @@ MARGIN = SIDE + WINDOW // 2  # samples that the filter needs on each side of a r
 AROUND = 24  # samples on each side by which a ridge is classified
 REACH = 31  # samples on each side of a run's middle
 GATE = 15  # samples on each side of a run's middle among which its ridge is searched
-CHANNELS = {"blue": 0, "green": 1, "red": 2}
 LINE, BAR = range(2)
 LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 
-_GREY = (0.114, 0.587, 0.299)  # of blue, green, red: ITU-R BT.601
 _BODY = 7  # samples: half of what counts as the marking itself
 _NARROWEST, _WIDEST, _WIDEST_BAR = 0.65 * PER_MARKING, 1.4 * PER_MARKING, 2.2 * PER_MARKING
 _MAX_BESIDE, _MIN_BESIDE = 2.0 * PER_MARKING, 0.5 * PER_MARKING  # brightness beside a line, and beside a bar
-
-
-class Brightness:
-    """Reads single pixels: grey, one channel (`colour` "blue", "green" or "red") or the weighted sum of all ("grey").
-
-    With `dark` markings the sign of the brightness is inverted.
-    """
-
-    def __init__(self, colour: str, dark: bool) -> None:
-        self.colour, self.dark = colour, dark
-        self._channel = CHANNELS.get(colour)
-        self._grey: Floats = np.array(_GREY)
-
-    def read(self, image: Image, pixels: Ints) -> NDArray[Any]:
-        """The brightness of `pixels`, flat indices; those outside the image are clipped to its first or last pixel."""
-        values: NDArray[Any]
-        if image.ndim == 2:
-            values = image.reshape(-1).take(pixels, mode="clip")
-        elif self._channel is not None:
-            values = image.reshape(-1, 3)[:, self._channel].take(pixels, mode="clip")
-        else:
-            values = np.rint(image.reshape(-1, 3).take(pixels, axis=0, mode="clip") @ self._grey).astype(np.int32)
-        return -values.astype(np.int32) if self.dark else values
-
-    def negative(self) -> Brightness:
-        """The brightness for markings of the other polarity."""
-        return Brightness(self.colour, not self.dark)
 
 
 @dataclass(slots=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.geometry.line_projection import LineProjection, View, project_lines
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ridges import (
     BAR,
     GATE,
@@ -23,7 +24,6 @@ from automodel.perception.rows.row_ridges import (
     PER_MARKING,
     REACH,
     WINDOW,
-    Brightness,
     best_ridges,
     lay_run,
     run_thresholds,

@@ -77,7 +77,7 @@ def test_what_does_not_go_on_in_the_next_row_does_not_count_and_a_slant_is_undon
 @pytest.mark.parametrize("factor", [0.5, 0.7, 1.0, 1.5, 2.0])
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.35])
 def test_the_width_is_found_from_half_of_it_to_twice_of_it(factor: float, yaw_rad: float) -> None:
-    width = measured([rendered(yaw_rad=yaw_rad)] * 4, factor * TRUE_M)
+    width = measured([rendered(yaw_rad=yaw_rad)] * 16, factor * TRUE_M)
     assert width.measured_m == pytest.approx(TRUE_M, rel=0.15)
     assert width.width_m / TRUE_M == pytest.approx(1.0, rel=0.2)
     assert bool(width.warning) == (factor != 1.0)
@@ -85,10 +85,10 @@ def test_the_width_is_found_from_half_of_it_to_twice_of_it(factor: float, yaw_ra
 
 
 def test_noise_and_dark_lines() -> None:
-    noisy = [np.clip(rendered() + np.random.default_rng(k).normal(0.0, 20.0, (360, 640)), 0, 255) for k in range(6)]
+    noisy = [np.clip(rendered() + np.random.default_rng(k).normal(0.0, 20.0, (360, 640)), 0, 255) for k in range(16)]
     assert measured([image.astype(np.uint8) for image in noisy], 2.0 * TRUE_M).width_m == pytest.approx(TRUE_M, rel=0.2)
     for markings in ("dark", "both"):
-        width = measured([np.asarray(255 - rendered(), dtype=np.uint8)] * 4, 0.5 * TRUE_M, markings)
+        width = measured([np.asarray(255 - rendered(), dtype=np.uint8)] * 16, 0.5 * TRUE_M, markings)
         assert width.width_m == pytest.approx(TRUE_M, rel=0.15)
 
 

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
 from automodel.perception.rows.row_hough import RowHough, accumulate, best_pair, best_single, row_peaks, row_votes
-from automodel.perception.rows.row_ridges import Brightness
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
 HIGHWAY = LaneSearchConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0)

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from automodel.perception.markings.ridge_noise import MEDIAN
+from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ridges import (
     AROUND,
     BAR,
@@ -19,7 +20,6 @@ from automodel.perception.rows.row_ridges import (
     PER_MARKING,
     REACH,
     WINDOW,
-    Brightness,
     Ridges,
     RowRidgeFilter,
     best_ridges,

@@ -14,7 +14,8 @@ from automodel.config import Extrinsics, Intrinsics
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.rows.row_ridges import REACH, Brightness
+from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.row_ridges import REACH
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.types import FloatArray, Image
 
