@@ -22,6 +22,7 @@ GROUND = {
 VISION = GROUND | {"automodel.interfaces", "automodel.estimation", "automodel.perception"}
 PARTS = VISION | {
     "automodel",  # its version
+    "automodel.tracking",
     "automodel.pipelines",
     "automodel.control",
     "automodel.runtime",
@@ -45,7 +46,8 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.interfaces": {"automodel.signals"},
     "automodel.estimation": GROUND,
     "automodel.perception": GROUND,
-    "automodel.pipelines": VISION,
+    "automodel.tracking": GROUND | {"automodel.perception"},
+    "automodel.pipelines": VISION | {"automodel.tracking"},
     "automodel.control": GROUND | {"automodel.interfaces"},
     "automodel.runtime": GROUND | {"automodel.interfaces", "automodel.sources.errors"},
     "automodel.runtime.clocks": set(),

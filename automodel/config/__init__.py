@@ -91,9 +91,13 @@ class LaneConfig:
     marking_width_m: float = 0.03
     markings: str = ""  # against the floor: "light", "dark" or "both"; empty: light
     dark_markings: bool | None = None
+    left: str = "any"  # the left line is "dashed" or "solid": tells which lane it is where that is in doubt
+    right: str = "any"
 
     def __post_init__(self) -> None:
         positive(self, "width_m", "marking_width_m")
+        for key in ("left", "right"):
+            one_of(key, getattr(self, key), ("any", "dashed", "solid"))
         if self.marking_width_m > 0.5 * self.width_m:
             raise ValueError(f"marking_width_m: {self.marking_width_m} is more than half the lane's width")
         if self.markings and self.dark_markings is not None:

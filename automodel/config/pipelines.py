@@ -16,12 +16,12 @@ class WindowsConfig:
     view_half_lanes: float = 1.6  # half the bird's-eye view's width
     marking_px: float = 5.0  # pixels that the marking is wide in the bird's-eye view
     contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
-    coast_m: float = 1.6  # distance [m] that the lane is carried on without any line, at most
+    coast_lanes: float = 4.0  # distance that the lane is carried on without any line, at most
     coast_s: float = 2.0  # and for how long at most
 
     def __post_init__(self) -> None:
         positive(self, "view_ahead_lanes", "view_half_lanes", "marking_px")
-        not_negative(self, "coast_m", "coast_s")
+        not_negative(self, "coast_lanes", "coast_s")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,7 +93,6 @@ class PipelineConfig:
 
         Those of the pipeline in use; of `centerline` for one that does not come with automodel.
         """
-        if self.name == "windows":
-            return self.windows.coast_m, self.windows.coast_s
-        section = self.contour if self.name == "contour" else self.centerline
+        sections: dict[str, WindowsConfig | ContourConfig] = {"windows": self.windows, "contour": self.contour}
+        section = sections.get(self.name, self.centerline)
         return section.coast_lanes * lane_width_m, section.coast_s

@@ -59,18 +59,17 @@ class ObstacleGuard:
         self._read_ns = None
 
 
-def speed_in_free_space(pose: LanePose, free_m: float, delay_s: float, decel_mps2: float) -> float:
-    """The greatest speed [m/s] from which the car stops inside its lane, even if its pose is as wrong as it may be.
+def speed_in_free_space(pose: LanePose, free_m: float, delay_s: float) -> float:
+    """The greatest speed [m/s] at which the car stays inside its lane until the next command acts on what it sees then.
 
     The car's side is inside while its middle is at most `free_m` from the centerline. It may be |offset| + b away now,
     with b the offset's bound. Of the way that it drives, the part sin(psi) goes sideways unseen, with psi the heading's
-    bound; the heading that is known is steered for. For the delay T no command acts, then it may have to stop at the
-    deceleration a, a way of v T + v^2 / (2 a) in all:
+    bound; the heading that is known is steered for. For the delay T no command acts:
 
-        |offset| + b + sin(psi) (v T + v^2 / (2 a)) <= free
+        |offset| + b + sin(psi) v T <= free
 
-    With the distance x = (free - |offset| - b) / sin(psi): v = a (sqrt(T^2 + 2 x / a) - T), 0 where x <= 0. Without a
-    bound of the offset any speed; without one of the heading nothing goes sideways.
+    0 where the bound alone fills the space. Without a bound of the offset any speed; without one of the heading nothing
+    goes sideways.
     """
     if math.isinf(pose.offset_bound_m):
         return math.inf
@@ -78,9 +77,7 @@ def speed_in_free_space(pose: LanePose, free_m: float, delay_s: float, decel_mps
     sideways = 0.0 if math.isinf(pose.heading_bound_rad) else math.sin(min(pose.heading_bound_rad, 0.5 * math.pi))
     if left_m <= 0:
         return 0.0
-    if sideways == 0:
-        return math.inf
-    return decel_mps2 * (math.sqrt(delay_s * delay_s + 2.0 * left_m / (sideways * decel_mps2)) - delay_s)
+    return left_m / (sideways * delay_s) if sideways * delay_s > 0.0 else math.inf
 
 
 class SpeedPlanner:
@@ -139,7 +136,7 @@ class SpeedPlanner:
         # from the frame to wheels that turn or slow down for it, whichever takes longer
         delay_s = max(t_ns - estimate.t_ns, 0) * 1e-9 + max(control.actuator_delay_s, REACTION_S)
         free_m = self._vehicle.free_space_m(pose.width_m)
-        allowed = speed_in_free_space(pose, free_m, delay_s, control.decel_mps2)
+        allowed = speed_in_free_space(pose, free_m, delay_s)
         return max(allowed, control.uncertain_speed * self._speed_mps)
 
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:

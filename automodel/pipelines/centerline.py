@@ -6,7 +6,6 @@ memory by odometry, smoothing spline, s-theta model, recursive least squares -> 
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple, Protocol
 
 import cv2
@@ -15,7 +14,8 @@ import numpy as np
 from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
-from automodel.geometry import SE2, GroundCamera
+from automodel.geometry import GroundCamera
+from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.ridge import RidgeFilter
@@ -24,7 +24,9 @@ from automodel.perception.windows.line_following import FollowedLine, LineFollow
 from automodel.perception.windows.line_initialisation import LineInitialisation
 from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
+from automodel.tracking.belief import LaneBelief
+from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Image
 
 NO_POINTS: FloatArray = np.empty((0, 2))
@@ -61,22 +63,16 @@ class Centerline:
     """The pipeline of Cudrano et al. 2020; `notice` is a line for the user, which may be empty."""
 
     name = "centerline"
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
-    MAX_DISTANCE_LANES, MAX_TURN_RAD = 6.0, 1.5  # between two frames; a larger motion is not a car's
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
     SEEN_POINTS = 2  # that make a line seen
     START_POINTS = 4  # on each line of a pair that starts a lane
     SINGLE_POINTS = 6  # on a single line that starts a lane
-    CONFIRM_FRAMES = 3  # consecutive, in which a lane started from one line must be seen before it is reported
     REACH_LANES = 0.1  # lateral distance from its expected place in which a line is searched
     BLIND_REACH = 0.1  # growth of that per distance without a line
     UNKNOWN_REACH_LANES = 0.25  # that distance while the car's motion is unknown
     MIN_SPACING_LANES = 0.4  # between the two lines
     SHORT_POINTS = 6  # a line of fewer is also searched beside the centerline
     END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
-    REPLACE_LANES = 0.4  # distance without a line from which on another lane may replace the tracked one
-    REPLACE_FRAMES = 3  # consecutive, in which it must be seen
-    REPLACE_BY_LINE = 0.2, 0.2  # largest difference of a lane with one line: offset [lane widths], heading [rad]
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
@@ -88,6 +84,7 @@ class Centerline:
         self._markings = make_markings(car) if markings is None else markings
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
         self._look_for(lane.marking_width_m)
+        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
         self.notice = _provider_notice(self._markings, options)
         self.stages = StageClock()
         self.reset()
@@ -107,6 +104,7 @@ class Centerline:
         self._features = FeaturePoints(self._car.camera, self.view, marking_m, options.threshold)
         self._initialisation = LineInitialisation(self.view, unit, shown_m, self._reference_x_m)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
+        self._scan = LineScan(self.view, unit, shown_m)
 
     @property
     def warning(self) -> str:
@@ -119,9 +117,7 @@ class Centerline:
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
         self._lane: TrackedLane | None = None
-        self._last_t_ns: int | None = None
-        self._seen_t_ns = 0
-        self._unconfirmed = self._replacing = 0  # frames: until the lane is reported; with another lane
+        self._tracking.reset()
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
@@ -129,7 +125,7 @@ class Centerline:
         self._predict(frame.t_ns, motion)  # odometry: lines, centerline and pose
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
-            return self._lost(frame)
+            return self._tracking.lost_estimate(frame)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m)
         mask = self._line_mask(frame.image)  # U-Net, or ridge filter
@@ -137,37 +133,39 @@ class Centerline:
         features = self._feature_points(mask)  # adaptive threshold, bird's-eye view, morphological cleaning
         self.stages.lap("birdseye")
         if self._lane is None:
-            found = self._find(features)  # line initialisation, first lane
-            if found is None:
-                return self._lost(frame)
-            self._lane, lines = found
-            self._unconfirmed = 0 if self._lane.left.line and self._lane.right.line else self.CONFIRM_FRAMES
-            self.stages.lap("following")
+            start = self._tracking.start(frame.t_ns, self._scan.step(features))  # lines in view, the lane's pair
+            started = self._find(features) if start is None else self._restart(features, start)
+            self.stages.lap("start")
+            if started is None:
+                if start is not None:
+                    self._tracking.forget()
+                return self._tracking.lost_estimate(frame)
+            self._lane, lines = started
+            if start is None:
+                self._tracking.begin(frame.t_ns, all(lines.used))
         else:
             followed = self._follow_lines(features, self._lane)  # window line following
             self.stages.lap("following")
             lines = self._update(self._lane, *followed)  # spline, s-theta, RLS, centerline, relative pose, EKF
-            lines = self._replaced(features, self._lane, lines)
+        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
+            anew = self._tracking.judge(self._scan.step(features), self._followed(self._lane, lines))
+            if anew is not None:
+                self._lane, lines = self._restart(features, anew) or (self._lane, lines)
+            self.stages.lap("doubt")
         self.stages.lap("estimation")
-        estimate = self._estimate(frame, self._lane, lines)
+        estimate = self._tracking.follow(frame, self._followed(self._lane, lines))
+        if self._tracking.lost:
+            self._lane = None
         self.stages.lap("estimate")
         return estimate
 
     def _predict(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the motion since the last frame; a gap, or time that goes back, drops it."""
-        last, self._last_t_ns = self._last_t_ns, t_ns
-        if last is None or self._lane is None:
-            return
-        dt_ns = t_ns - last
-        if not 0 < dt_ns <= self.MAX_GAP_NS:
+        moved = self._tracking.predict(t_ns, motion)
+        if self._tracking.lost:
             self._lane = None
-            return
-        dt_s = dt_ns * 1e-9
-        distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        known = motion.known and abs(distance) < self.MAX_DISTANCE_LANES * self._unit and abs(turn) < self.MAX_TURN_RAD
-        if not known:  # also where it is not finite
-            distance = turn = 0.0
-        self._lane.move(SE2.arc(distance, turn).inverse(), distance, dt_s, known)
+        if moved is not None and self._lane is not None:
+            self._lane.move(moved.after_from_before, moved.distance_m, moved.dt_s, moved.known)
 
     def _line_mask(self, image: Image) -> Image:
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -189,9 +187,29 @@ class Centerline:
                     seen[i] = self._seen(followed)
         left, right = seen
         lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.start(left, right) or not self._plausible(lane):
+        if not lane.start(left, right):
             return None
         return lane, Lines(left, right, (len(left.points_m) > 0, len(right.points_m) > 0))
+
+    def _restart(self, features: Image, belief: LaneBelief) -> tuple[TrackedLane, Lines] | None:
+        """A lane from the lines about a belief; None where there is no line."""
+        s = np.linspace(0.0, self._ahead_m, 30)
+        seen = []
+        for side in (+0.5, -0.5):
+            points, heading, sigma = belief.beside(s, side)
+            expected = ExpectedLine(points_m=points, heading_rad=heading)
+            reach = max(self.REACH_LANES * self._unit, 2.0 * float(sigma[0]))
+            line = self._seen(self._following.follow(features, expected=expected, reach_m=reach))
+            if len(line.points_m) >= self.SEEN_POINTS:
+                line = _with_belief(line, points, sigma)
+            seen.append(line)
+        left, right = seen
+        if not (len(left.points_m) or len(right.points_m)):
+            return None
+        lane = TrackedLane(self._unit, self._reference_x_m)
+        if not lane.restart(left, right, belief.mean, belief.covariance):
+            return None
+        return lane, Lines(left, right, (lane.left.line is not None, lane.right.line is not None))
 
     def _follow_lines(self, features: Image, lane: TrackedLane) -> tuple[SeenLine, SeenLine]:
         """Both lines; where they are so close that they must be one, the longer keeps it."""
@@ -254,54 +272,12 @@ class Centerline:
                 return True
         return False
 
-    def _replaced(self, features: Image, lane: TrackedLane, lines: Lines) -> Lines:
-        """The lines of another lane, once it was seen in `REPLACE_FRAMES` beside one without a line, else `lines`."""
-        replacing, self._replacing = self._replacing, 0
-        if any(lines.used) or lane.blind_m < self.REPLACE_LANES * self._unit:
-            return lines
-        found = self._find(features)
-        if found is None or not self._may_be(found[0], lane):
-            return lines
-        if replacing + 1 < self.REPLACE_FRAMES:
-            self._replacing = replacing + 1
-            return lines
-        self._lane, lines = found
-        return lines
-
-    def _may_be(self, other: TrackedLane, lane: TrackedLane) -> bool:
-        """Whether `other` may be the tracked lane: a larger difference than dead reckoning's error is another lane."""
-        blind = lane.blind_m / self._unit
-        lateral = abs(other.pose.offset_m - lane.pose.offset_m) / self._unit
-        turned = abs(other.pose.heading_rad - lane.pose.heading_rad)
-        if other.left.line is None or other.right.line is None:
-            return lateral < self.REPLACE_BY_LINE[0] and turned < self.REPLACE_BY_LINE[1]
-        return lateral < min(0.15 + 0.1 * blind, 0.3) and turned < 0.25
-
-    def _estimate(self, frame: Frame, lane: TrackedLane, lines: Lines) -> LaneEstimate:
+    def _followed(self, lane: TrackedLane, lines: Lines) -> Followed:
         left, right = (
             used and len(line.points_m) >= self.SEEN_POINTS for used, line in zip(lines.used, lines[:2], strict=True)
         )
-        if left or right:
-            self._seen_t_ns = frame.t_ns
-            self._unconfirmed = max(self._unconfirmed - 1, 0)
-        blind_ns = frame.t_ns - self._seen_t_ns
-        too_long = (
-            (self._unconfirmed and blind_ns > 0)
-            or blind_ns * 1e-9 > self._options.coast_s
-            or lane.blind_m > self._options.coast_lanes * self._unit
-        )
-        if too_long or not self._plausible(lane):
-            self._lane = None
-            return self._lost(frame)
-        if self._unconfirmed:
-            return self._lost(frame)
         centerline, pose = lane.centerline, lane.pose
-        return LaneEstimate(
-            t_ns=frame.t_ns,
-            status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left) + int(right)],
-            left=self._line(lane.left, lines.left, left, lane, +0.5),
-            right=self._line(lane.right, lines.right, right, lane, -0.5),
-            centerline=centerline.curve(-lane.REACH_LANES * self._unit, self._ahead_m),
+        return Followed(
             pose=LanePose(
                 offset_m=pose.offset_m,
                 heading_rad=pose.heading_rad,
@@ -309,7 +285,9 @@ class Centerline:
                 curvature_per_m=centerline.curvature_at(0.0),
                 covariance=pose.covariance,
             ),
-            frame_age_ns=blind_ns,
+            left=self._line(lane.left, lines.left, left, lane, +0.5),
+            right=self._line(lane.right, lines.right, right, lane, -0.5),
+            centerline=centerline.curve(-lane.REACH_LANES * self._unit, self._ahead_m),
         )
 
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:
@@ -319,18 +297,6 @@ class Centerline:
         else:
             curve = lane.centerline.curve(0.0, self._ahead_m, side * lane.pose.width_m)
         return LaneLine(curve=curve, points_m=line.points_m if seen else NO_POINTS, seen=seen)
-
-    def _plausible(self, lane: TrackedLane) -> bool:
-        unit, pose = self._unit, lane.pose
-        return bool(
-            np.isfinite(pose.state).all()
-            and 0.6 * unit < pose.width_m < 1.5 * unit
-            and abs(pose.offset_m) < 0.9 * unit
-            and abs(pose.heading_rad) < math.radians(60.0)
-        )
-
-    def _lost(self, frame: Frame) -> LaneEstimate:
-        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
 
 
 def _provider_notice(markings: Markings, options: CenterlineConfig) -> str:
@@ -344,3 +310,13 @@ def _provider_notice(markings: Markings, options: CenterlineConfig) -> str:
 def _cut(line: SeenLine, count: int) -> SeenLine:
     """The first points of a line."""
     return SeenLine(points_m=line.points_m[:count], sigma_m=line.sigma_m[:count])
+
+
+def _with_belief(line: SeenLine, points_m: FloatArray, sigma_m: FloatArray) -> SeenLine:
+    """A line's points, and before them those (n, 2) where it is believed to run, with their sigmas (n,) [m]."""
+    before = points_m[:, 0] < float(line.points_m[0, 0])
+    return SeenLine(
+        points_m=np.concatenate((points_m[before], line.points_m)),
+        sigma_m=np.concatenate((sigma_m[before], line.sigma_m)),
+        ended=line.ended,
+    )

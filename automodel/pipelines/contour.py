@@ -1,18 +1,18 @@
 """`contour`: a clothoid pair tracked on a few image rows, after the active contour of Smith 2024.
 
 Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
-them -> robust least squares -> pose. The whole image is never processed, and nothing of it is projected onto the
-ground: under 2 % of the pixels are read while tracking, about as many when a lane is searched on whole rows, and as
-many again in the frames in which the markings' width is measured.
+them -> robust least squares -> pose. While a lane is followed, nothing of the image is projected onto the ground, and
+under 2 % of the pixels are read, as many again in the frames in which the markings' width is measured. Where none is
+followed, or another one may be, the whole view is searched for lines.
 """
 
 from __future__ import annotations
 
-import copy
 import math
 from functools import partial
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from automodel.config import CarConfig
@@ -21,15 +21,19 @@ from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
 from automodel.estimation.odometry_monitor import OdometryMonitor
-from automodel.geometry import GroundCamera
+from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
+from automodel.perception.line_scan import LineScan
+from automodel.perception.markings.binary_views import WhiteAreas, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
-from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig
 from automodel.perception.rows.row_hough import RowHough
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
+from automodel.tracking.belief import LaneBelief
+from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Floats, Image
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"double": np.float64, "single": np.float32}
@@ -51,23 +55,14 @@ class Contour:
     """The pipeline of Smith 2024, "Efficient Lateral Lane Position Sensing using Active Contour Modeling"."""
 
     name = "contour"
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
-    CONFIRM_NS = 50_000_000  # an uncertain lane is reported once it was seen for so long
     ROUNDS, START_ROUNDS = 3, 4  # iterations of measurement and correction, at most
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
     SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # of a new lane: on one line; of a certain one: on each, on both
     START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: limits of a car's pose in its own lane
     LINE_NODES = 2  # that make a line seen
-    MAX_DISTANCE, MAX_TURN_RAD = 3.0, 0.8  # lane widths, radians a frame: a larger motion is not a car's
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
-    BLIND = 0.5  # lane widths of distance without a line from which on the lane is also searched on whole rows
-    EVERY = 8  # frames between two searches for both lines while only one was ever seen
-    LATERAL, TURNED_RAD = 0.3, 0.3  # largest difference of such a lane from the tracked one: lane widths, direction
-    UNSURE = 0.25  # lane widths: a lane without a line whose offset has a larger sigma is lost
+    VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     PIECES = 7  # maximum number of the pair's stations ahead
-    MAX_OFFSET, MAX_NEW_OFFSET = 0.9, 0.55  # lane widths: of the car from the middle, and of a new lane
-    NEW = 2.0  # lane widths of distance for which a lane is new
-    MAX_HEADING_RAD = math.radians(60.0)
     BEHIND = 1.0  # lane widths of centerline behind the reference point
 
     def __init__(self, car: CarConfig) -> None:
@@ -83,6 +78,7 @@ class Contour:
         self._projection = LineProjection(camera, dtype)
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
+        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
         self.stages = StageClock()
         self.reset()
         self._warm_up()
@@ -101,6 +97,11 @@ class Contour:
             ahead=min(options.look_ahead_lanes, 2.0),
         )
         self._lane_search = RowHough(self._camera, searched, brightness, self._car.lane.markings == "both")
+        ahead_m, half_m = options.look_ahead_lanes * unit, self.VIEW_HALF * unit
+        view = road_view(self._camera, ahead_m, half_m, marking_m / self.MARKING_PX)
+        self._birdseye = BirdsEye(self._camera, view)
+        self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, self._car.lane.markings)
+        self._scan = LineScan(view, unit, marking_m)
 
     @property
     def warning(self) -> str:
@@ -124,12 +125,10 @@ class Contour:
         self._width.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m, self._car.lane.markings == "dark")
-        self._last_t_ns: int | None = None
+        self._tracking.reset()
         self._odometry.reset()
         self._odometry_used = self._odometry_rejected = False  # in this frame; up to this frame
-        self._seen_t_ns = self._confirmed_ns = 0
-        self._new_m = 0.0  # distance for which the lane is still new
-        self._paired = False
+        self._t_ns = 0
         self._forget()
 
     @property
@@ -143,27 +142,35 @@ class Contour:
         self._predict(frame.t_ns, motion)  # speed and yaw rate
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
-            return self._lost(frame)
+            return self._tracking.lost_estimate(frame)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m, self._search.dark)
         self.stages.lap("width")
-        fitted = False
-        if self._tracker.parameters is None:
-            started = self._start(frame)  # line integrals, row Hough transform
-            if started is None:
-                self._forget()
-                return self._lost(frame)
-            tracked, fitted = started
+        if self._tracking.lost:
+            start = self._tracking.start(frame.t_ns, self._scan.step(self._lines_in_view(frame.image)))
+            self.stages.lap("start")
+            if start is not None:
+                tracked = self._restart(frame.image, start)
+            else:
+                found = self._start(frame)
+                if found is None:
+                    self._tracker.forget()
+                    return self._tracking.lost_estimate(frame)
+                tracked, pair = found
+                self._tracking.begin(frame.t_ns, pair)
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
             tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
-            if self._needs_search(frame.index, tracked.counts()):
-                tracked = self._reacquire(frame.image) or tracked
-        left, right = tracked.counts()
+        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
+            lines = self._scan.step(self._lines_in_view(frame.image))
+            anew = self._tracking.judge(lines, self._followed(tracked, self._seen(tracked)))
+            if anew is not None:
+                tracked = self._restart(frame.image, anew)
+            self.stages.lap("doubt")
         self._search.learn(tracked.measured, tracked.inliers)
-        # A fitted initial lane has seen both lines, on more rows than there are nodes.
-        seen = (fitted or left >= self.LINE_NODES, fitted or right >= self.LINE_NODES)
-        estimate = self._estimate(frame, tracked, seen)
+        estimate = self._tracking.follow(frame, self._followed(tracked, self._seen(tracked)))
+        if self._tracking.lost:
+            self._forget()
         self.stages.lap("estimate")
         return estimate
 
@@ -185,44 +192,54 @@ class Contour:
 
     def _predict(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
-        last, self._last_t_ns = self._last_t_ns, t_ns
-        if last is None or self._tracker.parameters is None:
+        self._t_ns = t_ns
+        moved = self._tracking.predict(t_ns, motion, self._odometry.trusted(t_ns))
+        if self._odometry_rejected:
+            self._tracking.forget()
+        if self._tracking.lost or moved is None:
+            self._tracker.forget()
+            self._odometry_rejected = False
             return
-        dt_ns = t_ns - last
-        if self._odometry_rejected or not 0 < dt_ns <= self.MAX_GAP_NS:
-            self._forget()
-            return
-        dt_s = dt_ns * 1e-9
-        distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        possible = motion.known and abs(distance) < self.MAX_DISTANCE * self._unit and abs(turn) < self.MAX_TURN_RAD
-        self._odometry_used = used = possible and self._odometry.trusted(t_ns)
-        self._tracker.move(distance if used else 0.0, turn if used else 0.0, dt_s, used)
-        self._new_m -= self._tracker.advance_m
+        self._odometry_used = moved.known
+        self._tracker.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
 
     def _start(self, frame: Frame) -> tuple[Tracked, bool] | None:
-        """A lane from this frame alone, and whether it was fitted; None where the frame shows none."""
+        """A lane from this frame alone, and whether both its lines were seen; None where there is no lane."""
         lane = self._search_lane(frame.image)
         if lane is None:
             return None
-        self._restart(lane)
+        self._tracker.start(lane)
+        self._search.forget(lane.edge, lane.dark)
         tracked = self._track(frame.image, self.START_ROUNDS)
-        counts = tracked.counts()
-        if (max(counts) < self.SINGLE_NODES and not lane.fitted) or not self._within():
+        if (max(tracked.counts()) < self.SINGLE_NODES and not lane.fitted) or not self._within():
             return None
-        self._confirmed_ns = frame.t_ns + (0 if lane.fitted or self._sure(counts) else self.CONFIRM_NS)
-        return tracked, lane.fitted
+        return tracked, lane.fitted or self._sure(tracked.counts())  # fitted: on more rows than there are nodes
+
+    def _restart(self, image: Image, belief: LaneBelief) -> Tracked:
+        """The pair measured anew about a belief."""
+        self._tracker.restart(belief.mean, belief.covariance)
+        self._search.forget()
+        return self._track(image, self.START_ROUNDS)
+
+    def _seen(self, tracked: Tracked) -> tuple[bool, bool]:
+        left, right = tracked.counts()
+        return left >= self.LINE_NODES, right >= self.LINE_NODES
+
+    def _lines_in_view(self, image: Image) -> Image:
+        pixels, colour = np.asarray(image), self._options.colour
+        if pixels.ndim == 2:
+            grey = pixels
+        elif colour in CHANNELS:
+            grey = np.ascontiguousarray(pixels[..., CHANNELS[colour]])
+        else:
+            grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        return self._white_areas.step(self._birdseye.warp(np.asarray(grey, dtype=np.uint8))).lines
 
     def _search_lane(self, image: Image) -> InitialLane | None:
         """A lane on whole rows, without prediction."""
         lane = self._lane_search.step(image)
         self.stages.lap("start")
         return lane
-
-    def _restart(self, lane: InitialLane) -> None:
-        self._tracker.start(lane)
-        self._new_m = self.NEW * self._unit
-        self._search.forget(lane.edge, lane.dark)
-        self._paired = lane.pair
 
     def _within(self) -> bool:
         """Whether the car is in the lane and about parallel to it; else it is the neighbouring lane, or none."""
@@ -237,8 +254,7 @@ class Contour:
             stages.lap("projection")
             seen = self._search.look(image, shape, tracker.width_m)
             if predicted and k == 0:
-                t_ns = self._last_t_ns or 0
-                self._odometry_rejected = self._odometry.rejects(t_ns, seen.nodes, seen.residual, seen.found)
+                self._odometry_rejected = self._odometry.rejects(self._t_ns, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
             inliers = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")
@@ -246,82 +262,26 @@ class Contour:
                 break
         return Tracked(shape, seen, inliers)
 
-    def _needs_search(self, index: int, counts: tuple[int, int]) -> bool:
-        """Whether to search on whole rows too: no line is seen, or only one ever was, and the width is unknown."""
-        if max(counts) < self.LINE_NODES:
-            return self._tracker.blind_m > self.BLIND * self._unit
-        self._paired = self._paired or self._sure(counts)
-        return not self._paired and index % self.EVERY == 0
-
-    def _reacquire(self, image: Image) -> Tracked | None:
-        """Both lines, searched on whole rows near the tracked lane; None, and no change, where they are not found."""
-        lane = self._search_lane(image)
-        if lane is None or not lane.pair:
-            return None
-        lateral, turned = self._tracker.difference(lane)
-        if abs(lateral) > self.LATERAL * self._unit or abs(turned) > self.TURNED_RAD:
-            return None
-        before = copy.copy(self._tracker), copy.copy(self._search), self._paired, self._new_m
-        self._restart(lane)
-        tracked = self._track(image, self.START_ROUNDS)
-        if self._sure(tracked.counts()):
-            return tracked
-        self._tracker, self._search, self._paired, self._new_m = before
-        return None
-
     def _sure(self, counts: tuple[int, int]) -> bool:
         return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
 
-    def _estimate(self, frame: Frame, tracked: Tracked, seen: tuple[bool, bool]) -> LaneEstimate:
+    def _followed(self, tracked: Tracked, seen: tuple[bool, bool]) -> Followed:
         if seen[0] or seen[1]:
-            self._seen_t_ns = frame.t_ns
             self._tracker.blind_m = 0.0
-        pose = self._pose()
-        if pose is None or self._too_blind(frame.t_ns, pose):
-            self._forget()
-            return self._lost(frame)
-        if frame.t_ns < self._confirmed_ns:
-            return self._lost(frame)
-        half = 0.5 * pose.width_m
+        offset, theta, width, covariance = self._tracker.pose()
+        half = 0.5 * width
         points = tracked.measured.points(tracked.shape, tracked.inliers, half)
-        return LaneEstimate(
-            t_ns=frame.t_ns,
-            status=(LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[seen[0] + seen[1]],
+        return Followed(
+            pose=LanePose(
+                offset_m=offset,
+                heading_rad=-theta,
+                width_m=width,
+                curvature_per_m=self._tracker.curvature(),
+                covariance=covariance,
+            ),
             left=LaneLine(curve=self._curve(half), points_m=points[0][: len(points[0]) * seen[0]], seen=seen[0]),
             right=LaneLine(curve=self._curve(-half), points_m=points[1][: len(points[1]) * seen[1]], seen=seen[1]),
             centerline=self._curve(0.0),
-            pose=pose,
-            frame_age_ns=frame.t_ns - self._seen_t_ns,
-        )
-
-    def _too_blind(self, t_ns: int, pose: LanePose) -> bool:
-        """Whether the lane is lost: no line was seen for too long, or its offset is too uncertain."""
-        blind_ns = t_ns - self._seen_t_ns
-        if blind_ns == 0:
-            return False
-        return (
-            t_ns < self._confirmed_ns
-            or blind_ns * 1e-9 > self._options.coast_s
-            or self._tracker.blind_m > self._options.coast_lanes * self._unit
-            or pose.covariance[0, 0] > (self.UNSURE * self._unit) ** 2
-        )
-
-    def _pose(self) -> LanePose | None:
-        """The car's pose in the lane, None where a car in its lane cannot have it.
-
-        A new lane that the car is about to leave is the neighbouring lane.
-        """
-        offset, theta, width, covariance = self._tracker.pose()
-        unit = self._unit
-        max_offset = (self.MAX_NEW_OFFSET if self._new_m > 0.0 else self.MAX_OFFSET) * unit
-        if not (0.65 * unit < width < 1.5 * unit and abs(offset) < max_offset and abs(theta) < self.MAX_HEADING_RAD):
-            return None
-        return LanePose(
-            offset_m=offset,
-            heading_rad=-theta,
-            width_m=width,
-            curvature_per_m=self._tracker.curvature(),
-            covariance=covariance,
         )
 
     @staticmethod
@@ -341,7 +301,5 @@ class Contour:
     def _forget(self) -> None:
         self._tracker.forget()
         self._search.forget()
-        self._paired = self._odometry_rejected = False
-
-    def _lost(self, frame: Frame) -> LaneEstimate:
-        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))
+        self._tracking.forget()
+        self._odometry_rejected = False

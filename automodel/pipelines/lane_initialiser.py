@@ -1,4 +1,4 @@
-"""A lane from a single frame: at the start, and as a candidate beside a tracked lane without support."""
+"""A lane from a single frame, at the start."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from automodel.curves.regression import fit_polynomial
 from automodel.estimation.polynomial.lane_fit import LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
-from automodel.perception.markings.crossings import CrossingScan
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
 from automodel.signals import Observation
 from automodel.types import FloatArray, Image
@@ -39,8 +38,6 @@ class LaneInitialiser:
 
     START_WINDOWS = 3  # windows on each line of a pair that starts a lane
     SINGLE_WINDOWS = 4  # windows on a single line that starts a lane
-    CANDIDATE_WINDOWS = 4  # windows on each line of a pair that replaces the lane
-    CANDIDATE_FRAMES = 3  # consecutive frames in which it must be seen
     LINE_WINDOWS = 2  # windows that make a line seen
 
     def __init__(self, windows: SlidingWindows, tracker: LaneTracker) -> None:
@@ -48,7 +45,6 @@ class LaneInitialiser:
         config = tracker.fit.config
         self._lane_m, self._reference_x_m = config.lane_width_m, config.reference_x_m
         self._start = HistogramStart(self.view, self._lane_m, windows.marking_m, self._reference_x_m)
-        self._frames = 0  # consecutive, with a candidate
 
     def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> LaneCandidate | None:
         """A lane from a filtered view (h, w): a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
@@ -69,46 +65,6 @@ class LaneInitialiser:
         if solution is None or abs(solution.offset_m) > 0.5 * solution.width_m:
             return None
         return LaneCandidate(seen=best, solution=solution)
-
-    def replacement(self, lines: Image, crossing: CrossingScan, support: Support) -> LaneCandidate | None:
-        """A pair of lines seen in several consecutive frames beside a tracked lane with little support.
-
-        Little support: no line for a while, or one line at a crossing, which may belong to another road or lane.
-        """
-        one = min(support.left, support.right) < self.LINE_WINDOWS
-        blind = self._tracker.blind_m / self._lane_m
-        far = self._tracker.near_crossing  # the road goes straight on there, and its near part is bare
-        candidate = None
-        if one and (blind > 0.5 or far):
-            candidate = self.find(self._uncovered(lines, crossing), self.CANDIDATE_WINDOWS, far)
-        if candidate is None or not candidate.pair or not self._is_credible(candidate.solution, blind):
-            self._frames = 0
-            return None
-        self._frames += 1
-        return candidate if self._frames >= self.CANDIDATE_FRAMES else None
-
-    def _is_credible(self, solution: LaneSolution, blind: float) -> bool:
-        """Whether it is the same lane elsewhere: an error larger than that of dead reckoning is another lane."""
-        p = self._tracker.parameters
-        if p is None:
-            return False
-        lateral = abs(float(solution.parameters[0] - p[0])) / self._lane_m
-        turned = abs(float(solution.parameters[1] - p[1]))
-        possible = lateral < min(0.15 + 0.25 * blind, 0.5) and turned < 0.25 + 0.15 * blind
-        return possible and (lateral > 0.08 or turned > 0.08)
-
-    def _uncovered(self, lines: Image, crossing: CrossingScan) -> Image:
-        """The view without the rows where paint covers the lane: a zebra's bars look like pairs of lines."""
-        if not crossing.covered.any():
-            return lines
-        lane = self._tracker.shape
-        ahead = slice(int(np.argmin(np.abs(lane.s_m))), None)
-        rows = np.arange(self.view.height_px)
-        x = self.view.to_body(np.stack((rows, rows), axis=-1))[:, 0]
-        s = np.interp(x, np.maximum.accumulate(lane.points_m[ahead, 0]), lane.s_m[ahead])
-        clean = lines.copy()
-        clean[~crossing.free(s)] = 0
-        return clean
 
     def _initial_parameters(self, seen: Observation) -> FloatArray:
         """Lane parameters at the reference point from the mean arc of the lines' regressions (degree 2)."""

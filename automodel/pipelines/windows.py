@@ -18,14 +18,17 @@ from automodel.curves import Curve, GraphCurve
 from automodel.curves.regression import fit_polynomial
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
-from automodel.geometry import SE2, BirdsEye, GroundCamera
+from automodel.geometry import BirdsEye, GroundCamera
+from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.windows.sliding_windows import SlidingWindows
 from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, Observation
+from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
+from automodel.tracking.belief import LaneBelief
+from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import FloatArray, Image
 
 NO_POINTS: FloatArray = np.empty((0, 2))
@@ -38,8 +41,6 @@ class Windows:
     name = "windows"
     CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
-    CONFIRM_NS = 250_000_000  # a lane started from one line is reported once it was seen for so long
-    MAX_GAP_NS = 500_000_000  # a longer gap between frames restarts the pipeline
 
     def __init__(self, car: CarConfig) -> None:
         options, lane = car.pipeline.windows, car.lane
@@ -58,6 +59,7 @@ class Windows:
             near_x_m,
         )
         self._look_for(lane.marking_width_m)
+        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
         self.stages = StageClock()
         self.reset()
 
@@ -76,6 +78,7 @@ class Windows:
         self._crossings = CrossingSearch(self.view, lane.width_m, marking_m)
         self._windows = SlidingWindows(self.view, marking_m)
         self._initialiser = LaneInitialiser(self._windows, self._tracker)
+        self._scan = LineScan(self.view, lane.width_m, marking_m)
 
     @property
     def warning(self) -> str:
@@ -87,9 +90,8 @@ class Windows:
         self._width.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
+        self._tracking.reset()
         self._forget()
-        self._last_t_ns: int | None = None
-        self._seen_t_ns = self._confirmed_ns = 0
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
@@ -97,7 +99,7 @@ class Windows:
         self._predict(frame.t_ns, motion)  # odometry
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
-            return self._lost(frame)
+            return self._tracking.lost_estimate(frame)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m)
         view = self._birdseye_view(frame.image)
@@ -105,41 +107,44 @@ class Windows:
         areas = self._white_areas.step(view)  # binarisation, white-areas filter
         lines = self._paint_check.step(areas)  # temporal paint check
         self.stages.lap("white_areas")
-        crossing = None
-        if self._tracker.parameters is None:
-            candidate = self._initialiser.find(lines)  # histogram start, sliding windows, regression, lane fit
-            if candidate is None or not self._plausible(candidate.solution):
-                return self._lost(frame)
-            fitted = self._start(candidate)
-            self._confirmed_ns = frame.t_ns + (0 if candidate.pair else self.CONFIRM_NS)
+        if self._tracking.lost:
+            start = self._tracking.start(frame.t_ns, self._scan.step(lines))  # lines in view, the lane's pair
+            self.stages.lap("start")
+            candidate = self._initialiser.find(lines) if start is None else None  # histogram start, windows, fit
+            if start is not None:
+                followed = self._followed(None, *self._restart(start, areas.bright, lines))
+            elif candidate is not None:
+                followed = self._followed(None, *self._start(candidate))
+                self._tracking.begin(frame.t_ns, candidate.pair)
+            else:
+                return self._tracking.lost_estimate(frame)
         else:
             scan = self._scan_crossing(areas.bright)
-            crossing = scan.crossing
             self.stages.lap("crossing")
             seen = self._observe(lines, scan)  # sliding windows
             self.stages.lap("windows")
-            fitted = seen, *self._tracker.update(seen)  # lane fit
+            followed = self._followed(scan.crossing, seen, *self._tracker.update(seen))  # lane fit
             self.stages.lap("lane_fit")
-            fitted = self._replaced(lines, scan, fitted)
-        estimate = self._estimate(frame, crossing, *fitted)
+        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
+            anew = self._tracking.judge(self._scan.step(lines), followed)
+            if anew is not None:
+                followed = self._followed(None, *self._restart(anew, areas.bright, lines))
+            self.stages.lap("doubt")
+        estimate = self._tracking.follow(frame, followed)
+        if self._tracking.lost:
+            self._tracker.forget()
         self.stages.lap("estimate")
         return estimate
 
     def _predict(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
-        last, self._last_t_ns = self._last_t_ns, t_ns
-        if last is None:
-            return
-        dt_ns = t_ns - last
-        if not 0 < dt_ns <= self.MAX_GAP_NS:
+        moved = self._tracking.predict(t_ns, motion)
+        if moved is None:
             self._forget()
             return
-        distance = motion.speed_mps * dt_ns * 1e-9 if motion.known else 0.0
-        turn = motion.yaw_rate_radps * dt_ns * 1e-9 if motion.known else 0.0
-        before_from_after = SE2.arc(distance, turn)
-        self._tracker.move(before_from_after.inverse(), distance, motion.known)
-        if motion.known:
-            self._paint_check.move(before_from_after, distance)
+        self._tracker.move(moved.after_from_before, moved.distance_m, moved.known)
+        if moved.known:
+            self._paint_check.move(moved.before_from_after, moved.distance_m)
         else:
             self._paint_check.forget()
 
@@ -151,10 +156,12 @@ class Windows:
         self._tracker.start(candidate.seen, candidate.solution)
         return candidate.seen, candidate.solution, candidate.support
 
-    def _replaced(self, lines: Image, scan: CrossingScan, fitted: Fitted) -> Fitted:
-        """Another lane that was seen beside a lane with little support, else `fitted`."""
-        candidate = self._initialiser.replacement(lines, scan, fitted[2])
-        return self._start(candidate) if candidate is not None and self._plausible(candidate.solution) else fitted
+    def _restart(self, belief: LaneBelief, bright: Image, lines: Image) -> Fitted:
+        """The lane fitted anew about a belief."""
+        arc = self._tracker.fit.start(*belief.mean.tolist())
+        self._tracker.place(arc)
+        seen = self._observe(lines, self._scan_crossing(bright))
+        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.covariance)))
 
     def _scan_crossing(self, bright: Image) -> CrossingScan:
         """Search for a crossing; its angle gives the tracker the lane's direction there."""
@@ -180,43 +187,26 @@ class Windows:
             right_sigma_m=seen.right_sigma_m[keep[1]],
         )
 
-    def _estimate(
-        self, frame: Frame, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
-    ) -> LaneEstimate:
+    def _followed(
+        self, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
+    ) -> Followed:
         left_seen, right_seen = (n >= LaneInitialiser.LINE_WINDOWS for n in (support.left, support.right))
-        if left_seen or right_seen:
-            self._seen_t_ns = frame.t_ns
-        blind_ns = frame.t_ns - self._seen_t_ns
-        unconfirmed = frame.t_ns < self._confirmed_ns
-        too_long = (
-            (unconfirmed and blind_ns > 0)
-            or blind_ns * 1e-9 > self._options.coast_s
-            or self._tracker.blind_m > self._options.coast_m
-        )
-        if too_long or not self._plausible(solution):
-            self._tracker.forget()
-            return self._lost(frame)
-        if unconfirmed:
-            return self._lost(frame)
-        status = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)[int(left_seen) + int(right_seen)]
         fit, p = self._tracker.fit, solution.parameters
-        shape = self._tracker.shape
-        pose = LanePose(
-            offset_m=solution.offset_m,
-            heading_rad=solution.heading_rad,
-            width_m=solution.width_m,
-            curvature_per_m=fit.curvature(p),
-            covariance=fit.covariance(solution),
-        )
-        return LaneEstimate(
-            t_ns=frame.t_ns,
-            status=status,
-            left=self._line(seen.left_m, left_seen, +1),
-            right=self._line(seen.right_m, right_seen, -1),
-            centerline=shape.curve(),
-            pose=pose,
+        count = len(seen.left_m)
+        left_m = seen.left_m[solution.inliers[:count]]
+        right_m = seen.right_m[solution.inliers[count : count + len(seen.right_m)]]
+        return Followed(
+            pose=LanePose(
+                offset_m=solution.offset_m,
+                heading_rad=solution.heading_rad,
+                width_m=solution.width_m,
+                curvature_per_m=fit.curvature(p),
+                covariance=fit.covariance(solution),
+            ),
+            left=self._line(left_m, left_seen, +1),
+            right=self._line(right_m, right_seen, -1),
+            centerline=self._tracker.shape.curve(),
             crossing=self._reported(crossing, p),
-            frame_age_ns=blind_ns,
         )
 
     def _line(self, points_m: FloatArray, seen: bool, side: int) -> LaneLine:
@@ -237,18 +227,6 @@ class Windows:
         skew = crossing.angle_rad - 0.5 * math.pi - self._tracker.fit.direction(parameters, crossing.distance_m)
         return crossing if abs(skew) <= self.MAX_SKEW_RAD else None
 
-    def _plausible(self, solution: LaneSolution) -> bool:
-        unit = self._lane.width_m
-        return bool(
-            np.isfinite(solution.parameters).all()
-            and 0.65 * unit < solution.width_m < 1.35 * unit
-            and abs(solution.offset_m) < 0.9 * unit
-            and abs(solution.heading_rad) < math.radians(60.0)
-        )
-
     def _forget(self) -> None:
         self._tracker.forget()
         self._paint_check.forget()
-
-    def _lost(self, frame: Frame) -> LaneEstimate:
-        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=max(frame.t_ns - self._seen_t_ns, 0))

@@ -85,8 +85,9 @@ class OffsetBoundCheck:
     """Holds a car that may have left its lane: the offset's bound is more than the free space beside the car.
 
     A car that drives is given what a car that sees no line is given: `coast_m` [m] of way and `coast_s` [s], whichever
-    is over first. A car that is not armed has nothing to bridge, and is not well at once. Nothing is said of a pose
-    that states no bound.
+    is over first: what it did not see before it stood there it sees by driving. A car that is not armed is well while
+    it is known which lane it stands in: the bound is less than half the lane. Nothing is said of a pose that states no
+    bound.
     """
 
     def __init__(self, vehicle: VehicleConfig, coast_m: float, coast_s: float) -> None:
@@ -108,7 +109,7 @@ class OffsetBoundCheck:
         text = f"{UNCERTAIN}: {pose.offset_bound_m:.2f} m (limit {limit_m:.2f})"
         if state is None or not state.armed:
             self._since_ns = None
-            return text
+            return text if pose.offset_bound_m >= 0.5 * pose.width_m else None
         if self._since_ns is None:
             self._since_ns, self._driven_m = t_ns, 0.0
         else:

@@ -37,7 +37,7 @@ UNITS = {  # the ending of a key -> how its comment begins
     "_radps": "[rad/s]", "_s": "[s]", "_us": "[us]", "_v": "[V]", "_per_m": "[1/m]",
 }  # fmt: skip
 WITHOUT_A_UNIT = {"source", "device", "colour", "name", "markings", "providers", "controller", "kind", "port"} | {
-    "directory", "image"
+    "directory", "image", "left", "right"
 }  # fmt: skip
 
 

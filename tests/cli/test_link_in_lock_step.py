@@ -62,7 +62,7 @@ def test_the_car_stops_reconnects_and_stays_disarmed(tmp_path: Path, cli, monkey
     assert IN_S <= told["link-back"] <= IN_S + 1.0
     t_s, x_m, y_m = np.loadtxt(tmp_path / "truth.csv", delimiter=",", skiprows=1, usecols=(0, 6, 7)).T
     speed_mps = np.hypot(np.diff(x_m), np.diff(y_m)) / np.diff(t_s)
-    assert speed_mps[(t_s[1:] > OUT_S - 0.1) & (t_s[1:] < OUT_S)].min() > 0.8
+    assert speed_mps[(t_s[1:] > OUT_S - 0.1) & (t_s[1:] < OUT_S)].min() > 0.7
     # without bytes the board's own timer lets go after 100 ms; from then on the car only rolls out
     rolling = speed_mps[t_s[1:] > OUT_S + 0.3]
     assert (np.diff(rolling) <= 1e-3).all()

@@ -46,7 +46,7 @@ def test_the_program_runs_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyP
     status, offset_m, heading_rad = capsys.readouterr().out.split()
     assert status == "LaneStatus.TRACKING"
     assert abs(float(offset_m)) < 0.01
-    assert abs(float(heading_rad)) < 0.02
+    assert abs(float(heading_rad)) < 0.03  # of one frame, which does not show the ground beside the car
 
 
 @pytest.mark.parametrize("line", AUTOMODEL)
@@ -88,8 +88,10 @@ def test_the_quick_start_drives_a_lap_of_tmr(cli) -> None:
 
 
 def test_the_car_file_is_one() -> None:
-    pipeline, text = blocks("toml")
+    pipeline, kinds, text = blocks("toml")
     assert parse_car(pipeline, "README.md").pipeline == CarConfig().pipeline
+    lane = parse_car(kinds, "README.md").lane
+    assert (lane.left, lane.right) == ("dashed", "solid")
     car = parse_car(text, "README.md")
     assert (car.camera.source, car.link.port) == ("usb", "/dev/ttyUSB0")
 

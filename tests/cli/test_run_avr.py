@@ -41,7 +41,7 @@ def test_the_same_seed_gives_the_same_run_to_the_last_bit(toolchain: None, cli, 
 
 def test_what_the_firmware_says_is_recorded(toolchain: None, cli, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
-    run = ["run", "--track", "oval", "--pipeline", "windows", "--duration", "2", "--link", "avr"]
+    run = ["run", "--track", "oval", "--pipeline", "windows", "--duration", "2.5", "--link", "avr"]
     assert cli(*run, "--record", recording).code == 0
     states = [m.value for m in Recording(recording) if isinstance(m.value, VehicleState)]
     assert states[-1].armed

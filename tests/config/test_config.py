@@ -53,6 +53,7 @@ REFUSED = {
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
     '[lane]\nmarkings = "darkk"': "car.toml:2: [lane] markings: expected one of light, dark, both, got 'darkk'; "
     "did you mean 'dark'?",
+    '[lane]\nleft = "dotted"': "car.toml:2: [lane] left: expected one of any, dashed, solid, got 'dotted'",
     '[lane]\nmarkings = "dark"\ndark_markings = true': "car.toml:3: [lane] dark_markings: remove it; [lane] markings "
     "is given",
     '[pipeline]\nname = "window"': (
@@ -143,7 +144,7 @@ def test_every_key_is_read_and_checked_for_its_type(path: tuple[str, ...], value
 def test_each_pipeline_says_how_far_and_how_long_it_coasts(name: str, coasting: tuple[float, float]) -> None:
     pipeline = PipelineConfig(
         name=name,
-        windows=WindowsConfig(coast_m=1.1, coast_s=1.2),
+        windows=WindowsConfig(coast_lanes=2.2, coast_s=1.2),
         contour=ContourConfig(coast_lanes=5.0, coast_s=1.4),
         centerline=CenterlineConfig(coast_lanes=7.0, coast_s=1.6),
     )

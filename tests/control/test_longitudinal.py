@@ -10,6 +10,7 @@ from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.longitudinal import REACTION_S, ObstacleGuard, SpeedPlanner, speed_in_free_space
 from automodel.control.path import LanePath
 from automodel.curves import JoinedCurve, arc, line
+from automodel.geometry import SE2
 from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
 
 MS = 1_000_000
@@ -119,19 +120,15 @@ def test_share_of_the_speed_by_status(status: LaneStatus, share: float) -> None:
 @pytest.mark.parametrize("offset_m", [-0.03, 0.0, 0.05])
 @pytest.mark.parametrize("offset_bound_m", [0.0, 0.02, 0.049])
 @pytest.mark.parametrize("heading_bound_rad", [0.01, 0.1, 1.0])
-@pytest.mark.parametrize("delay_s", [0.0, 0.15])
-def test_a_car_as_wrong_as_it_may_be_stops_just_at_the_edge_of_its_lane(
+@pytest.mark.parametrize("delay_s", [0.05, 0.15])
+def test_a_car_as_wrong_as_it_may_be_is_just_at_the_edge_of_its_lane_when_it_can_steer_again(
     offset_m: float, offset_bound_m: float, heading_bound_rad: float, delay_s: float
 ) -> None:
     pose = seen(offset_m=offset_m, offset_bound_m=offset_bound_m, heading_bound_rad=heading_bound_rad).pose
     assert pose is not None
-    speed = speed_in_free_space(pose, 0.1, delay_s, 3.0)
-    away, dt, time = abs(offset_m) + offset_bound_m, 1e-4, 0.0
-    while speed > 0.0:
-        away += speed * dt * math.sin(heading_bound_rad)
-        time += dt
-        speed -= 3.0 * dt if time > delay_s else 0.0
-    assert away == pytest.approx(0.1, abs=2e-3)
+    speed = speed_in_free_space(pose, 0.1, delay_s)
+    turned = SE2(0.0, abs(offset_m) + offset_bound_m, heading_bound_rad)
+    assert (turned @ SE2(speed * delay_s)).y_m == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize(
@@ -151,7 +148,7 @@ def test_the_free_space_at_the_ends_of_the_bounds(
 ) -> None:
     pose = seen(offset_bound_m=offset_bound_m, heading_bound_rad=heading_bound_rad).pose
     assert pose is not None
-    assert speed_in_free_space(pose, 0.1, 0.1, 3.0) == speed
+    assert speed_in_free_space(pose, 0.1, 0.1) == speed
 
 
 def test_a_car_may_be_turned_by_more_than_a_right_angle_but_drives_no_further_sideways_than_its_way() -> None:
@@ -159,7 +156,7 @@ def test_a_car_may_be_turned_by_more_than_a_right_angle_but_drives_no_further_si
     assert square is not None
     assert backwards is not None
     backwards = replace(backwards, heading_bound_rad=3.0)
-    assert speed_in_free_space(backwards, 0.1, 0.1, 3.0) == speed_in_free_space(square, 0.1, 0.1, 3.0) > 0.0
+    assert speed_in_free_space(backwards, 0.1, 0.1) == speed_in_free_space(square, 0.1, 0.1) > 0.0
 
 
 @pytest.mark.parametrize(
@@ -177,21 +174,21 @@ def test_a_bound_that_is_small_beside_the_car_changes_nothing(
 def test_the_car_slows_as_the_bound_grows_down_to_the_share_that_is_left() -> None:
     def speed(offset_bound_m: float) -> float:
         planner = SpeedPlanner(ControlConfig(speed_mps=2.0, uncertain_speed=0.2), 2.0, CAR)
-        return settle(planner, STRAIGHT, 2.0, seen(offset_bound_m=offset_bound_m, heading_bound_rad=0.1))
+        return settle(planner, STRAIGHT, 2.0, seen(offset_bound_m=offset_bound_m, heading_bound_rad=0.3))
 
     speeds = [speed(bound_m) for bound_m in (0.0, 0.04, 0.06, 0.08, 0.0999, 0.3)]
     assert speeds[0] == 2.0
     assert speeds[1:4] == sorted(set(speeds[1:4]), reverse=True)
     assert 0.4 < speeds[3] < speeds[2] < speeds[1] < 2.0
     assert speeds[4] == speeds[5] == pytest.approx(0.4)
-    pose = seen(offset_bound_m=0.06, heading_bound_rad=0.1).pose
+    pose = seen(offset_bound_m=0.06, heading_bound_rad=0.3).pose
     assert pose is not None
-    assert speeds[2] == pytest.approx(speed_in_free_space(pose, 0.1, REACTION_S, 3.0))
+    assert speeds[2] == pytest.approx(speed_in_free_space(pose, 0.1, REACTION_S))
 
 
 def test_a_frame_that_comes_later_slows_the_car_further() -> None:
     def speed(age_ns: int) -> float:
-        estimate = seen(offset_bound_m=0.06, heading_bound_rad=0.2)
+        estimate = seen(offset_bound_m=0.06, heading_bound_rad=0.5)
         return settle(SpeedPlanner(ControlConfig(), 2.0, CAR), STRAIGHT, 0.7, estimate, age_ns)
 
     assert 1.0 > speed(0) > speed(50 * MS) > 0.3

@@ -21,6 +21,7 @@ from tests.support.slow_lane import rest_slow
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
 BLANK = np.zeros(SIZE, np.uint8)
 OPTIONS = CAR.pipeline.centerline
+CONFIRMED_NS = 100_000_000  # so long may one line be anything
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +93,12 @@ def statuses(estimates: list[LaneEstimate]) -> list[LaneStatus]:
     return [estimate.status for estimate in estimates]
 
 
+def confirmed(estimates: list[LaneEstimate]) -> list[LaneStatus]:
+    """What is to be said of one line from its first frame on."""
+    seen_ns = [estimate.t_ns - estimates[0].t_ns for estimate in estimates]
+    return [LaneStatus.ONE_LINE if seen >= CONFIRMED_NS else LaneStatus.LOST for seen in seen_ns]
+
+
 def test_the_first_frame_with_two_lines_tells_the_lane(both: list[Shown]) -> None:
     first = Car().replay(both[:1])[0]
     assert first.status is LaneStatus.TRACKING
@@ -101,19 +108,22 @@ def test_the_first_frame_with_two_lines_tells_the_lane(both: list[Shown]) -> Non
     assert first.pose.heading_rad == pytest.approx(both[0].truth.heading_rad, abs=0.05)
 
 
-def test_a_lane_of_one_line_is_reported_when_it_was_seen_in_three_frames(single: list[Shown]) -> None:
-    reported = Car().replay(single[:6])
-    assert statuses(reported) == [LaneStatus.LOST] * 2 + [LaneStatus.ONE_LINE] * 4
-    for estimate, one in zip(reported[3:], single[3:], strict=False):
+def test_a_lane_of_one_line_is_reported_when_it_was_seen_for_a_tenth_of_a_second(single: list[Shown]) -> None:
+    reported = Car().replay(single[:8])
+    assert statuses(reported) == confirmed(reported)
+    assert reported[4].valid
+    for estimate, one in zip(reported[4:], single[4:], strict=False):
         assert estimate.pose is not None
         assert estimate.pose.offset_m == pytest.approx(one.truth.offset_m, abs=0.02)
 
 
 def test_a_lane_of_one_line_that_is_not_seen_again_was_none(single: list[Shown]) -> None:
     car = Car()
-    masks = [single[0].mask, single[1].mask, BLANK, single[3].mask, single[4].mask, single[5].mask]
-    expected = [LaneStatus.LOST] * 5 + [LaneStatus.ONE_LINE]  # it began again with the fourth frame
-    assert [car.see(mask).status for mask in masks] == expected
+    masks = [single[0].mask, single[1].mask, BLANK, *(one.mask for one in single[3:8])]
+    reported = [car.see(mask) for mask in masks]
+    assert not any(estimate.valid for estimate in reported[:3])
+    assert statuses(reported[3:]) == confirmed(reported[3:])  # it began again with the fourth frame
+    assert reported[-1].valid
 
 
 def test_no_line_is_no_lane() -> None:
@@ -199,9 +209,9 @@ def test_time_that_goes_back_and_gaps_start_again(both: list[Shown], single: lis
     assert car.see(BLANK, jump_ns).status is LaneStatus.LOST
     car = Car()
     car.replay(both)
-    assert car.see(single[0].mask, jump_ns).status is LaneStatus.LOST  # one line has to be confirmed anew
-    assert car.see(single[1].mask).status is LaneStatus.LOST
-    assert car.see(single[2].mask).status is LaneStatus.ONE_LINE
+    reported = [car.see(single[0].mask, jump_ns)] + [car.see(one.mask) for one in single[1:5]]
+    assert statuses(reported) == confirmed(reported)  # one line has to be confirmed anew
+    assert reported[-1].valid
 
 
 def test_half_a_second_is_no_gap(both: list[Shown]) -> None:
@@ -298,7 +308,8 @@ def test_reset_forgets_everything(both: list[Shown], single: list[Shown]) -> Non
     car.pipeline.reset()
     assert [bits(e) for e in car.replay(both)] == [bits(e) for e in Car().replay(both)]
     car.pipeline.reset()
-    assert statuses(car.replay(single[:3])) == [LaneStatus.LOST] * 2 + [LaneStatus.ONE_LINE]
+    reported = car.replay(single[:5])
+    assert statuses(reported) == confirmed(reported)
 
 
 class Keeping(GivenMarkings):

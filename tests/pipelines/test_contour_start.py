@@ -48,7 +48,7 @@ style = "solid"
 direction = "forward"
 s_m = 0.0
 """
-AGAIN_NS = 60_000_000  # long enough for a lane that is not sure to be reported
+AGAIN_NS = 110_000_000  # long enough for a lane of one line to be told
 
 
 class Anew:
@@ -83,10 +83,12 @@ def told_widths(seen: Sequence[Seen]) -> np.ndarray:
 
 
 def false_lanes(seen: Sequence[Seen]) -> list[tuple[int, float]]:
-    """Index and offset error of the frames whose lane is another one."""
-    reported = [s for s in seen if s.estimate.valid]
+    """Index and offset error of the frames whose lane is another one, and whose bound does not say so."""
+    reported = [(s, s.estimate.pose) for s in seen if s.estimate.valid]
     return [
-        (s.frame.index, s.offset_error_m) for s in reported if abs(s.offset_error_m) >= FALSE_LANE * s.truth.width_m
+        (s.frame.index, s.offset_error_m)
+        for s, pose in reported
+        if pose is not None and abs(s.offset_error_m) >= max(FALSE_LANE * s.truth.width_m, pose.offset_bound_m)
     ]
 
 

@@ -49,7 +49,7 @@ def noisy(picture: np.ndarray, seed: int) -> np.ndarray:
     return np.clip(picture + np.random.default_rng(seed).normal(0.0, 2.0, SIZE), 0, 255).astype(np.uint8)
 
 
-def reported(picture: np.ndarray, seed: int = 0, frames: int = 4) -> LaneEstimate:
+def reported(picture: np.ndarray, seed: int = 0, frames: int = 5) -> LaneEstimate:
     """What is reported of a car that stands before an image, after long enough for a lane that is not sure."""
     pipeline = Contour(CAR)
     for k in range(frames):

@@ -91,7 +91,7 @@ def test_a_dark_picture_is_coasted_over_for_a_while(seen: list[Seen]) -> None:
     assert all(e.status is LaneStatus.COASTING for e in coasting)
     assert reported[: len(coasting)] == coasting  # once lost, lost for good
     assert len(reported) > len(coasting)
-    bound_s = min(options.coast_s, options.coast_m / 1.0)
+    bound_s = min(options.coast_s, options.coast_lanes * 0.4 / 1.0)
     assert len(coasting) * PERIOD_NS * 1e-9 == pytest.approx(bound_s, abs=0.1)
     for k, estimate in enumerate(coasting, 1):
         assert estimate.frame_age_ns == k * PERIOD_NS

@@ -340,11 +340,14 @@ def test_a_bound_within_the_free_space_or_not_stated_holds_nobody(bound_m: float
     assert not any(uncertain(1.0, bound_m, armed=False))
 
 
-def test_a_car_that_is_not_armed_has_nothing_to_bridge() -> None:
+def test_a_car_that_is_not_armed_is_refused_where_it_is_not_known_which_lane_it_is_in() -> None:
     check = OffsetBoundCheck(VEHICLE, 1.5, 2.0)
-    assert all(uncertain(0.5, 0.14, 0.0, armed=False, check=check))
-    assert not any(uncertain(1.4, 0.14, check=check, from_s=0.5))
-    assert OffsetBoundCheck(VEHICLE, 1.5, 2.0).step(lane_at(0, bound_m=0.14), MOTION, None) is not None
+    half_m = 0.2
+    assert set(uncertain(0.5, half_m, 0.0, armed=False, check=check)) == {"offset uncertain: 0.20 m (limit 0.10)"}
+    assert not any(uncertain(3.0, half_m - 0.01, 0.0, armed=False, check=check, from_s=0.5))
+    assert not any(uncertain(1.4, 0.14, check=check, from_s=3.5))  # what came before it was armed does not count
+    assert OffsetBoundCheck(VEHICLE, 1.5, 2.0).step(lane_at(0, bound_m=half_m), MOTION, None) is not None
+    assert OffsetBoundCheck(VEHICLE, 1.5, 2.0).step(lane_at(0, bound_m=half_m - 0.01), MOTION, None) is None
 
 
 def test_an_offset_that_was_certain_again_may_be_uncertain_for_as_long_again() -> None:

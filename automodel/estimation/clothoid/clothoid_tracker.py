@@ -165,6 +165,17 @@ class ClothoidTracker:
         self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
         self._prior = self.parameters, self.covariance
 
+    def restart(self, mean: FloatArray, covariance: FloatArray) -> None:
+        """Start about a belief: (offset, heading of the lane, curvature, width) (4,), and its covariance (4, 4)."""
+        self.forget()
+        guess = np.full(len(self._one), mean[2], self.pair.dtype)
+        guess[:CURVATURE] = mean[[0, 1, 3]]
+        spread = np.zeros_like(self._one)
+        spread[:CURVATURE, :CURVATURE] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
+        spread[CURVATURE:, CURVATURE:] = self._road
+        self.parameters, self.covariance = guess, spread
+        self._prior = guess, spread
+
     def difference(self, lane: ArcLane) -> tuple[float, float]:
         """Lateral distance [m] and angle [rad] from this lane to another, left positive, where that was measured."""
         shape, node, s = self.shape(), self._node(lane.measured_at_m), lane.measured_at_m

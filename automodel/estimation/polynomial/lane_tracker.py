@@ -121,6 +121,22 @@ class LaneTracker:
         self._take(solution.parameters)
         self._keep(_samples(seen), solution.inliers)
 
+    def place(self, parameters: FloatArray) -> None:
+        """Believe the lane to have these parameters, without any points yet."""
+        self.forget()
+        self._take(parameters)
+
+    def restart(self, seen: Observation, arc: FloatArray, sigma: FloatArray) -> tuple[LaneSolution, Support]:
+        """Start near an arc (m,) that is known up to `sigma` (4,): of offset, heading, curvature, width."""
+        samples = _samples(seen)
+        offset, heading, curvature, width = sigma.tolist()
+        spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width]))
+        solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, self._sigma)), rounds=6)
+        self._take(solution.parameters)
+        self._keep(samples, solution.inliers)
+        good = solution.inliers
+        return solution, Support(left=int(good[samples.side > 0].sum()), right=int(good[samples.side < 0].sum()))
+
     def add_crossing(self, distance_m: float, theta_rad: float) -> None:
         """Take a crossing into account: its distance ahead [m], the direction perpendicular to it [rad], body frame."""
         since_m = distance_m - self._crossing_s_m

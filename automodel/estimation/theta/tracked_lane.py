@@ -62,6 +62,21 @@ class TrackedLane:
         self._correct((self.left.line is not None, self.right.line is not None))
         return True
 
+    def restart(self, left: SeenLine, right: SeenLine, mean: FloatArray, covariance: FloatArray) -> bool:
+        """Start about a belief: (offset, direction of the lane, curvature, width) (4,), and its covariance (4, 4)."""
+        for tracked, seen in ((self.left, left), (self.right, right)):
+            if len(seen.points_m) >= self.FIRST_POINTS:
+                tracked.update(seen)
+        offset, theta, _, width = mean.tolist()
+        sigma = np.sqrt(np.diag(covariance))
+        self._fusion.update(self.left.rls, self.right.rls, width, float(covariance[3, 3]))
+        if self._fusion.rls.line is None:
+            return False
+        spread = (float(sigma[1]), float(sigma[0]) / self.unit, float(sigma[3]) / self.unit)
+        self.pose.start(offset, -theta, width, spread)
+        self._correct((self.left.line is not None, self.right.line is not None))
+        return True
+
     def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
         """Move everything into the body frame after a motion."""
         self.pose.predict(after_from_before, self.centerline.curvature_at(0.0), dt_s, known)

@@ -103,8 +103,8 @@ class MarkingWidth:
     """The running width of the markings; `step` measures it and says when the filters need another one.
 
     `width_m` is the width in use, `measured_m` the last estimate and `sigma` its relative standard deviation. It is the
-    peak of a histogram of the logarithm of the ridges' widths, weighted by the squares of their heights; the start
-    value counts as `PRIOR` ridges.
+    peak of a histogram of the logarithm of the ridges' widths; the start value counts as `PRIOR` ridges. Every ridge
+    counts once: a lamp's reflection is brighter than any paint, and a line is seen on more rows than a lamp.
     """
 
     ROWS = 16
@@ -156,7 +156,8 @@ class MarkingWidth:
         self._counts *= self.MEMORY
         for brightness in self._brightness:
             values = brightness.read(image, self._pixels).astype(np.float32)
-            self.add(*continued(*ridge_widths(values, self._within, self._noises, self._rounding), self._ahead))
+            widths, _ = continued(*ridge_widths(values, self._within, self._noises, self._rounding), self._ahead)
+            self.add(widths)
         if self.sigma > self.SETTLED:
             return False
         self._wait = self.EVERY
@@ -165,13 +166,12 @@ class MarkingWidth:
         self.width_m = self.measured_m
         return True
 
-    def add(self, widths: Floats, weights: Floats) -> None:
-        """Count ridges of widths (n,) [samples of the configured width / `PER_MARKING`] with weights (n,)."""
+    def add(self, widths: Floats) -> None:
+        """Count ridges of widths (n,) [samples of the configured width / `PER_MARKING`]."""
         place = np.log(np.maximum(widths, 1e-9) / PER_MARKING) / self.BIN + 0.5 * self._bins
         inside = (place >= 0.0) & (place < self._bins)
         if inside.any():
-            share = weights[inside] ** 2 / (weights[inside] ** 2).mean()
-            self._counts += np.bincount(place[inside].astype(np.intp), share, self._bins)
+            self._counts += np.bincount(place[inside].astype(np.intp), minlength=self._bins)
         prior = np.exp(-0.5 * ((np.arange(self._bins) - self._half) * self.BIN / math.log(self.CHANGE)) ** 2)
         counts = self._counts + self.PRIOR / prior.sum() * prior
         smooth = np.convolve(counts, (0.5, 1.0, 0.5), "same")

@@ -1,0 +1,194 @@
+"""The few stories that may be true of what is seen, with their odds: which line is which, and so which lane it is.
+
+A hypothesis is a belief of the lane with a log-likelihood ratio against clutter. Each frame's lines are given roles:
+the lane's own lines, the far lines of its neighbours, or none; a line without a role is clutter, of which there may be
+any. What fits in more than one way branches, and time, the car's motion, the lane's width and the kind of its lines
+decide (Reid 1979; here with one target and shared measurements).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from automodel.perception.line_scan import SightedLine
+from automodel.tracking.belief import Assigned, LaneBelief, Part
+
+LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
+STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new
+ROLES = (LEFT, RIGHT, LEFT_FAR, RIGHT_FAR)
+
+
+@dataclass(frozen=True, slots=True)
+class LineKinds:
+    """Log-odds [nats] that the lane's own left and right line are dashed, not solid."""
+
+    left: float = 0.0
+    right: float = 0.0
+
+    def of(self, role: float) -> float:
+        """The log-odds of the line of a role; nothing is known of the neighbours' lines."""
+        return self.left if role == LEFT else self.right if role == RIGHT else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A belief, its log-likelihood ratio against clutter [nats], and the last frame's lines with their roles.
+
+    `news`: by how much the last frame spoke for it [nats], as if all of it were new.
+    """
+
+    belief: LaneBelief
+    log_odds: float = 0.0
+    assigned: tuple[Assigned, ...] = ()
+    news: float = 0.0
+
+    def line(self, role: float) -> tuple[SightedLine, ...]:
+        """The lines of the last frame that play a role."""
+        return tuple(line for line, its in self.assigned if its == role)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HypothesesConfig:
+    """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies.
+
+    `lines`: lines of a frame that are looked at, the longest first. `news_lanes`: distance after which a frame is a new
+    witness: shorter, and its errors are those of the frame before. `same_lanes`, `same_rad`: hypotheses closer than
+    this are one. `neighbour_price` [nats]: a road may have no lane there.
+    """
+
+    most: int = 4
+    prune: float = 7.0
+    lines: int = 5
+    news_lanes: float = 0.25
+    same_lanes: float = 0.12
+    same_rad: float = 0.12
+    neighbour_price: float = 1.5
+
+
+class Hypotheses:
+    """The hypotheses, the likeliest first; empty while nothing is believed."""
+
+    def __init__(self, config: HypothesesConfig | None = None) -> None:
+        self.config = config or HypothesesConfig()
+        self.all: tuple[Hypothesis, ...] = ()
+        self._since_lanes = math.inf  # driven since the last frame that was a witness
+
+    def start(self, beliefs: Sequence[tuple[LaneBelief, float]]) -> None:
+        """Start with beliefs and their log-odds; their first frame is news as a whole."""
+        self.all = tuple(Hypothesis(belief, odds) for belief, odds in beliefs)
+        self._since_lanes = math.inf
+
+    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
+        """Move every belief."""
+        self.all = tuple(
+            replace(one, belief=one.belief.moved(distance_m, turn_rad, dt_s, known), assigned=()) for one in self.all
+        )
+        if self.all:
+            self._since_lanes += max(abs(distance_m) / self.all[0].belief.road.lane_width_m, STILL_LANES * dt_s)
+
+    def update(self, lines: Sequence[SightedLine], kinds: LineKinds) -> float:
+        """Assign a frame's lines, branch, and weigh; returns how much of the frame was news, 0 .. 1."""
+        if not self.all:
+            return 0.0
+        config = self.config
+        share = min(self._since_lanes / config.news_lanes, 1.0)
+        self._since_lanes = 0.0
+        longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
+        grown = [child for one in self.all for child in self._children(one, longest, kinds, share)]
+        self._keep(grown)
+        return share
+
+    def posterior(self) -> list[float]:
+        """Probabilities of the hypotheses, in their order."""
+        best = max((one.log_odds for one in self.all), default=0.0)
+        weights = [math.exp(one.log_odds - best) for one in self.all]
+        total = sum(weights)
+        return [weight / total for weight in weights]
+
+    def _children(
+        self, parent: Hypothesis, lines: Sequence[SightedLine], kinds: LineKinds, share: float
+    ) -> list[Hypothesis]:
+        """The parent with each plausible assignment of the lines; with none of them it stays as it was."""
+        beam = [Hypothesis(parent.belief, 0.0)]
+        for line in lines:
+            clutter = parent.belief.clutter(line)
+            grown = list(beam)
+            for one in beam:
+                for role in ROLES:
+                    if not _possible(one, line, role):
+                        continue
+                    assigned = (*one.assigned, Assigned(line, role))
+                    belief, likelihood = parent.belief.update(assigned, rounds=1)
+                    odds = likelihood - self._clutter(one, parent.belief) - clutter
+                    odds += sum(_kind(each.line, kinds.of(each.role)) for each in assigned)
+                    odds -= self._price(assigned)
+                    if odds > one.log_odds - 1.0:
+                        grown.append(Hypothesis(belief, odds, assigned))
+            grown.sort(key=lambda each: -each.log_odds)
+            beam = grown[: self.config.most]
+        children = []
+        for one in beam:
+            belief, _ = parent.belief.update(one.assigned, share)
+            children.append(Hypothesis(belief, parent.log_odds + share * one.log_odds, one.assigned, one.log_odds))
+        return children
+
+    def _price(self, assigned: Sequence[Assigned]) -> float:
+        """What it costs [nats] to believe in neighbouring lanes."""
+        return self.config.neighbour_price * sum(abs(role) > 1.0 for _, role in assigned)
+
+    @staticmethod
+    def _clutter(one: Hypothesis, belief: LaneBelief) -> float:
+        return sum(belief.clutter(line) for line, _ in one.assigned)
+
+    def _keep(self, grown: list[Hypothesis]) -> None:
+        grown.sort(key=lambda each: -each.log_odds)
+        kept: list[Hypothesis] = []
+        for one in grown:
+            twin = next((k for k, other in enumerate(kept) if self._same(one, other)), None)
+            if twin is None:
+                kept.append(one)
+        best = kept[0].log_odds
+        self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)
+
+    def _same(self, one: Hypothesis, other: Hypothesis) -> bool:
+        a, b = one.belief.mean, other.belief.mean
+        unit = one.belief.road.lane_width_m
+        lateral = abs(float(a[Part.OFFSET] - b[Part.OFFSET])) / unit
+        turned = abs(float(a[Part.THETA] - b[Part.THETA]))
+        return lateral < self.config.same_lanes and turned < self.config.same_rad
+
+
+def _possible(one: Hypothesis, line: SightedLine, role: float) -> bool:
+    """Whether the line may play the role beside those that have one: roles that are taken lie elsewhere along it."""
+    for other, its in one.assigned:
+        low = max(line.points_m[0, 0], other.points_m[0, 0])
+        high = min(line.points_m[-1, 0], other.points_m[-1, 0])
+        if its == role and high > low:
+            return False
+    mean = one.belief.mean
+    away = line.points_m[0] - np.array((one.belief.reference_x_m, 0.0))
+    reach = 4.0 * one.belief.sigma(Part.OFFSET) + 4.0 * one.belief.sigma(Part.THETA) * abs(float(away[0]))
+    reach += 0.5 * one.belief.road.lane_width_m
+    theta = float(mean[Part.THETA])
+    left = away[1] * math.cos(theta) - away[0] * math.sin(theta) + float(mean[Part.OFFSET])
+    bend = 0.5 * abs(float(mean[Part.KAPPA])) * float(away @ away)
+    return abs(left - role * float(mean[Part.WIDTH])) < reach + bend
+
+
+def _kind(line: SightedLine, dashed: float) -> float:
+    """How much likelier [nats] the line's paint is where it is dashed with these log-odds than where nothing is known.
+
+    A solid line is painted on 95 % of its length with a spread of 10 % (wear, specks), a dashed one on 55 % with 15 %
+    (gaps as long as the dashes, or twice as long); a line shorter than a dash and a gap tells little.
+    """
+    if dashed == 0.0 or line.span_m <= 0.0:
+        return 0.0
+    painted = min(line.painted_m / line.span_m, 1.0)
+    solid = math.exp(-0.5 * ((painted - 0.95) / 0.1) ** 2) / 0.1 + 0.05
+    dashes = math.exp(-0.5 * ((painted - 0.55) / 0.15) ** 2) / 0.15 + 0.05
+    chance = 1.0 / (1.0 + math.exp(-dashed))
+    return math.log((chance * dashes + (1.0 - chance) * solid) / (0.5 * dashes + 0.5 * solid))

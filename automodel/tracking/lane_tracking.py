@@ -1,0 +1,383 @@
+"""The lane between frames: followed, in doubt or lost; what is told of it, and how far it may be wrong.
+
+A pipeline's own estimator follows the lane. Where it may take another line for the lane's (nothing was seen for a
+while, or what it says contradicts the odometry) its word is one story among others: the whole view is searched for
+lines, and hypotheses compete until one is left. If that is what the estimator says, the doubt is over; if not, the
+estimator starts anew from it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from automodel.config import CarConfig
+from automodel.curves import Curve
+from automodel.geometry import GroundCamera
+from automodel.perception.line_scan import SightedLine
+from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.tracking.belief import Assigned, Bends, LaneBelief, Part, RoadModel
+from automodel.tracking.frame_motion import FrameMotion, FrameMotions
+from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
+from automodel.tracking.integrity import CameraErrors, Innovations, bound
+from automodel.types import FloatArray
+
+STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
+MOST_POINTS = 5  # of a line that the belief learns from
+DASH_ODDS = {"any": 0.0, "dashed": 4.0, "solid": -4.0}  # [nats] what car.toml says of a line: wrong once in 50 times
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackingConfig:
+    """`coast_s`, `coast_lanes`: time, and distance in lane widths, for which a lane lives without any line.
+
+    `width_sigma`: share by which the real lane may be wider or narrower than car.toml says. `bend`: sigma of the
+    curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the nearest lines from which
+    on another line may be taken for the lane's: four of them reach halfway to the next. `gate`: squared innovation
+    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `same`: one
+    that happens in a third of them. `sure`: posterior of the one hypothesis that is followed. `exists`: log-odds [nats]
+    that it must have against clutter. `confirm_s`: for so long must a lane of one line be seen before it is told.
+    `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend [1 / lane width] where nothing
+    is known. `news_lanes`: distance after which a frame is a new witness. `unknown_lanes`: speed [lane widths / s] of a
+    car whose speed is not known.
+    """
+
+    coast_s: float
+    coast_lanes: float
+    width_sigma: float = 0.12
+    bend: float = 0.1
+    confusable: float = 0.125
+    gate: float = 27.6
+    same: float = 2.2
+    sure: float = 0.99
+    exists: float = 5.0
+    confirm_s: float = 0.1
+    start_lanes: float = 0.25
+    start_rad: float = 0.25
+    start_bend: float = 0.2
+    news_lanes: float = 0.25
+    unknown_lanes: float = 3.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Followed:
+    """What a pipeline's estimator says of the lane in a frame; `pose` states no bounds yet."""
+
+    pose: LanePose
+    left: LaneLine
+    right: LaneLine
+    centerline: Curve
+    crossing: Crossing | None = None
+
+
+class LaneTracking:
+    """One lane from frame to frame, for one pipeline.
+
+    In each frame: `predict`; while `lost`, `start` with the lines of the whole view, or `begin` with what the
+    pipeline's own detection found; while `in_doubt`, `judge`, which may say where the estimator must start anew; then
+    `follow`.
+    """
+
+    def __init__(self, car: CarConfig, config: TrackingConfig) -> None:
+        self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
+        camera = GroundCamera.from_config(car.camera)
+        self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
+        self._bends = Bends(RoadModel(lane_width_m=car.lane.width_m, marking_width_m=car.lane.marking_width_m))
+        self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
+        self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
+        self._motions, self._innovations = FrameMotions(self._unit), Innovations()
+        self._hypotheses = Hypotheses()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything but the configuration."""
+        self._motions.reset()
+        self._bends.reset()
+        self._seen_ns = 0
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the lane."""
+        self._belief: LaneBelief | None = None
+        self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
+        self._hypotheses.start(())
+        self._innovations.reset()
+        self.in_doubt = False
+        self._blind_m = 0.0
+        self._news_m = math.inf  # driven since the last frame that was a witness
+        self._confirmed_ns = 0
+        self._pair_m = 0.0  # driven with both lines seen
+
+    @property
+    def _paired(self) -> bool:
+        """Whether both lines were seen for a lane width of way: a lone line, or a chance pair, may be anything."""
+        return self._pair_m >= self._unit
+
+    @property
+    def lost(self) -> bool:
+        """Whether there is no lane."""
+        return self._belief is None
+
+    def predict(self, t_ns: int, motion: Motion, trusted: bool = True) -> FrameMotion | None:
+        """The motion since the last frame; None for the first frame and after a gap, when the lane is forgotten.
+
+        A motion that is not `trusted` counts as unknown.
+        """
+        moved = self._motions.step(t_ns, motion, trusted)
+        if moved is None:
+            self.forget()
+            return None
+        if self._hypotheses.all or self._belief is not None:
+            step = moved.distance_m, moved.turn_rad, moved.dt_s, moved.known
+            self._hypotheses.move(*step)
+            if self._belief is not None:
+                self._belief = self._belief.moved(*step)
+            if self._reckoned is not None:
+                self._reckoned = self._reckoned.moved(*step)
+            driven = abs(moved.distance_m) if moved.known else self.config.unknown_lanes * self._unit * moved.dt_s
+            self._blind_m += driven
+            self._news_m += max(driven, STILL_LANES * self._unit * moved.dt_s)
+            self._bends.move(driven)
+        return moved
+
+    def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
+        """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
+
+        The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across.
+        """
+        if not self._hypotheses.all:
+            self._hypotheses.start(((self._anywhere(), 0.0),))
+        self._hypotheses.update(lines, self._kinds)
+        best = self._hypotheses.all[0]
+        if not self._sure(best) or abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
+            return None
+        pair = bool(best.line(LEFT) and best.line(RIGHT))
+        self._seen_ns = t_ns
+        self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
+        self._pair_m = self._unit if pair else 0.0
+        self._believe(best.belief)
+        return best.belief
+
+    def begin(self, t_ns: int, pair: bool) -> None:
+        """Begin with a lane that the pipeline's own detection found, in doubt of it; `pair`: of both its lines."""
+        self._seen_ns = t_ns
+        self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
+        self._pair_m = 0.0
+        self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
+
+    def _anywhere(self) -> LaneBelief:
+        config, unit = self.config, self._unit
+        sigma = (config.start_lanes * unit, config.start_rad, config.start_bend / unit, config.width_sigma * unit)
+        mean = np.array((0.0, 0.0, 0.0, unit))
+        return LaneBelief(mean, np.diag(np.square(sigma)), self._bends.road, self._reference_x_m)
+
+    def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
+        """Weigh a frame's lines; where the estimator must start anew, None where it may go on or nothing is sure.
+
+        What the estimator says is a hypothesis too: unlikely by as much as it differs from dead reckoning, likely by
+        what it explains.
+        """
+        if self._reckoned is None or not self._possible(followed.pose):
+            return None
+        own = [_sighted(line.points_m) for line in (followed.left, followed.right) if line.seen]
+        share = self._hypotheses.update((*lines, *own), self._kinds)
+        best, measured = self._hypotheses.all[0], self._measured(followed.pose)
+        alone = Hypotheses()
+        alone.start(((measured, 0.0),))
+        alone.update((*lines, *own), self._kinds)
+        self._said += share * alone.all[0].log_odds
+        said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
+        apart = self._apart(measured, best.belief)
+        agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
+        clear = not self._confusable(self._reckoned)  # so that even one line is enough
+        told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
+        told = told and (clear or len({role for _, role in best.assigned}) > 1)
+        better = self._lateral_variance(best.belief) < self._lateral_variance(measured) and apart > self.config.same
+        better = better and best.news > alone.all[0].news
+        if told and not better and (own or self._sure(best)):
+            self._believe(replace(best.belief, mean=measured.mean))
+        elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
+            self._believe(alone.all[0].belief)
+        elif (told and own) or (self._sure(best) and (not own or self._beats(best, said, alone.all[0].news))):
+            self._believe(best.belief)
+            return best.belief
+        return None
+
+    def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
+        """Log-odds [nats] from which on the estimator's word ends the doubt: of one line four times as many."""
+        if not clear:
+            return 4.0 * self.config.exists + max(best.log_odds, 0.0)
+        return self.config.exists + (0.0 if agreed else max(best.log_odds, 0.0))
+
+    def _sure(self, best: Hypothesis) -> bool:
+        """Whether one hypothesis is left, too certain to be taken for another, and two lines of this frame bear it out.
+
+        A single piece of a line can be anything; two at the distance of a lane's lines seldom are.
+        """
+        alone = self._hypotheses.posterior()[0] > self.config.sure and best.news > self.config.exists
+        own = bool(best.line(LEFT) or best.line(RIGHT)) and len({role for _, role in best.assigned}) > 1
+        wide = abs(best.belief.width_m / self._unit - 1.0) > 3.0 * self.config.width_sigma
+        return alone and own and not wide and not self._confusable(best.belief)
+
+    def _beats(self, best: Hypothesis, said: float, news: float) -> bool:
+        """Whether a hypothesis is far likelier than the estimator's, by all frames and by this one."""
+        exists = self.config.exists
+        return best.log_odds > max(said, 0.0) + 2.0 * exists and best.news > max(news, 0.0) + exists
+
+    def follow(self, frame: Frame, followed: Followed) -> LaneEstimate:
+        """The estimate by what the pipeline's estimator says; LOST, and forgotten, where that cannot be true."""
+        pose, count = followed.pose, followed.left.seen + followed.right.seen
+        if not self._possible(pose):
+            self.forget()
+            return self.lost_estimate(frame)
+        measured = self._measured(pose)
+        if self._belief is None:
+            self._belief = measured
+        elif not self.in_doubt:
+            self._check(measured, followed)
+        if count:
+            self._bends.see(pose.curvature_per_m)
+            self._seen_ns, self._blind_m = frame.t_ns, 0.0
+        if self._too_long(frame.t_ns, count):
+            self.forget()
+            return self.lost_estimate(frame)
+        if frame.t_ns < self._confirmed_ns:
+            return self.lost_estimate(frame)
+        return self._estimate(frame, STATUS[count], followed)
+
+    def _check(self, measured: LaneBelief, followed: Followed) -> None:
+        """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
+        belief = self._belief
+        assert belief is not None
+        if self._news_m > self.config.news_lanes / 3.0 * self._unit:
+            sides = ((followed.left, LEFT), (followed.right, RIGHT))
+            said = [Assigned(_sighted(line.points_m), role) for line, role in sides if line.seen]
+            assigned = [one for one in said if belief.explains(one)]
+            if said and not assigned:
+                self._doubt(belief)
+            elif assigned:
+                share = min(self._news_m / (self.config.news_lanes * self._unit), 1.0)
+                belief, _ = replace(belief, road=self._bends.road).update(assigned, share)
+                if len(assigned) == len(sides):
+                    self._pair_m += min(self._news_m, self.config.news_lanes * self._unit)
+                self._news_m = 0.0
+                normalised = self._apart(measured, belief)
+                self._innovations.add(0.5 * normalised)
+                if normalised > self.config.gate:
+                    self._doubt(belief)
+                self._belief = belief
+        if self._confusable(belief):
+            mean, covariance = measured.mean.copy(), belief.covariance.copy()
+            mean[Part.KAPPA] = self._bend_ahead(followed.centerline)
+            covariance[Part.KAPPA, Part.KAPPA] += (mean[Part.KAPPA] - belief.curvature_per_m) ** 2
+            self._doubt(replace(belief, mean=mean, covariance=covariance))
+
+    def _doubt(self, belief: LaneBelief) -> None:
+        """From now on the estimator is not believed without a look at everything else."""
+        self._hypotheses.start(((belief, 0.0),))
+        self._reckoned, self._said = belief, 0.0
+        self.in_doubt = True
+
+    def _believe(self, belief: LaneBelief) -> None:
+        """The doubt is over."""
+        self._belief, self._reckoned, self.in_doubt, self._news_m = belief, None, False, 0.0
+        self._innovations.reset()
+
+    def _apart(self, one: LaneBelief, other: LaneBelief) -> float:
+        """Squared difference of offset and heading over its covariance: chi-square with two degrees of freedom."""
+        off = (one.mean - other.mean)[:2]
+        systematic = np.diag((self._errors.offset_m**2, self._errors.heading_rad**2))
+        return float(off @ np.linalg.solve((one.covariance + other.covariance)[:2, :2] + systematic, off))
+
+    def lost_estimate(self, frame: Frame) -> LaneEstimate:
+        """An estimate that says that there is none."""
+        age_ns = max(frame.t_ns - self._seen_ns, 0)
+        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=age_ns)
+
+    def _measured(self, pose: LanePose) -> LaneBelief:
+        """A pose as a belief."""
+        covariance = np.zeros((4, 4))
+        order = np.ix_((Part.OFFSET, Part.THETA, Part.WIDTH), (Part.OFFSET, Part.THETA, Part.WIDTH))
+        sign = np.array((1.0, -1.0, 1.0))
+        covariance[order] = pose.covariance * np.outer(sign, sign)
+        covariance[Part.KAPPA, Part.KAPPA] = (self.config.bend / self._unit) ** 2
+        mean = np.array((pose.offset_m, -pose.heading_rad, pose.curvature_per_m, pose.width_m))
+        return LaneBelief(mean, covariance, self._bends.road, self._reference_x_m)
+
+    def _confusable(self, belief: LaneBelief) -> bool:
+        """Whether another line may be taken for the lane's."""
+        return self._lateral_variance(belief) > (self.config.confusable * belief.width_m) ** 2
+
+    def _lateral_variance(self, belief: LaneBelief) -> float:
+        """Of the lane's place at the nearest ground that is seen [m^2]."""
+        row = np.array((-1.0, self._near_m, 0.5 * self._near_m**2, 0.0))
+        return float(row @ belief.covariance @ row)
+
+    def _possible(self, pose: LanePose) -> bool:
+        """Whether a car may stand so in a lane, and the lane be so wide."""
+        unit = self._unit
+        return bool(
+            math.isfinite(pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m)
+            and np.isfinite(pose.covariance).all()
+            and abs(pose.width_m / unit - 1.0) < 4.0 * self.config.width_sigma
+            and abs(pose.offset_m) < 0.9 * unit
+            and abs(pose.heading_rad) < math.radians(60.0)
+        )
+
+    def _too_long(self, t_ns: int, count: int) -> bool:
+        blind_s = (t_ns - self._seen_ns) * 1e-9
+        if count == 0 and t_ns < self._confirmed_ns:
+            return True
+        return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
+
+    def _estimate(self, frame: Frame, status: LaneStatus, followed: Followed) -> LaneEstimate:
+        offset_bound, heading_bound = self._bounds(followed.pose)
+        return LaneEstimate(
+            t_ns=frame.t_ns,
+            status=status,
+            left=followed.left,
+            right=followed.right,
+            centerline=followed.centerline,
+            pose=replace(followed.pose, offset_bound_m=offset_bound, heading_bound_rad=heading_bound),
+            crossing=followed.crossing,
+            frame_age_ns=max(frame.t_ns - self._seen_ns, 0),
+        )
+
+    def _bounds(self, pose: LanePose) -> tuple[float, float]:
+        """Bounds of offset [m] and heading [rad]: those of every hypothesis that may be true, seen from the pose."""
+        errors, inflation = self._errors, self._innovations.inflation
+        assert self._belief is not None
+        may_be = [self._belief]
+        if self.in_doubt:  # and dead reckoning, which no line can mislead
+            reckoned = [] if self._reckoned is None else [self._reckoned]
+            may_be = [*(one.belief for one in self._hypotheses.all), *reckoned]
+        offset = heading = 0.0
+        for one in may_be:
+            aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m
+            side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
+            if not self._paired:
+                side = math.hypot(side, 0.5 * self.config.width_sigma * self._unit)
+            away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
+            offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
+            heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))
+        if not self._paired:  # a lone line may be anything, and either line of the lane
+            offset = max(offset, pose.width_m)
+        return offset, heading
+
+    def _bend_ahead(self, centerline: Curve) -> float:
+        """Mean curvature [1/m] of the centerline from beside the car to the nearest ground that is seen."""
+        s = np.linspace(0.0, centerline.length_m, 60)
+        away = centerline.position(s) - np.array((self._reference_x_m, 0.0))
+        here = float(s[int(np.argmin(np.einsum("ij,ij->i", away, away)))])
+        turn = centerline.heading(here + self._near_m) - centerline.heading(here)
+        return float(turn) / self._near_m
+
+
+def _sighted(points_m: FloatArray) -> SightedLine:
+    """An estimator's points of a line, thinned: neighbours are no more witnesses than one."""
+    stride = max(len(points_m) // MOST_POINTS, 1)
+    points = points_m[::stride]
+    length_m = float(np.hypot(*(points_m[-1] - points_m[0])))
+    return SightedLine(points_m=points, sigma_m=np.zeros(len(points)), painted_m=length_m, span_m=0.0)

@@ -1,0 +1,136 @@
+"""The lines of drawn views: where they are found, what is joined to one, and what is none."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from automodel.geometry import View
+from automodel.perception.line_scan import LineScan, SightedLine
+from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
+from tests.support.drawn_views import Shape, bar, binary, disc
+
+VIEW = View(x_near_m=0.3, x_far_m=2.3, half_width_m=0.8, m_per_px=0.0075)
+DASH_M, GAP_M = 0.2, 0.2
+BENDS = [
+    STRAIGHT,
+    Road(curvature_per_m=0.35),
+    Road(curvature_per_m=-0.35, aside_m=0.05),
+    Road(heading_rad=0.25, aside_m=-0.2),
+    Road(heading_rad=-0.3, aside_m=0.2),
+]
+
+
+def scanned(*shapes: Shape, view: View = VIEW) -> tuple[SightedLine, ...]:
+    return LineScan(view, LANE_M, MARKING_M).step(binary(view, *shapes, samples=4))
+
+
+def within_lane(shape: Shape) -> Shape:
+    """The part of a shape between a straight lane's lines, apart from them."""
+    return lambda x, y: shape(x, y) & (np.abs(y) < 0.15)
+
+
+def lateral(road: Road, line: SightedLine) -> np.ndarray:
+    """How far a line's points lie to the left of the road's centre."""
+    return road.beside(line.points_m[:, 0], line.points_m[:, 1])
+
+
+@pytest.mark.parametrize("road", BENDS)
+def test_a_solid_and_a_dashed_line_are_found_as_two(road: Road) -> None:
+    lines = scanned(road.line(-0.5 * LANE_M), road.dashed(0.5 * LANE_M, DASH_M, GAP_M))
+    assert len(lines) == 2
+    solid, dashed = sorted(lines, key=lambda line: float(lateral(road, line).mean()))
+    for line, place in ((solid, -0.5), (dashed, 0.5)):
+        assert lateral(road, line) == pytest.approx(np.full(len(line.points_m), place * LANE_M), abs=0.01)
+        assert (np.diff(line.points_m[:, 0]) > 0.0).all()  # near to far
+        assert line.sigma_m.shape == (len(line.points_m),)
+    assert dashed.span_m > 1.0  # joined over its gaps
+
+
+def test_a_solid_line_is_painted_all_along_and_a_dashed_one_by_its_share() -> None:
+    solid, dashed = scanned(STRAIGHT.line(-0.2)), scanned(STRAIGHT.dashed(0.2, DASH_M, GAP_M))
+    assert solid[0].painted_m == pytest.approx(2.0, abs=0.05)
+    assert solid[0].span_m == pytest.approx(2.0, abs=0.05)
+    assert dashed[0].painted_m / dashed[0].span_m == pytest.approx(0.5, abs=0.1)
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.3, -0.3])
+def test_lengths_count_along_the_line_and_not_along_the_view(heading: float) -> None:
+    road = Road(heading_rad=heading)
+    line = scanned(lambda x, y: road.line(0.0)(x, y) & (road.along(x, y) > 0.6) & (road.along(x, y) < 1.4))
+    assert len(line) == 1
+    assert line[0].painted_m == pytest.approx(0.8, abs=0.04)
+    assert line[0].span_m == pytest.approx(0.8, abs=0.04)
+
+
+@pytest.mark.parametrize("gap_m", [0.1, 0.3, 0.44])
+def test_pieces_that_continue_each_other_are_one_line(gap_m: float) -> None:
+    line = STRAIGHT.line(0.2)
+    assert len(scanned(within(line, 0.3, 0.9), within(line, 0.9 + gap_m, 2.3))) == 1
+
+
+def test_pieces_that_are_far_apart_or_beside_each_other_are_two_lines() -> None:
+    line = STRAIGHT.line(0.2)
+    assert len(scanned(within(line, 0.3, 0.9), within(line, 1.5, 2.3))) == 2  # 1.5 lane widths apart
+    assert len(scanned(within(line, 0.3, 0.9), within(STRAIGHT.line(0.35), 1.0, 2.3))) == 2
+    across = Road(heading_rad=0.6, aside_m=-0.5)
+    assert len(scanned(within(line, 0.3, 0.9), within(across.line(0.0), 1.0, 2.0))) == 2
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.03, 0.05])
+def test_the_bars_of_a_zebra_are_no_lines(shift_m: float) -> None:
+    """But the outermost, which have bars on one side only."""
+    lines = scanned(zebra(1.0, 0.3, shift_m))
+    assert len(lines) <= 2
+    assert all(abs(float(line.points_m[:, 1].mean())) > 0.7 for line in lines)
+
+
+def test_beside_bars_the_lanes_own_lines_are_found() -> None:
+    lines = scanned(within_lane(zebra(1.0, 0.3)), STRAIGHT.line(0.2), STRAIGHT.line(-0.2))
+    own = [line for line in lines if line.span_m > 1.0]
+    assert [float(line.points_m[:, 1].mean()) for line in own] == pytest.approx([0.2, -0.2], abs=0.006)
+    assert len(lines) - len(own) <= 2  # of the bars the outermost
+
+
+def test_what_lies_across_is_broad_or_small_is_no_line() -> None:
+    assert scanned(bar(1.0, MARKING_M)) == ()  # a stop line
+    assert scanned(disc(1.0, 0.2, 0.15)) == ()
+    assert scanned(disc(1.0, 0.2, 0.02), disc(1.5, -0.2, 0.02)) == ()
+    assert scanned(STRAIGHT.line(0.2, width_m=0.12)) == ()
+
+
+def test_an_empty_view_and_a_white_one_show_no_line() -> None:
+    scan, shape = LineScan(VIEW, LANE_M, MARKING_M), (VIEW.height_px, VIEW.width_px)
+    assert scan.step(np.zeros(shape, np.uint8)) == ()
+    assert scan.step(np.full(shape, 255, np.uint8)) == ()
+
+
+def test_noise_does_not_raise_and_gives_finite_lines() -> None:
+    scan = LineScan(VIEW, LANE_M, MARKING_M)
+    for seed, share in enumerate((0.01, 0.1, 0.3, 0.6)):
+        noise = np.random.default_rng(seed).random((VIEW.height_px, VIEW.width_px)) < share
+        for line in scan.step(np.where(noise, 255, 0).astype(np.uint8)):
+            assert np.isfinite(line.points_m).all()
+            assert 0.0 < line.painted_m <= line.span_m + 1e-9
+
+
+def test_a_road_ten_times_as_large_has_the_same_lines() -> None:
+    big_view = View(x_near_m=3.0, x_far_m=23.0, half_width_m=8.0, m_per_px=0.075)
+    shapes = [STRAIGHT.line(-0.2), STRAIGHT.dashed(0.2, DASH_M, GAP_M), zebra(1.0, 0.3)]
+    image = binary(VIEW, *shapes, samples=4)
+    small = LineScan(VIEW, LANE_M, MARKING_M).step(image)
+    big = LineScan(big_view, 10.0 * LANE_M, 10.0 * MARKING_M).step(image)
+    assert len(big) == len(small)
+    for one, other in zip(small, big, strict=True):
+        assert other.points_m == pytest.approx(10.0 * one.points_m, rel=1e-3)
+        assert other.span_m == pytest.approx(10.0 * one.span_m)
+        assert other.painted_m == pytest.approx(10.0 * one.painted_m)
+
+
+def test_points_are_as_far_apart_as_the_scale_says() -> None:
+    line = scanned(STRAIGHT.line(0.0))[0]
+    steps = np.hypot(*np.diff(line.points_m, axis=0).T)
+    assert float(np.median(steps)) == pytest.approx(0.2 * LANE_M, abs=0.01)
+    assert math.isfinite(float(line.sigma_m.sum()))

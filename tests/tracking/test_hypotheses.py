@@ -1,0 +1,171 @@
+"""Which line is which: what may be told at once, what stays open, and what decides it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from automodel.perception.line_scan import SightedLine
+from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR, Hypotheses, Hypothesis, LineKinds
+from tests.support.drawn_roads import LANE_M, STRAIGHT, Road
+from tests.support.sighted_lines import DASHED, belief, line_of
+
+START = belief(STRAIGHT, (0.25 * LANE_M, 0.25, 0.2 / LANE_M, 0.12 * LANE_M))  # a car somewhere in a lane
+COUNTRY = LineKinds(left=4.0, right=-4.0)  # dashed middle line, solid edge: traffic on the right
+
+
+def started(*lines: SightedLine, kinds: LineKinds | None = None) -> Hypotheses:
+    """The hypotheses after one frame's lines."""
+    hypotheses = Hypotheses()
+    hypotheses.start(((START, 0.0),))
+    hypotheses.update(lines, kinds or LineKinds())
+    return hypotheses
+
+
+def road_at(offset_lanes: float, heading_rad: float = 0.0) -> Road:
+    """A straight road on which the car stands `offset_lanes` to the left of its lane's centre."""
+    return Road(aside_m=-offset_lanes * LANE_M, heading_rad=heading_rad)
+
+
+def country_road(offset_lanes: float, heading_rad: float = 0.0) -> list[SightedLine]:
+    """Two lanes: the right edge, the dashed middle, and the far edge of the oncoming lane."""
+    road = road_at(offset_lanes, heading_rad)
+    return [line_of(road, RIGHT), line_of(road, LEFT, painted=DASHED), line_of(road, LEFT_FAR)]
+
+
+def roles(one: Hypothesis) -> set[float]:
+    return {role for _, role in one.assigned}
+
+
+@pytest.mark.parametrize("offset", [-0.3, -0.1, 0.0, 0.2, 0.3])
+@pytest.mark.parametrize("heading", [-0.2, 0.0, 0.2])
+def test_the_lane_that_the_car_stands_in_is_the_likeliest_of_two(offset: float, heading: float) -> None:
+    hypotheses = started(*country_road(offset, heading), kinds=COUNTRY)
+    best = hypotheses.all[0]
+    assert best.belief.offset_m == pytest.approx(offset * LANE_M, abs=0.02)
+    assert best.belief.heading_rad == pytest.approx(-heading, abs=0.03)
+    assert best.belief.width_m == pytest.approx(LANE_M, abs=0.02)
+    assert roles(best) == {LEFT, RIGHT, LEFT_FAR}
+    assert hypotheses.posterior()[0] > 0.99
+
+
+def test_the_oncoming_lane_is_no_lane_of_the_cars_though_its_two_lines_are_a_lane_apart() -> None:
+    _, middle, outer = country_road(0.0)
+    best = started(middle, outer, kinds=COUNTRY).all[0]  # the own right line is covered
+    assert best.belief.offset_m == pytest.approx(0.0, abs=0.03)
+    assert roles(best) == {LEFT, LEFT_FAR}
+
+
+def test_the_lanes_width_tells_its_lines_from_another_pair() -> None:
+    road = road_at(0.0)
+    lines = [line_of(road, RIGHT), line_of(road, 0.15), line_of(road, LEFT)]  # the middle one is a crack
+    best = started(*lines).all[0]
+    assert best.line(LEFT) == (lines[2],)
+    assert best.line(RIGHT) == (lines[0],)
+    assert best.belief.width_m == pytest.approx(LANE_M, abs=0.02)
+
+
+@pytest.mark.parametrize("astride", [0.4, 0.5, 0.6])
+def test_astride_the_middle_line_the_kinds_of_the_lines_decide(astride: float) -> None:
+    lines = country_road(astride)
+    right_hand = started(*lines, kinds=COUNTRY)
+    assert right_hand.all[0].belief.offset_m == pytest.approx(astride * LANE_M, abs=0.03)
+    left_hand = started(*lines, kinds=LineKinds(left=-4.0, right=4.0))
+    assert left_hand.all[0].belief.offset_m == pytest.approx((astride - 1.0) * LANE_M, abs=0.03)
+
+
+def test_astride_the_middle_line_without_kinds_both_lanes_stay_possible() -> None:
+    hypotheses = started(*country_road(0.5))
+    offsets = [one.belief.offset_m / LANE_M for one in hypotheses.all]
+    assert min(abs(offset - 0.5) for offset in offsets) < 0.1
+    assert min(abs(offset + 0.5) for offset in offsets) < 0.1
+    assert max(hypotheses.posterior()) < 0.9
+
+
+def test_one_line_before_the_car_may_be_the_left_or_the_right() -> None:
+    hypotheses = started(line_of(STRAIGHT, 0.0))
+    single = [one for one in hypotheses.all if one.assigned]
+    assert {role for one in single for role in roles(one)} >= {LEFT, RIGHT}
+    left, right = (next(one for one in single if roles(one) == {role}) for role in (LEFT, RIGHT))
+    assert left.log_odds == pytest.approx(right.log_odds, abs=1e-6)
+    assert left.belief.offset_m == pytest.approx(-right.belief.offset_m, abs=1e-9)
+    assert max(hypotheses.posterior()) < 0.6
+
+
+@pytest.mark.parametrize(("other", "role"), [(1.0, RIGHT), (-1.0, LEFT)])
+def test_a_second_line_later_on_decides_what_the_first_was(other: float, role: float) -> None:
+    first, second = line_of(STRAIGHT, 0.0), line_of(STRAIGHT, other)
+    hypotheses = started(first)
+    for _ in range(3):
+        hypotheses.move(0.25 * LANE_M, 0.0, 0.05, True)
+        hypotheses.update((first, second), LineKinds())
+    best = hypotheses.all[0]
+    assert best.line(role) == (first,)
+    assert best.line(-role) == (second,)
+    assert best.belief.offset_m == pytest.approx(role * LANE_M, abs=0.03)
+
+
+@pytest.mark.parametrize(("painted", "role"), [(1.0, RIGHT), (DASHED, LEFT)])
+def test_one_line_is_the_one_of_its_kind(painted: float, role: float) -> None:
+    assert roles(started(line_of(STRAIGHT, 0.0, painted=painted), kinds=COUNTRY).all[0]) == {role}
+
+
+def test_the_same_frame_again_is_no_news() -> None:
+    lines = country_road(0.1)
+    hypotheses = started(*lines)
+    odds = hypotheses.all[0].log_odds
+    assert hypotheses.update(lines, LineKinds()) == 0.0
+    assert hypotheses.all[0].log_odds == pytest.approx(odds)
+    hypotheses.move(0.125 * LANE_M, 0.0, 0.05, True)
+    assert hypotheses.update(lines, LineKinds()) == pytest.approx(0.5)
+    assert hypotheses.all[0].log_odds > odds
+
+
+def test_a_frame_without_lines_changes_no_odds() -> None:
+    hypotheses = started(*country_road(0.5))
+    before = hypotheses.posterior()
+    hypotheses.move(LANE_M, 0.0, 0.05, True)
+    hypotheses.update((), LineKinds())
+    assert hypotheses.posterior() == pytest.approx(before)
+
+
+def test_lines_that_are_no_lanes_are_clutter() -> None:
+    across = line_of(Road(heading_rad=1.2, aside_m=0.6), 0.0, 0.0, 0.6)
+    assert started(across).all[0].assigned == ()
+
+
+def test_the_road_ahead_takes_part_of_one_line_twice_where_it_is_broken() -> None:
+    near, far = line_of(STRAIGHT, LEFT, 0.2, 0.6), line_of(STRAIGHT, LEFT, 0.8, 1.4)
+    best = started(near, far, line_of(STRAIGHT, RIGHT)).all[0]
+    assert set(best.line(LEFT)) == {near, far}
+
+
+def test_a_mirrored_road_has_the_mirrored_hypotheses() -> None:
+    road, mirrored = Road(aside_m=0.06, heading_rad=0.1), Road(aside_m=-0.06, heading_rad=-0.1)
+    one = started(line_of(road, RIGHT), line_of(road, LEFT_FAR))
+    other = started(line_of(mirrored, LEFT), line_of(mirrored, RIGHT_FAR))
+    assert [each.log_odds for each in other.all] == pytest.approx([each.log_odds for each in one.all], abs=1e-6)
+    offsets = [[each.belief.offset_m for each in side.all] for side in (one, other)]
+    assert offsets[1] == pytest.approx([-offset for offset in offsets[0]], abs=1e-9)
+
+
+def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_one() -> None:
+    lines = [line_of(STRAIGHT, lanes) for lanes in np.linspace(-1.5, 1.5, 9)]
+    hypotheses = started(*lines)
+    for _ in range(3):
+        hypotheses.move(0.3 * LANE_M, 0.0, 0.05, True)
+        hypotheses.update(lines, LineKinds())
+        assert 1 <= len(hypotheses.all) <= hypotheses.config.most
+        assert math.fsum(hypotheses.posterior()) == pytest.approx(1.0)
+        odds = [one.log_odds for one in hypotheses.all]
+        assert odds == sorted(odds, reverse=True)
+
+
+def test_without_a_start_there_are_no_hypotheses() -> None:
+    hypotheses = Hypotheses()
+    hypotheses.move(0.1, 0.0, 0.05, True)
+    assert hypotheses.update(country_road(0.0), LineKinds()) == 0.0
+    assert hypotheses.all == ()
+    assert hypotheses.posterior() == []

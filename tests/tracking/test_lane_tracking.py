@@ -1,0 +1,281 @@
+"""The lane between frames: when it is doubted and believed again, what is told of it, and when it is forgotten."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from automodel.config import CarConfig
+from automodel.curves import GraphCurve
+from automodel.perception.line_scan import SightedLine
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
+from automodel.tracking.belief import LaneBelief
+from automodel.tracking.frame_motion import MAX_GAP_S
+from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT
+from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
+from tests.support.drawn_roads import Road
+from tests.support.sighted_lines import line_of
+
+CAR = CarConfig()
+LANE_M = CAR.lane.width_m
+CONFIG = TrackingConfig(coast_s=1.0, coast_lanes=2.0)
+STEP_NS, SPEED_MPS = 50_000_000, 1.0
+AHEAD = GraphCurve((0.0, 0.0), 0.0, 2.0)
+BOTH: tuple[float, ...] = (LEFT, RIGHT)
+NONE: tuple[float, ...] = ()
+
+
+def sights(offset_m: float, roles: Sequence[float] = BOTH) -> tuple[SightedLine, ...]:
+    """Lines of a straight road on which the car is `offset_m` to the left of its lane's centre."""
+    return tuple(line_of(Road(aside_m=-offset_m), role, -0.5, 1.5) for role in roles)
+
+
+def said(offset_m: float, seen: Sequence[float] = BOTH, width_m: float = LANE_M, heading_rad: float = 0.0) -> Followed:
+    """What an estimator says that takes the lane to lie there, and these of its lines to be seen there."""
+    points = {role: line.points_m for role, line in zip(seen, sights(offset_m, seen), strict=True)}
+    left, right = (
+        LaneLine(curve=AHEAD, points_m=points.get(role, np.empty((0, 2))), seen=role in seen) for role in BOTH
+    )
+    covariance = np.diag(np.square((0.005, 0.01, 0.005)))
+    pose = LanePose(
+        offset_m=offset_m, heading_rad=heading_rad, width_m=width_m, curvature_per_m=0.0, covariance=covariance
+    )
+    return Followed(pose=pose, left=left, right=right, centerline=AHEAD)
+
+
+class Drive:
+    """A car that drives straight on, frame by frame, as a pipeline would take them."""
+
+    def __init__(self) -> None:
+        self.tracking, self.t_ns = LaneTracking(CAR, CONFIG), 0
+        self.anew: LaneBelief | None = None  # where the estimator was told to start again in the last frame
+
+    def predict(self, dt_ns: int = STEP_NS, speed_mps: float = SPEED_MPS, known: bool = True) -> None:
+        self.t_ns += dt_ns
+        source = MotionSource.MEASURED if known else MotionSource.NONE
+        self.tracking.predict(self.t_ns, Motion(t_ns=self.t_ns, speed_mps=speed_mps, yaw_rate_radps=0.0, source=source))
+
+    def follow(
+        self, followed: Followed, lines: tuple[SightedLine, ...] = (), speed_mps: float = SPEED_MPS, known: bool = True
+    ) -> LaneEstimate:
+        """One frame in which there is a lane."""
+        self.predict(speed_mps=speed_mps, known=known)
+        self.anew = self.tracking.judge(lines, followed) if self.tracking.in_doubt else None
+        return self.tracking.follow(self.frame, followed)
+
+    @property
+    def frame(self) -> Frame:
+        return Frame(t_ns=self.t_ns, index=0, image=np.zeros((2, 2), np.uint8))
+
+    @property
+    def doubted(self) -> bool:
+        return self.tracking.in_doubt
+
+
+def driving(offset_m: float = 0.0, frames: int = 12) -> Drive:
+    """A car that has followed both its lines for a while."""
+    drive = Drive()
+    drive.predict()
+    start = drive.tracking.start(drive.t_ns, sights(offset_m))
+    assert start is not None
+    assert start.offset_m == pytest.approx(offset_m, abs=0.01)
+    for _ in range(frames):
+        assert drive.follow(said(offset_m)).status is LaneStatus.TRACKING
+    assert not drive.doubted
+    return drive
+
+
+def beginning() -> tuple[Drive, LaneEstimate]:
+    """A car whose estimator found the left line alone, and what is told of that frame."""
+    drive = Drive()
+    drive.predict()
+    assert drive.tracking.start(drive.t_ns, sights(0.0, (LEFT,))) is None
+    drive.tracking.begin(drive.t_ns, False)
+    followed = said(0.0, (LEFT,))
+    assert drive.tracking.judge(sights(0.0, (LEFT,)), followed) is None
+    return drive, drive.tracking.follow(drive.frame, followed)
+
+
+def bound(estimate: LaneEstimate) -> float:
+    assert estimate.pose is not None
+    return estimate.pose.offset_bound_m
+
+
+def test_two_lines_in_view_are_a_lane_at_once() -> None:
+    drive = Drive()
+    drive.predict()
+    start = drive.tracking.start(drive.t_ns, sights(0.05))
+    assert start is not None
+    assert start.offset_m == pytest.approx(0.05, abs=0.01)
+    assert drive.tracking.follow(drive.frame, said(start.offset_m)).status is LaneStatus.TRACKING
+
+
+@pytest.mark.parametrize("roles", [(), (LEFT,), (RIGHT,)])
+def test_no_line_and_one_are_no_start(roles: tuple[float, ...]) -> None:
+    drive = Drive()
+    for _ in range(5):
+        drive.predict(speed_mps=0.0)
+        assert drive.tracking.start(drive.t_ns, sights(0.0, roles)) is None
+
+
+def test_a_lane_of_one_line_is_told_when_it_was_seen_for_a_while() -> None:
+    drive, first = beginning()
+    began_ns, estimates = drive.t_ns, [first]
+    estimates += [drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT,))) for _ in range(4)]
+    told = [estimate.status is LaneStatus.ONE_LINE for estimate in estimates]
+    assert told == [(estimate.t_ns - began_ns) * 1e-9 >= CONFIG.confirm_s - 1e-12 for estimate in estimates]
+    assert told[-1]
+
+
+def test_a_lane_of_one_line_that_is_not_seen_again_was_none() -> None:
+    drive, _ = beginning()
+    assert drive.follow(said(0.0, NONE)).status is LaneStatus.LOST
+    assert drive.tracking.lost
+
+
+def test_of_an_unpaired_lane_the_bound_is_at_least_half_the_lane() -> None:
+    drive, _ = beginning()
+    alone = [drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT,))) for _ in range(20)]
+    assert all(bound(estimate) >= 0.5 * LANE_M for estimate in alone if estimate.valid)
+    paired = [drive.follow(said(0.0), sights(0.0)) for _ in range(20)]
+    assert bound(paired[-1]) < 0.25 * LANE_M
+
+
+def test_a_lane_that_is_followed_is_not_doubted_and_its_bound_shrinks() -> None:
+    drive = driving(frames=1)
+    bounds = []
+    for _ in range(20):
+        bounds.append(bound(drive.follow(said(0.0))))
+        assert not drive.doubted
+    assert bounds[-1] < bounds[0]
+    assert 0.0 < bounds[-1] < 0.2 * LANE_M
+
+
+def test_the_bound_holds_what_the_camera_may_be_off() -> None:
+    drive = driving(frames=40)
+    estimate = drive.follow(said(0.0))
+    assert bound(estimate) > drive.tracking._errors.offset_m
+    assert estimate.pose is not None
+    assert estimate.pose.heading_bound_rad > drive.tracking._errors.heading_rad
+
+
+@pytest.mark.parametrize("jump", [0.6, -0.6, 1.0])
+def test_an_estimator_that_jumps_is_doubted_and_the_bound_reaches_where_the_lane_was(jump: float) -> None:
+    drive = driving()
+    estimate = drive.follow(said(jump * 0.8 * LANE_M))
+    assert drive.doubted
+    assert bound(estimate) > 0.8 * abs(jump) * 0.8 * LANE_M
+
+
+@pytest.mark.parametrize("jump", [0.6, -0.6])
+def test_after_a_jump_to_another_line_the_estimator_is_sent_back(jump: float) -> None:
+    drive = driving()
+    drive.follow(said(jump * LANE_M), sights(0.0))
+    anew = []
+    for _ in range(20):
+        drive.follow(said(jump * LANE_M, (LEFT if jump > 0.0 else RIGHT,)), sights(0.0))
+        if drive.anew is not None:
+            anew.append(drive.anew)
+            break
+    assert anew
+    assert anew[0].offset_m == pytest.approx(0.0, abs=0.03)
+    assert not drive.doubted
+    for _ in range(5):  # it does as it is told
+        assert drive.follow(said(0.0), sights(0.0)).status is LaneStatus.TRACKING
+    assert not drive.doubted
+
+
+def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
+    drive = driving()
+    drive.follow(said(0.6 * LANE_M))
+    assert drive.doubted
+    for _ in range(10):
+        estimate = drive.follow(said(0.0), sights(0.0, (LEFT, RIGHT, LEFT_FAR)))
+        assert drive.anew is None
+    assert not drive.doubted
+    assert bound(estimate) < 0.3 * LANE_M
+
+
+def test_blind_for_a_while_the_lane_is_doubted_and_found_again() -> None:
+    drive = driving()
+    while not drive.tracking.lost and not drive.doubted:
+        drive.follow(said(0.0, NONE))
+    assert drive.doubted  # long before it is given up
+    drive.follow(said(0.0), sights(0.0))
+    assert not drive.doubted
+
+
+def test_while_coasting_the_bound_grows() -> None:
+    drive = driving()
+    coasting = [drive.follow(said(0.0, NONE), speed_mps=0.5) for _ in range(15)]
+    assert {estimate.status for estimate in coasting} == {LaneStatus.COASTING}
+    bounds = [bound(estimate) for estimate in coasting]
+    assert bounds[-1] > 1.5 * bounds[0]
+    assert [estimate.frame_age_ns for estimate in coasting] == [k * STEP_NS for k in range(1, 16)]
+
+
+@pytest.mark.parametrize(
+    ("speed_mps", "known", "most_s"),
+    [(0.0, True, 1.0), (2.0, True, 0.4), (-2.0, True, 0.4), (0.0, False, 2.0 / 3.0)],
+)
+def test_coasting_ends_by_time_and_by_way(speed_mps: float, known: bool, most_s: float) -> None:
+    """Two lane widths, or a second; a car whose speed is unknown may drive three lane widths a second."""
+    drive, statuses = driving(), []
+    while not drive.tracking.lost:
+        statuses.append(drive.follow(said(0.0, NONE), speed_mps=speed_mps, known=known).status)
+    assert statuses[:-1] == [LaneStatus.COASTING] * (len(statuses) - 1)
+    assert statuses[-1] is LaneStatus.LOST
+    assert (len(statuses) - 1) * STEP_NS * 1e-9 == pytest.approx(most_s, abs=0.051)
+
+
+@pytest.mark.parametrize("dt_ns", [round(MAX_GAP_S * 1e9) + 1, 0, -STEP_NS])
+def test_a_gap_forgets_the_lane(dt_ns: int) -> None:
+    drive = driving()
+    drive.predict(dt_ns)
+    assert drive.tracking.lost
+    assert not drive.doubted
+    drive.predict()
+    assert drive.tracking.start(drive.t_ns, sights(0.1)) is not None
+
+
+@pytest.mark.parametrize(
+    "followed",
+    [
+        said(0.95 * LANE_M),
+        said(0.0, width_m=1.6 * LANE_M),
+        said(0.0, width_m=0.4 * LANE_M),
+        said(0.0, heading_rad=math.radians(65.0)),
+        said(0.0, width_m=math.nan),
+        said(0.0, heading_rad=math.inf),
+    ],
+)
+def test_a_pose_that_no_car_can_have_is_no_lane(followed: Followed) -> None:
+    drive = driving()
+    assert drive.follow(followed).status is LaneStatus.LOST
+    assert drive.tracking.lost
+
+
+def test_a_lane_that_is_lost_has_the_age_of_its_last_line() -> None:
+    drive = driving()
+    drive.tracking.forget()
+    drive.predict()
+    drive.predict()
+    assert drive.tracking.lost_estimate(drive.frame).frame_age_ns == 2 * STEP_NS
+
+
+def test_after_a_reset_everything_is_as_at_the_beginning() -> None:
+    used = driving(0.05)
+    used.follow(said(0.6 * LANE_M))
+    used.tracking.reset()
+    assert used.tracking.lost
+    used.t_ns, fresh = 0, Drive()
+    told = []
+    for drive in (used, fresh):
+        drive.predict()
+        start = drive.tracking.start(drive.t_ns, sights(0.02))
+        assert start is not None
+        told.append((start.mean.tolist(), bound(drive.tracking.follow(drive.frame, said(0.02)))))
+    assert told[0] == told[1]
