@@ -146,29 +146,31 @@ class Contour:
         if self._width.step(frame.image):
             self._look_for(self._width.width_m, self._search.dark)
         self.stages.lap("width")
+        both = False
         if self._tracking.lost:
             start = self._tracking.start(frame.t_ns, self._scan.step(self._lines_in_view(frame.image)))
+            found = self._start(frame)  # line integrals, row Hough transform
             self.stages.lap("start")
-            if start is not None:
-                tracked = self._restart(frame.image, start)
+            if found is not None and (found[1] or start is None):
+                tracked, both = found
+                self._tracking.begin(frame.t_ns, both)
+            elif start is not None:
+                tracked, both = self._restart(frame.image, start), self._tracking.paired
             else:
-                found = self._start(frame)
-                if found is None:
-                    self._tracker.forget()
-                    return self._tracking.lost_estimate(frame)
-                tracked, pair = found
-                self._tracking.begin(frame.t_ns, pair)
+                self._tracker.forget()
+                return self._tracking.lost_estimate(frame)
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
             tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
-        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
+        if self._tracking.in_doubt and not both:  # which of all lines in view are the lane's?
             lines = self._scan.step(self._lines_in_view(frame.image))
             anew = self._tracking.judge(lines, self._followed(tracked, self._seen(tracked)))
             if anew is not None:
                 tracked = self._restart(frame.image, anew)
             self.stages.lap("doubt")
         self._search.learn(tracked.measured, tracked.inliers)
-        estimate = self._tracking.follow(frame, self._followed(tracked, self._seen(tracked)))
+        seen = (True, True) if both else self._seen(tracked)  # a start looks at more rows than there are nodes
+        estimate = self._tracking.follow(frame, self._followed(tracked, seen))
         if self._tracking.lost:
             self._forget()
         self.stages.lap("estimate")

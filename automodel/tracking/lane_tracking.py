@@ -111,7 +111,7 @@ class LaneTracking:
         self._pair_m = 0.0  # driven with both lines seen
 
     @property
-    def _paired(self) -> bool:
+    def paired(self) -> bool:
         """Whether both lines were seen for a lane width of way: a lone line, or a chance pair, may be anything."""
         return self._pair_m >= self._unit
 
@@ -164,8 +164,9 @@ class LaneTracking:
         """Begin with a lane that the pipeline's own detection found, in doubt of it; `pair`: of both its lines."""
         self._seen_ns = t_ns
         self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
-        self._pair_m = 0.0
+        self._pair_m, self._belief = 0.0, None
         self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
+        self._hypotheses.start(((self._anywhere(), 0.0),))
 
     def _anywhere(self) -> LaneBelief:
         config, unit = self.config, self._unit
@@ -357,12 +358,12 @@ class LaneTracking:
         for one in may_be:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m
             side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
-            if not self._paired:
+            if not self.paired:
                 side = math.hypot(side, 0.5 * self.config.width_sigma * self._unit)
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))
-        if not self._paired:  # a lone line may be anything, and either line of the lane
+        if not self.paired:  # a lone line may be anything, and either line of the lane
             offset = max(offset, pose.width_m)
         return offset, heading
 
