@@ -169,7 +169,7 @@ class Contour:
                 tracked = self._restart(frame.image, anew)
             self.stages.lap("doubt")
         self._search.learn(tracked.measured, tracked.inliers)
-        seen = (True, True) if both else self._seen(tracked)  # a start looks at more rows than there are nodes
+        seen = self._seen(tracked, 1 if both else self.LINE_NODES)  # a start looks at more rows than there are nodes
         estimate = self._tracking.follow(frame, self._followed(tracked, seen))
         if self._tracking.lost:
             self._forget()
@@ -223,9 +223,9 @@ class Contour:
         self._search.forget()
         return self._track(image, self.START_ROUNDS)
 
-    def _seen(self, tracked: Tracked) -> tuple[bool, bool]:
+    def _seen(self, tracked: Tracked, nodes: int = LINE_NODES) -> tuple[bool, bool]:
         left, right = tracked.counts()
-        return left >= self.LINE_NODES, right >= self.LINE_NODES
+        return left >= nodes, right >= nodes
 
     def _lines_in_view(self, image: Image) -> Image:
         pixels, colour = np.asarray(image), self._options.colour
