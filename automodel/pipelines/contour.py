@@ -153,7 +153,8 @@ class Contour:
             self.stages.lap("start")
             if found is not None and (found[1] or start is None):
                 tracked, both = found
-                self._tracking.begin(frame.t_ns, both)
+                if not self._tracking.agrees(self._followed(tracked, self._seen(tracked)).pose):
+                    self._tracking.begin(frame.t_ns, both)
             elif start is not None:
                 tracked, both = self._restart(frame.image, start), self._tracking.paired
             else:

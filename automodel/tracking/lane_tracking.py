@@ -160,6 +160,10 @@ class LaneTracking:
         self._believe(best.belief)
         return best.belief
 
+    def agrees(self, pose: LanePose) -> bool:
+        """Whether a pose may be that of the lane that `start` returned."""
+        return self._belief is not None and self._apart(self._measured(pose), self._belief) < self.config.gate
+
     def begin(self, t_ns: int, pair: bool) -> None:
         """Begin with a lane that the pipeline's own detection found, in doubt of it; `pair`: of both its lines."""
         self._seen_ns = t_ns
@@ -196,7 +200,7 @@ class LaneTracking:
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
         told = told and (clear or len({role for _, role in best.assigned}) > 1)
         better = self._lateral_variance(best.belief) < self._lateral_variance(measured) and apart > self.config.same
-        better = better and best.news > alone.all[0].news
+        better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
             self._believe(replace(best.belief, mean=measured.mean))
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
