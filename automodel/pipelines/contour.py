@@ -153,8 +153,7 @@ class Contour:
             self.stages.lap("start")
             if found is not None and (found[1] or start is None):
                 tracked, both = found
-                if not self._tracking.agrees(self._followed(tracked, self._seen(tracked)).pose):
-                    self._tracking.begin(frame.t_ns, both)
+                self._tracking.begin(frame.t_ns, both, self._followed(tracked, self._seen(tracked)).pose)
             elif start is not None:
                 tracked, both = self._restart(frame.image, start), self._tracking.paired
             else:

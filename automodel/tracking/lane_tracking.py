@@ -160,14 +160,16 @@ class LaneTracking:
         self._believe(best.belief)
         return best.belief
 
-    def agrees(self, pose: LanePose) -> bool:
-        """Whether a pose may be that of the lane that `start` returned."""
-        return self._belief is not None and self._apart(self._measured(pose), self._belief) < self.config.gate
+    def begin(self, t_ns: int, pair: bool, pose: LanePose | None = None) -> None:
+        """Begin with a lane that the pipeline's own detection found; `pair`: of both its lines.
 
-    def begin(self, t_ns: int, pair: bool) -> None:
-        """Begin with a lane that the pipeline's own detection found, in doubt of it; `pair`: of both its lines."""
+        It is in doubt, unless its `pose` may be that of the lane that `start` returned for the same frame.
+        """
         self._seen_ns = t_ns
         self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
+        known = self._belief
+        if pose is not None and known is not None and self._apart(self._measured(pose), known) < self.config.gate:
+            return
         self._pair_m, self._belief = 0.0, None
         self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
         self._hypotheses.start(((self._anywhere(), 0.0),))
