@@ -19,20 +19,19 @@ from automodel.types import FloatArray, Image
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SightedLine:
-    """One line of a frame: points (n, 2) [m] on its middle, body frame, near to far; their sigmas (n,) [m].
+    """One line of a frame: points (n, 2) [m] on its middle, body frame, near to far.
 
-    `painted_m` is the length on which there is paint, `span_m` the length from the first to the last of it.
+    `painted_m` is the length on which there is paint, `span_m` the length from the first to the last of it; 0: unknown.
     """
 
     points_m: FloatArray
-    sigma_m: FloatArray
     painted_m: float
     span_m: float
 
 
 @dataclass(slots=True)
 class _Piece:
-    """Rows' middles of a piece or of several joined ones: x rising, y [m]; the rows with paint; a parabola's fit."""
+    """Middles (n,) of the painted rows of a piece, or of several joined ones: x rising, y [m]; a parabola's fit."""
 
     x: FloatArray
     y: FloatArray
@@ -51,14 +50,19 @@ class ScanConfig:
     """Scales of `LineScan`; lengths in lane widths where the name says so.
 
     `least_lanes`: a shorter piece is a speck. `gap_lanes`: between two dashes of one line, at most: the Carolo-Cup's
-    are half a lane apart, a motorway's (9 m on 3.75 m) 2.4. `turn_rad`: direction by which a dash may be wrong.
-    `bars_lanes`: two pieces closer to each other, side by side, are a zebra's bars. `spacing_lanes`: of the points.
+    are half a lane apart, a motorway's (9 m on 3.75 m) 2.4. `turn_rad`: direction by which a dash may be wrong; `bend`:
+    by how much the line may turn besides [rad] over a lane width of gap. `wide`: a piece as many markings wide is an
+    area. `bars_lanes`: two pieces closer to each other, side by side, are a zebra's bars, where neither is `bars_ratio`
+    times as long as the other. `spacing_lanes`: of the points.
     """
 
     least_lanes: float = 0.15
     gap_lanes: float = 1.2
     turn_rad: float = 0.06
+    bend: float = 0.6
+    wide: float = 2.5
     bars_lanes: float = 0.4
+    bars_ratio: float = 2.5
     spacing_lanes: float = 0.2
 
 
@@ -75,7 +79,7 @@ class LineScan:
         self._y = view.to_body(np.stack((columns, columns), axis=-1))[:, 1]  # of each column [m]
 
     def step(self, lines: Image) -> tuple[SightedLine, ...]:
-        """The lines of a view, the nearest first."""
+        """The lines of a view, in no order."""
         pieces = self._without_bars(self._pieces(lines))
         return tuple(self._line(piece) for piece in self._joined(pieces))
 
@@ -99,7 +103,8 @@ class LineScan:
             slope = abs(piece.fit[1])
             across = mean_m / math.hypot(1.0, slope)
             off = y - np.polynomial.polynomial.polyval(x - piece.middle, piece.fit)
-            if slope < self._SLOPE and across < 2.5 * self._marking_m and float(off.std()) < self._marking_m:
+            narrow = across < self.config.wide * self._marking_m and float(off.std()) < self._marking_m
+            if slope < self._SLOPE and narrow:
                 pieces.append(piece)
         return pieces
 
@@ -114,7 +119,7 @@ class LineScan:
                 length, others = piece.x[-1] - piece.x[0], other.x[-1] - other.x[0]
                 if other is piece or high - low < 0.5 * min(length, others):
                     continue
-                if max(length, others) > 2.5 * min(length, others):
+                if max(length, others) > self.config.bars_ratio * min(length, others):
                     continue
                 at = 0.5 * (low + high)
                 apart = (other.at(at)[0] - piece.at(at)[0]) / math.hypot(1.0, piece.at(at)[1])
@@ -155,7 +160,7 @@ class LineScan:
         lateral = abs(y2 - y1) / math.hypot(1.0, slope1)
         turn = abs(math.atan(slope2) - math.atan(slope1))
         room = self._marking_m + self.config.turn_rad * max(gap, 0.0) * 2.0
-        bend = 2.0 * self.config.turn_rad + max(gap, 0.0) / self._unit * 0.6
+        bend = 2.0 * self.config.turn_rad + max(gap, 0.0) / self._unit * self.config.bend
         return max(lateral / room, turn / bend)
 
     def _line(self, piece: _Piece) -> SightedLine:
@@ -167,7 +172,6 @@ class LineScan:
         rows = np.unique(np.rint(piece.x / self.view.m_per_row))
         return SightedLine(
             points_m=np.column_stack((x, y)),
-            sigma_m=np.full(len(x), 0.5 * self._marking_m),
             painted_m=len(rows) * self.view.m_per_row * stretch,
             span_m=float(piece.x[-1] - piece.x[0] + self.view.m_per_row) * stretch,
         )

@@ -46,17 +46,17 @@ class LaneInitialiser:
         self._lane_m, self._reference_x_m = config.lane_width_m, config.reference_x_m
         self._start = HistogramStart(self.view, self._lane_m, windows.marking_m, self._reference_x_m)
 
-    def find(self, lines: Image, windows: int = START_WINDOWS, everywhere: bool = False) -> LaneCandidate | None:
-        """A lane from a filtered view (h, w): a pair of lines in `windows` each, or one line in `SINGLE_WINDOWS`."""
+    def find(self, lines: Image) -> LaneCandidate | None:
+        """A lane from a filtered view (h, w): a pair of lines in `START_WINDOWS` each, or one in `SINGLE_WINDOWS`."""
         best: Observation | None = None
-        for start in self._start.step(lines, everywhere):
+        for start in self._start.step(lines):
             along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
             nowhere = np.full(len(along), np.nan)
             left, right = (nowhere if y is None else y + along for y in (start.left_m, start.right_m))
             seen = self._windows.observe(lines, left, right)
             pair = start.left_m is not None and start.right_m is not None
             counts = (len(seen.left_m), len(seen.right_m))
-            enough = min(counts) >= windows if pair else max(counts) >= self.SINGLE_WINDOWS
+            enough = min(counts) >= self.START_WINDOWS if pair else max(counts) >= self.SINGLE_WINDOWS
             if enough and (best is None or sum(counts) > len(best.left_m) + len(best.right_m)):
                 best = seen
         if best is None:

@@ -97,8 +97,10 @@ class Hypotheses:
         config = self.config
         share = min(self._since_lanes / config.news_lanes, 1.0)
         self._since_lanes = 0.0
+        belief = self.all[0].belief  # as clutter, lines are as likely for every hypothesis
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
-        grown = [child for one in self.all for child in self._children(one, longest, kinds, share)]
+        priced = [(line, belief.clutter(line)) for line in longest]
+        grown = [child for one in self.all for child in self._children(one, priced, kinds, share)]
         self._keep(grown)
         return share
 
@@ -110,28 +112,30 @@ class Hypotheses:
         return [weight / total for weight in weights]
 
     def _children(
-        self, parent: Hypothesis, lines: Sequence[SightedLine], kinds: LineKinds, share: float
+        self, parent: Hypothesis, lines: Sequence[tuple[SightedLine, float]], kinds: LineKinds, share: float
     ) -> list[Hypothesis]:
-        """The parent with each plausible assignment of the lines; with none of them it stays as it was."""
-        beam = [Hypothesis(parent.belief, 0.0)]
-        for line in lines:
-            clutter = parent.belief.clutter(line)
+        """The parent with each plausible assignment of the lines; with none of them it stays as it was.
+
+        Each line comes with the logarithm of how likely it is as clutter.
+        """
+        beam = [(Hypothesis(parent.belief, 0.0), 0.0)]
+        for line, clutter in lines:
             grown = list(beam)
-            for one in beam:
+            for one, others in beam:
                 for role in ROLES:
                     if not _possible(one, line, role):
                         continue
                     assigned = (*one.assigned, Assigned(line, role))
                     belief, likelihood = parent.belief.update(assigned, rounds=1)
-                    odds = likelihood - self._clutter(one, parent.belief) - clutter
+                    odds = likelihood - others - clutter
                     odds += sum(_kind(each.line, kinds.of(each.role)) for each in assigned)
                     odds -= self._price(assigned)
                     if odds > one.log_odds - 1.0:
-                        grown.append(Hypothesis(belief, odds, assigned))
-            grown.sort(key=lambda each: -each.log_odds)
+                        grown.append((Hypothesis(belief, odds, assigned), others + clutter))
+            grown.sort(key=lambda each: -each[0].log_odds)
             beam = grown[: self.config.most]
         children = []
-        for one in beam:
+        for one, _ in beam:
             belief, _ = parent.belief.update(one.assigned, share)
             children.append(Hypothesis(belief, parent.log_odds + share * one.log_odds, one.assigned, one.log_odds))
         return children
@@ -140,16 +144,11 @@ class Hypotheses:
         """What it costs [nats] to believe in neighbouring lanes."""
         return self.config.neighbour_price * sum(abs(role) > 1.0 for _, role in assigned)
 
-    @staticmethod
-    def _clutter(one: Hypothesis, belief: LaneBelief) -> float:
-        return sum(belief.clutter(line) for line, _ in one.assigned)
-
     def _keep(self, grown: list[Hypothesis]) -> None:
         grown.sort(key=lambda each: -each.log_odds)
         kept: list[Hypothesis] = []
         for one in grown:
-            twin = next((k for k, other in enumerate(kept) if self._same(one, other)), None)
-            if twin is None:
+            if not any(self._same(one, other) for other in kept):
                 kept.append(one)
         best = kept[0].log_odds
         self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)

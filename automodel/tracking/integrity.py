@@ -21,7 +21,7 @@ K = 3.5  # sigmas of a bound: a normal error exceeds 3.3 in 1 of 1,000; the tail
 # Of a camera that nobody calibrated: standard deviations of a mount set by eye with a spirit level and a ruler.
 ANGLE_RAD = math.radians(0.6)
 HEIGHT_SHARE = 0.03
-SHARE = 0.05  # of an innovation in the running mean of their squares: about the last third of a second
+SHARE = 0.05  # of an innovation in the running mean of their squares: about the last twenty count
 MOST = 25.0  # largest inflation: a bound five times as large as the covariance says fills any lane
 
 

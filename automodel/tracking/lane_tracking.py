@@ -25,7 +25,7 @@ from automodel.tracking.integrity import CameraErrors, Innovations, bound
 from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
-MOST_POINTS = 5  # of a line that the belief learns from
+LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
 DASH_ODDS = {"any": 0.0, "dashed": 4.0, "solid": -4.0}  # [nats] what car.toml says of a line: wrong once in 50 times
 
 
@@ -40,8 +40,7 @@ class TrackingConfig:
     that happens in a third of them. `sure`: posterior of the one hypothesis that is followed. `exists`: log-odds [nats]
     that it must have against clutter. `confirm_s`: for so long must a lane of one line be seen before it is told.
     `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend [1 / lane width] where nothing
-    is known. `news_lanes`: distance after which a frame is a new witness. `unknown_lanes`: speed [lane widths / s] of a
-    car whose speed is not known.
+    is known. `unknown_lanes`: speed [lane widths / s] of a car whose speed is not known.
     """
 
     coast_s: float
@@ -57,7 +56,6 @@ class TrackingConfig:
     start_lanes: float = 0.25
     start_rad: float = 0.25
     start_bend: float = 0.2
-    news_lanes: float = 0.25
     unknown_lanes: float = 3.0
 
 
@@ -258,17 +256,18 @@ class LaneTracking:
         """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
         belief = self._belief
         assert belief is not None
-        if self._news_m > self.config.news_lanes / 3.0 * self._unit:
+        news_m = self._hypotheses.config.news_lanes * self._unit
+        if self._news_m > news_m / 3.0:
             sides = ((followed.left, LEFT), (followed.right, RIGHT))
             said = [Assigned(_sighted(line.points_m), role) for line, role in sides if line.seen]
             assigned = [one for one in said if belief.explains(one)]
             if said and not assigned:
                 self._doubt(belief)
             elif assigned:
-                share = min(self._news_m / (self.config.news_lanes * self._unit), 1.0)
+                share = min(self._news_m / news_m, 1.0)
                 belief, _ = replace(belief, road=self._bends.road).update(assigned, share)
                 if len(assigned) == len(sides):
-                    self._pair_m += min(self._news_m, self.config.news_lanes * self._unit)
+                    self._pair_m += min(self._news_m, news_m)
                 self._news_m = 0.0
                 normalised = self._apart(measured, belief)
                 self._innovations.add(0.5 * normalised)
@@ -384,7 +383,7 @@ class LaneTracking:
 
 def _sighted(points_m: FloatArray) -> SightedLine:
     """An estimator's points of a line, thinned: neighbours are no more witnesses than one."""
-    stride = max(len(points_m) // MOST_POINTS, 1)
+    stride = max(len(points_m) // LEARNT_POINTS, 1)
     points = points_m[::stride]
     length_m = float(np.hypot(*(points_m[-1] - points_m[0])))
-    return SightedLine(points_m=points, sigma_m=np.zeros(len(points)), painted_m=length_m, span_m=0.0)
+    return SightedLine(points_m=points, painted_m=length_m, span_m=0.0)

@@ -152,7 +152,7 @@ def test_few_pixels_are_read(colour: bool) -> None:
     assert seen[0].frame.image.shape[:2] == (360, 640)
     assert seen[0].frame.image.ndim == (3 if colour else 2)
     assert all(s.estimate.valid for s in seen)
-    check_shares(shares, 0.75)  # the road bends to the other side at once: it is in doubt until one story is left
+    check_shares(shares, 0.5)  # the road bends to the other side at once: it is in doubt until one story is left
     plain = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 1.0)
     for one, other in zip(plain, seen, strict=False):  # nothing but the watching differs
         assert one.estimate.pose is not None
@@ -177,7 +177,7 @@ def test_few_pixels_are_read_on_a_highway(radius_lanes: float) -> None:
     car = replace(HIGHWAY_CAR, pipeline=replace(HIGHWAY_CAR.pipeline, contour=contour))
     seen, shares = watch(car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
     assert all(s.estimate.status is LaneStatus.TRACKING for s in seen)
-    check_shares(shares, 2.0 / len(shares), MEASURING_SHARE)  # a second look ends the doubt of the first
+    check_shares(shares, 1.0 / len(shares), MEASURING_SHARE)
     assert np.quantile(shares[1:], 0.8) < TRACKING_SHARE
 
 
@@ -213,7 +213,7 @@ def test_no_memory_grows_with_the_picture() -> None:
         assert all(s.estimate.valid for s in seen)
         at[width] = peaks(car, seen)
     small, large = at[640], at[1920]
-    assert max(large[2:]) < 250_000  # an image of 1920x1080 has 2 MB; the lane is found in the first
+    assert max(large[2:]) < 300_000  # an image of 1920x1080 has 2 MB; the lane is found in the first
     assert max(large[2:]) < 1.1 * max(small[2:]) + 2_000
     assert large[0] < 1.2 * small[0] + 20_000
 
@@ -265,7 +265,7 @@ def test_single_floats_give_the_same_lane(name: str) -> None:
     assert [e.status for e in double] == [e.status for e in single]
     apart = np.abs(poses(double) - poses(single))[8:]  # at the start one of them may look once more than the other
     places = apart[:, :2].max(axis=1)
-    assert np.mean(places < bound_m) >= 0.85
+    assert np.mean(places < bound_m) >= 0.9
     assert places.max() < 2.0 * bound_m
     assert np.quantile(apart[:, 2], 0.9) < 0.003
     assert apart.max() > 0.0  # they are two ways of computing

@@ -16,9 +16,7 @@ DASHED = 0.55  # share of a dashed line that is painted
 def sighted(points_m: FloatArray, painted: float = 1.0) -> SightedLine:
     """A line through points (n, 2) [m], of whose length a share is painted."""
     span_m = float(np.hypot(*(points_m[-1] - points_m[0])))
-    return SightedLine(
-        points_m=points_m, sigma_m=np.full(len(points_m), 0.015), painted_m=painted * span_m, span_m=span_m
-    )
+    return SightedLine(points_m=points_m, painted_m=painted * span_m, span_m=span_m)
 
 
 def line_of(

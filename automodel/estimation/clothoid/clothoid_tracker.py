@@ -8,7 +8,6 @@ when the camera saw it.
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass
 
@@ -19,8 +18,6 @@ from automodel.curves.foot import foot_on_circle
 from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET, WIDTH, ClothoidPair, PairShape
 from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
-from automodel.geometry import SE2
-from automodel.geometry.se2 import wrap_angle
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -175,15 +172,6 @@ class ClothoidTracker:
         spread[CURVATURE:, CURVATURE:] = self._road
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
-
-    def difference(self, lane: ArcLane) -> tuple[float, float]:
-        """Lateral distance [m] and angle [rad] from this lane to another, left positive, where that was measured."""
-        shape, node, s = self.shape(), self._node(lane.measured_at_m), lane.measured_at_m
-        place = complex(shape.place[node])
-        here = SE2(place.real, place.imag, cmath.phase(shape.along[node]))
-        foot = SE2(self.pair.reference_x_m, 0.0, lane.heading_rad) @ SE2(0.0, -lane.offset_m)
-        off = here.inverse() @ foot @ SE2.arc(s, lane.curvature_per_m * s)
-        return off.y_m, wrap_angle(off.yaw_rad)
 
     def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
         """Move the lane into the body frame after a motion along an arc; `known` is False without odometry."""

@@ -52,17 +52,13 @@ class HistogramStart:
         self._places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
         self._full = (view.height_px - self._first_row) * marking_width_m / view.m_per_px  # pixels of a whole line
 
-    def step(self, lines: Image, everywhere: bool = False) -> list[StartCandidate]:
-        """Candidates in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines.
-
-        `everywhere`: search the whole view, not only its near part.
-        """
-        first_row = 0 if everywhere else self._first_row
-        found = cv2.findNonZero(lines[first_row:])
+    def step(self, lines: Image) -> list[StartCandidate]:
+        """Candidates in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines."""
+        found = cv2.findNonZero(lines[self._first_row :])
         if found is None:
             return []
         px = found.reshape(-1, 2).astype(np.float64)  # OpenCV 4 gives (n, 1, 2), OpenCV 5 (n, 2)
-        px[:, 1] += first_row
+        px[:, 1] += self._first_row
         points = self.view.to_body(px)
         pairs: list[tuple[float, StartCandidate]] = []
         singles: list[tuple[float, StartCandidate]] = []
