@@ -7,12 +7,13 @@ in each run. With NUMBA_DISABLE_JIT=1 they run as plain Python, for a debugger o
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -22,13 +23,14 @@ from numba.core import event as numba_event
 
 F = TypeVar("F", bound=Callable[..., object])
 _PACKAGE = Path(__file__).parent
+_anew = False
 config: Any = numba_config  # its names are made at run time
 
 
 def compiled(function: F) -> F:
     """The function, compiled at its first call; arguments and results are numbers, tuples and arrays of numbers."""
     _announce()
-    folder = _cache_folder()
+    folder = None if _anew else _cache_folder()
     if folder is None:
         return cast(F, njit(error_model="numpy")(function))
     before, config.CACHE_DIR = config.CACHE_DIR, str(folder)  # numba looks there when it decorates
@@ -38,6 +40,17 @@ def compiled(function: F) -> F:
         return cast(F, njit(error_model="numpy")(function))
     finally:
         config.CACHE_DIR = before
+
+
+@contextlib.contextmanager
+def compiled_anew() -> Iterator[None]:
+    """Within it, functions are neither read from disk nor kept there: what is kept does not know their constants."""
+    global _anew
+    before, _anew = _anew, True
+    try:
+        yield
+    finally:
+        _anew = before
 
 
 @functools.cache

@@ -11,7 +11,7 @@ import collections
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sim.random_worlds import RandomWorld, kind_of, random_world
 from automodel.sim.trajectory import DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
-from automodel.types import Bools, FloatArray, Image
+from automodel.types import Bools, FloatArray
 from automodel.viewer import overlay
 
 RATE_HZ = 30.0  # frames a second: that of common cameras
@@ -122,14 +122,23 @@ def _inside_any(points: FloatArray, polygons: Sequence[FloatArray]) -> Bools:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """A frame as a pipeline gets it, and what is true in it; `visible`: a marking of the lane is in view."""
+
+    frame: Frame
+    motion: Motion
+    truth: Truth
+    visible: bool
+    pose: DrivenPose
+    camera: GroundCamera  # the true one, with its nod
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
     """One frame and what a pipeline made of it."""
 
-    image: Image
+    view: View
     estimate: LaneEstimate
-    truth: Truth
-    pose: DrivenPose
-    camera: GroundCamera  # the true one, with its nod
 
     def badness(self, marked: bool) -> float:
         """How wrong it is: the error beyond the bound in lane widths; where no bound is stated, the error."""
@@ -137,10 +146,10 @@ class Shot:
         if pose is None:
             return -2.0
         if not marked:
-            return max(0.5 - pose.offset_bound_m / self.truth.width_m, -1.0)
-        error = abs(pose.offset_m - self.truth.offset_m)
+            return max(0.5 - pose.offset_bound_m / self.view.truth.width_m, -1.0)
+        error = abs(pose.offset_m - self.view.truth.offset_m)
         bound = pose.offset_bound_m if math.isfinite(pose.offset_bound_m) else 0.0
-        return (error - bound) / self.truth.width_m
+        return (error - bound) / self.view.truth.width_m
 
 
 @dataclass(slots=True, eq=False)
@@ -153,7 +162,7 @@ class Seer:
 
     def add(self, t_s: float, shot: Shot, marked: bool, visible: bool) -> None:
         """Add one frame."""
-        self.meter.add(t_s, shot.estimate, shot.truth, visible=visible, marked=marked)
+        self.meter.add(t_s, shot.estimate, shot.view.truth, visible=visible, marked=marked)
         if self.worst is None or shot.badness(marked) > self.worst.badness(marked):
             self.worst = shot
 
@@ -171,18 +180,13 @@ def build_world(car: CarConfig, seed: int, kind: str) -> RandomWorld:
     return random_world(seed, kind, dataclasses.replace(car, camera=dataclasses.replace(car.camera, rate_hz=RATE_HZ)))
 
 
-def measure_world(
-    car: CarConfig, names: Sequence[str], choice: WorldChoice, case: tuple[int, str], tick: Tick
-) -> list[tuple[Row, AccuracyMeter]]:
-    """A row and its frames for each pipeline."""
-    world = build_world(car, *case)
-    seers = [Seer(name, AccuracyMeter()) for name in names]
-    pipelines = [make_pipeline(name, world.believed) for name in names]
+def views(world: RandomWorld, frames: int) -> Iterator[View]:
+    """What the car sees in its first frames."""
     nod_max_rad = 0.0 if world.nod is None else world.nod.amplitude_rad
     eye = renderer(world.track, world.car, world.look, nod_max_rad)
     follower, sight = TruthFollower(world.lane, world.car.vehicle.reference_x_m), LaneSight(world)
     odometer = Odometer(world.seed)
-    t_s = np.arange(choice.frames) / RATE_HZ
+    t_s = np.arange(frames) / RATE_HZ
     # odometry measures the distance since the frame before: its speeds are those of the middle between both
     poses, between = world.poses(t_s), world.poses(np.maximum(t_s - 0.5 / RATE_HZ, 0.0))
     for index, (t, pose) in enumerate(zip(t_s.tolist(), poses, strict=True)):
@@ -195,10 +199,21 @@ def measure_world(
         truth = follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
         camera = true_camera(world, nod_rad)
         visible = t >= START_S and world.marked and sight.sees(camera, pose, truth.s_m)
+        yield View(frame=frame, motion=motion, truth=truth, visible=visible, pose=pose, camera=camera)
+
+
+def measure_world(
+    car: CarConfig, names: Sequence[str], choice: WorldChoice, case: tuple[int, str], tick: Tick
+) -> list[tuple[Row, AccuracyMeter]]:
+    """A row and its frames for each pipeline."""
+    world = build_world(car, *case)
+    seers = [Seer(name, AccuracyMeter()) for name in names]
+    pipelines = [make_pipeline(name, world.believed) for name in names]
+    for view in views(world, choice.frames):
         for seer, pipeline in zip(seers, pipelines, strict=True):
-            estimate = pipeline.step(frame, motion)
-            shot = Shot(image=image, estimate=estimate, truth=truth, pose=pose, camera=camera)
-            seer.add(t, shot, world.marked, visible)
+            estimate = pipeline.step(view.frame, view.motion)
+            shot = Shot(view=view, estimate=estimate)
+            seer.add(1e-9 * view.frame.t_ns, shot, world.marked, view.visible)
         tick(1.0 / choice.frames)
     if choice.worst is not None:
         for seer in seers:
@@ -223,20 +238,22 @@ def save_worst(path: Path, world: RandomWorld, seer: Seer) -> None:
     shot = seer.worst
     if shot is None:
         return
+    view = shot.view
     believed = world.believed
     pose, seen = shot.estimate.pose, GroundCamera.from_config(believed.camera)
-    note = f"seed {world.seed} {shot.estimate.t_ns * 1e-9:.1f} s true {100 * shot.truth.offset_m:+.1f} cm"
+    note = f"seed {world.seed} {shot.estimate.t_ns * 1e-9:.1f} s true {100 * view.truth.offset_m:+.1f} cm"
     if pose is not None:
         note += f" bound {100 * pose.offset_bound_m:.1f} cm"
-    canvas = overlay.draw(shot.image, shot.estimate, seen, reference_x_m=believed.vehicle.reference_x_m, note=note)
-    scale = overlay.scale_of(shot.image.shape[1])
-    width_m = shot.truth.width_m
-    s = shot.truth.s_m + np.arange(-1.0, 8.0, 0.1) * width_m
-    body = SE2(shot.pose.x_m, shot.pose.y_m, shot.pose.yaw_rad).inverse()
+    image, reference_x_m = view.frame.image, believed.vehicle.reference_x_m
+    canvas = overlay.draw(image, shot.estimate, seen, reference_x_m=reference_x_m, note=note)
+    scale = overlay.scale_of(image.shape[1])
+    width_m = view.truth.width_m
+    s = view.truth.s_m + np.arange(-1.0, 8.0, 0.1) * width_m
+    body = SE2(view.pose.x_m, view.pose.y_m, view.pose.yaw_rad).inverse()
     for side in (0.5, -0.5):
         on_line = world.lane.centerline.offset_position(s, side * world.lane.width_m(s))
-        pixels = shot.camera.ground_to_px(body.apply(on_line))
-        for u, v in pixels[shot.camera.camera.inside(pixels)]:
+        pixels = view.camera.ground_to_px(body.apply(on_line))
+        for u, v in pixels[view.camera.camera.inside(pixels)]:
             cv2.circle(canvas, (round((u + 0.5) * scale), round((v + 0.5) * scale)), 2, TRUTH, -1, cv2.LINE_AA)
     with output_path(path) as part:
         if not cv2.imwrite(str(part), canvas):

@@ -125,6 +125,42 @@ def _refuse(names: Iterable[str], why: str) -> None:
             raise click.UsageError(why.format(option))
 
 
+@command.command("sensitivity")
+@CAR
+@SEVERAL
+@click.option("--only", multiple=True, metavar="PATTERN", help="Numbers whose path has this, such as windows.line_ or"
+              " 'clothoid*walk'; may be given several times.  [all]")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(1), default=8, show_default=True, help="How many random worlds.")
+@FIRST_SEED
+@click.option("--frames", type=click.IntRange(2), default=90, show_default=True, help="Of each drive.")
+@click.option("--list", "listed", is_flag=True, help="Name the numbers, and the pipelines that they are part of.")
+@JOBS
+@JSON
+def sensitivity(
+    car_file: Path | None,
+    pipelines: tuple[str, ...],
+    only: tuple[str, ...],
+    seeds: int,
+    first_seed: int,
+    frames: int,
+    listed: bool,
+    jobs: int | None,
+    as_json: bool,
+) -> int:
+    """What each tuned number of the stages matters: moved by -50, -20, +20 and +50 %, over short and varied drives."""
+    from automodel.bench.sensitivity import COLUMNS, SensitivityChoice, measure
+    from automodel.bench.sensitivity import listing as numbers
+
+    choice = SensitivityChoice(
+        only=only, pipelines=pipelines, seeds=range(first_seed, first_seed + seeds), frames=frames
+    )
+    if listed:
+        show("bench sensitivity", numbers(choice), as_json, ("number", "value", "pipelines"))
+    else:
+        show("bench sensitivity", measure(car_of(car_file), choice, jobs), as_json, COLUMNS)
+    return 0
+
+
 @command.command("speed")
 @CAR
 @SEVERAL

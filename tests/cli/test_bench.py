@@ -98,3 +98,10 @@ def test_options_of_other_drives_are_refused(options: tuple[str, ...], message: 
     said = cli("bench", "accuracy", *options)
     assert said.code == 2
     assert message in said.err
+
+
+def test_sensitivity_names_the_numbers(cli) -> None:
+    said = cli("bench", "sensitivity", "--list", "--only", "frame_motion", "--json")
+    assert said.code == 0
+    assert [row["pipelines"] for row in said.rows] == ["centerline windows contour"] * 3
+    assert cli("bench", "sensitivity", "--only", "no such number").code == 2
