@@ -62,17 +62,18 @@ class LineProjection:
         fold2 = min(camera.camera.max_radius, _WIDEST) ** 2
         self.view: View = plane.astype(dtype), np.array(lens, dtype), float(np.linalg.det(plane)), fold2
 
-    def project(self, place: Complexes, along: Complexes, lateral_m: float) -> ProjectedLine:
-        """Project the two lines `lateral_m` to the left and to the right of the points `place` (n,).
+    def project(self, place: Complexes, along: Complexes, lateral_m: float | Floats) -> ProjectedLine:
+        """Project the two lines `lateral_m`, one or (n,), to the left and to the right of the points `place` (n,).
 
         `place` and the unit tangents `along` (n,) are complex numbers x + i y [m] in the body frame. The first n of the
         2 n results belong to the left line.
         """
-        return ProjectedLine(project_lines(self.view, place, along, lateral_m))
+        lateral = np.broadcast_to(np.asarray(lateral_m, self.dtype), len(place)).copy()
+        return ProjectedLine(project_lines(self.view, place, along, lateral))
 
 
 @compiled
-def project_lines(view: View, place: Complexes, along: Complexes, lateral_m: float) -> Floats:
+def project_lines(view: View, place: Complexes, along: Complexes, lateral_m: Floats) -> Floats:
     """The values (5, 2 n) of `LineProjection.project`, with Brown's distortion.
 
     `view`: the matrix (3, 3) from the ground to the cam frame; k1, k2, p1, p2, k3, focal lengths and centre [px] (9,);
@@ -83,7 +84,7 @@ def project_lines(view: View, place: Complexes, along: Complexes, lateral_m: flo
     n = len(place)
     values = np.empty((5, 2 * n), plane.dtype)
     for i in range(2 * n):
-        away = lateral_m if i < n else -lateral_m
+        away = lateral_m[i % n] if i < n else -lateral_m[i % n]
         t = along[i % n]
         x0, y0 = place[i % n].real - away * t.imag, place[i % n].imag + away * t.real
         depth = plane[2, 0] * x0 + plane[2, 1] * y0 + plane[2, 2]

@@ -2,8 +2,8 @@
 
 Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
 them -> robust least squares -> pose. While a lane is followed, nothing of the image is projected onto the ground, and
-under 2 % of the pixels are read, as many again in the frames in which the markings' width is measured. Where none is
-followed, or another one may be, the whole view is searched for lines.
+under 2 % of the pixels are read, as many again where a line is missing or the markings' width is measured. Where none
+is followed, or another one may be, the whole view is searched for lines.
 """
 
 from __future__ import annotations
@@ -189,7 +189,7 @@ class Contour:
         tracked = self._track(nothing, 1, True)
         tracked.counts()
         self._search.learn(tracked.measured, tracked.inliers)
-        tracked.measured.points(tracked.shape, tracked.inliers, self._unit)
+        tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
         self.reset()
 
     def _predict(self, t_ns: int, motion: Motion) -> None:
@@ -254,7 +254,7 @@ class Contour:
         for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
-            seen = self._search.look(image, shape, tracker.width_m)
+            seen = self._search.look(image, shape, tracker.half_m(), tracker.sigma_m(shape))
             if predicted and k == 0:
                 self._odometry_rejected = self._odometry.rejects(self._t_ns, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
@@ -271,8 +271,7 @@ class Contour:
         if seen[0] or seen[1]:
             self._tracker.blind_m = 0.0
         offset, theta, width, covariance = self._tracker.pose()
-        half = 0.5 * width
-        points = tracked.measured.points(tracked.shape, tracked.inliers, half)
+        points = tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
         return Followed(
             pose=LanePose(
                 offset_m=offset,
@@ -281,8 +280,8 @@ class Contour:
                 curvature_per_m=self._tracker.curvature(),
                 covariance=covariance,
             ),
-            left=LaneLine(curve=self._curve(half), points_m=points[0][: len(points[0]) * seen[0]], seen=seen[0]),
-            right=LaneLine(curve=self._curve(-half), points_m=points[1][: len(points[1]) * seen[1]], seen=seen[1]),
+            left=LaneLine(curve=self._curve(+0.5), points_m=points[0][: len(points[0]) * seen[0]], seen=seen[0]),
+            right=LaneLine(curve=self._curve(-0.5), points_m=points[1][: len(points[1]) * seen[1]], seen=seen[1]),
             centerline=self._curve(0.0),
         )
 
@@ -295,10 +294,11 @@ class Contour:
         far = near + options.look_ahead_lanes * car.lane.width_m
         return np.geomspace(0.85 * near + back, far + back, options.nodes) - back
 
-    def _curve(self, left_m: float) -> DeferredCurve:
-        tracker = self._tracker
-        behind = self.BEHIND * self._unit
-        return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, left_m, behind))
+    def _curve(self, side: float) -> DeferredCurve:
+        """The curve that many lane widths to the left of the centerline."""
+        tracker, behind = self._tracker, self.BEHIND * self._unit
+        left_m, taper = side * tracker.width_m, side * tracker.taper
+        return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, left_m, behind, taper))
 
     def _forget(self) -> None:
         self._tracker.forget()

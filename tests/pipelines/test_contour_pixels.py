@@ -24,7 +24,7 @@ HIGHWAY_CAR = replace(
     lane=LaneConfig(width_m=3.7, marking_width_m=0.15),
     vehicle=VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8),
 )
-TRACKING_SHARE = 0.03
+TRACKING_SHARE = 0.04
 MEASURING_SHARE = 2.0 * TRACKING_SHARE  # where the markings' width is measured
 EVERYTHING = 1.0  # the whole view is searched for lines: without a lane, and in doubt of it
 GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601

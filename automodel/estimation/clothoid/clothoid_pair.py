@@ -7,10 +7,10 @@ piecewise linear between stations that are fixed to the road, a chain of clothoi
 straight road into an arc, at the cost of the pose. With stations farther apart than the nodes reach this is the
 thesis's model.
 
-Parameters, body frame: (d, theta, w, kappa_0 .. kappa_m-1). d: distance of the reference point to the left of the
-centerline [m]; theta: heading of the centerline at the foot of the reference point, s = 0 [rad]; w: lane width [m];
-kappa_j: curvature at the station s = j h - phase [1/m]. So c(0) = p_ref - d n(theta), c' = (cos, sin)(theta +
-int_0^s kappa).
+Parameters, body frame: (d, theta, w, w', kappa_0 .. kappa_m-1). d: distance of the reference point to the left of the
+centerline [m]; theta: heading of the centerline at the foot of the reference point, s = 0 [rad]; w: lane width there
+[m]; w': its change per metre ahead, because a lane that narrows or widens has no parallel lines; kappa_j: curvature at
+the station s = j h - phase [1/m]. So c(0) = p_ref - d n(theta), c' = (cos, sin)(theta + int_0^s kappa).
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ class Parameter(IntEnum):
     OFFSET = 0  # [m]
     HEADING = 1  # [rad]
     WIDTH = 2  # [m]
-    CURVATURE = 3  # [1/m], the first of m
+    TAPER = 3  # [m/m]
+    CURVATURE = 4  # [1/m], the first of m
 
 
-OFFSET, HEADING, WIDTH, CURVATURE = (int(p) for p in Parameter)  # for compiled functions
+OFFSET, HEADING, WIDTH, TAPER, CURVATURE = (int(p) for p in Parameter)  # for compiled functions
 
 
 @dataclass(slots=True, eq=False)
 class PairShape:
-    """The centerline at the measured nodes (n,) in the body frame, and its Jacobian for the parameters (3 + m,).
+    """The centerline at the measured nodes (n,) in the body frame, and its Jacobian for the parameters (4 + m,).
 
-    `place` (n,) is x + i y [m], `along` (n,) the unit tangent, as complex numbers. `jacobian` (3 n, 3 + m): movement to
+    `place` (n,) is x + i y [m], `along` (n,) the unit tangent, as complex numbers. `jacobian` (3 n, 4 + m): movement to
     the left of the left line's nodes [m], of the right line's nodes [m], and turn of the nodes' heading [rad], per unit
     of each parameter. The next call of `shape` overwrites it.
     """
@@ -83,10 +84,11 @@ class ClothoidPair:
         n, size = self.count, CURVATURE + self.stations
         self._jacobian: Floats = np.zeros((3 * n, size), dtype)
         self._jacobian[:n, WIDTH], self._jacobian[n : 2 * n, WIDTH] = 0.5, -0.5
+        self._jacobian[:n, TAPER], self._jacobian[n : 2 * n, TAPER] = 0.5 * nodes, -0.5 * nodes
         self._jacobian[2 * n :, HEADING] = 1.0
 
     def shape(self, parameters: Floats, phase_m: float) -> PairShape:
-        """The pair of `parameters` (3 + m,) while the reference point is `phase_m` past station 0."""
+        """The pair of `parameters` (4 + m,) while the reference point is `phase_m` past station 0."""
         at = phase_m / self.spacing_m * self.PHASES
         tables = self._parts, self._slopes, self._steps
         place, along = _lay(parameters, at, tables, self._first, self.reference_x_m, self._jacobian, self._none)
@@ -106,8 +108,13 @@ class ClothoidPair:
         parts = np.concatenate((np.ones((*turns.shape[:2], 1)), turns), axis=2).astype(self.dtype)
         return parts, np.diff(parts, axis=0)
 
-    def table(self, parameters: Floats, phase_m: float, lateral_m: float = 0.0, behind_m: float = 0.0) -> Table:
-        """The curve `lateral_m` left of the centerline, from `behind_m` before the reference point to the last node."""
+    def table(
+        self, parameters: Floats, phase_m: float, lateral_m: float = 0.0, behind_m: float = 0.0, taper: float = 0.0
+    ) -> Table:
+        """The curve `lateral_m` left of the centerline, and `taper` more per metre ahead.
+
+        It runs from `behind_m` before the reference point to the last node.
+        """
         x = np.asarray(parameters, dtype=np.float64)
         stations = np.arange(self.stations) * self.spacing_m - phase_m
         end = float(self.nodes_m[-1])
@@ -130,12 +137,14 @@ class ClothoidPair:
         foot = np.array((self.reference_x_m, 0.0)) - x[OFFSET] * normal[before]
         points += foot - points[before]
         kappa0 = np.interp(s, stations, x[CURVATURE:])
-        if lateral_m == 0.0:
+        if lateral_m == taper == 0.0:
             return s - s[0], points, theta0, kappa0
-        stretch = np.maximum(1.0 - lateral_m * kappa, _LEAST_STRETCH)
+        left, left0 = lateral_m + taper * fine, lateral_m + taper * s
+        stretch = np.hypot(np.maximum(1.0 - left * kappa, _LEAST_STRETCH), taper)
         lengths = (stretch * weights).sum(axis=1)
-        s = np.concatenate(([0.0], np.cumsum(lengths)))
-        return s, points + lateral_m * normal, theta0, kappa0 / np.maximum(1.0 - lateral_m * kappa0, _LEAST_STRETCH)
+        lengths = np.concatenate(([0.0], np.cumsum(lengths)))
+        ahead = np.maximum(1.0 - left0 * kappa0, _LEAST_STRETCH)
+        return lengths, points + left0[:, None] * normal, theta0 + np.arctan2(taper, ahead), kappa0 / ahead
 
 
 @compiled
@@ -166,7 +175,7 @@ def _lay(
         angle = 0.0
         for j in range(size):
             turns[j] = parts[q, i, j] + share * slopes[q, i, j]
-            angle += turns[j] * x[1 if j == 0 else 2 + j]
+            angle += turns[j] * x[HEADING if j == 0 else CURVATURE - 1 + j]
         cos, sin = math.cos(angle), math.sin(angle)
         if i == 0:
             start_cos, start_sin = cos, sin
@@ -187,7 +196,7 @@ def _lay(
             jacobian[row, 0] = -(cos * start_cos + sin * start_sin)
             jacobian[row, 1] = cos * moments[0, 0] + sin * moments[0, 1] + x[0] * (cos * start_sin - sin * start_cos)
             for j in range(1, size):
-                jacobian[row, 2 + j] = cos * moments[j, 0] + sin * moments[j, 1]
+                jacobian[row, CURVATURE - 1 + j] = cos * moments[j, 0] + sin * moments[j, 1]
         for j in range(1, size):
-            jacobian[node + 2 * n, 2 + j] = turns[j]
+            jacobian[node + 2 * n, CURVATURE - 1 + j] = turns[j]
     return place, along

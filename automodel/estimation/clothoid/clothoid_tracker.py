@@ -16,7 +16,15 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
 from automodel.curves.lanes import ArcLane
-from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET, WIDTH, ClothoidPair, PairShape
+from automodel.estimation.clothoid.clothoid_pair import (
+    CURVATURE,
+    HEADING,
+    OFFSET,
+    TAPER,
+    WIDTH,
+    ClothoidPair,
+    PairShape,
+)
 from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
 from automodel.types import Bools, FloatArray, Floats, Ints
 
@@ -35,6 +43,8 @@ class TrackerConfig:
     blind_offset: float = 0.03  # added while no line is seen
     blind_heading_rad: float = 0.03
     width_walk: float = 0.002
+    taper: float = 0.03  # sigma of the width's change along the road: by a third within three lane widths at most
+    taper_lanes: float = 3.0  # for which such a change lasts
     radius_lanes: float = 1.1  # of the tightest bend
     curvature_walk: float = 0.03  # of a station's value: what was measured gets out of date
     curvature_step: float = 0.4  # from station to station, per root lane width of road
@@ -73,13 +83,16 @@ def advance(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_
     kappa = (1.0 - share) * x[station] + share * x[after]
     distance, x[OFFSET] = _foot_on_circle(ahead, left, kappa)
     x[HEADING] += kappa * distance
+    x[WIDTH] += distance * x[TAPER]
     here, beyond = (1.0 - share) * distance, share * distance
     for k in range(len(x)):  # P <- F P: the derivatives of offset and heading
         p[OFFSET, k] -= ahead * p[HEADING, k]
         p[HEADING, k] += here * p[station, k] + beyond * p[after, k]
+        p[WIDTH, k] += distance * p[TAPER, k]
     for k in range(len(x)):  # P <- P F^T
         p[k, OFFSET] -= ahead * p[k, HEADING]
         p[k, HEADING] += here * p[k, station] + beyond * p[k, after]
+        p[k, WIDTH] += distance * p[k, TAPER]
     return float(distance)
 
 
@@ -93,11 +106,24 @@ def add_process_noise(p: Floats, walk: Floats, floor: Floats, distance: float, o
 
 
 @compiled
+def _sigma(jacobian: Floats, p: Floats) -> Floats:
+    """Standard deviations (2 n,) of the first rows of the Jacobian (3 n, m)."""
+    sigma = np.empty(2 * len(jacobian) // 3, p.dtype)
+    for i in range(len(sigma)):
+        variance = 0.0
+        for a in range(len(p)):
+            for b in range(len(p)):
+                variance += jacobian[i, a] * p[a, b] * jacobian[i, b]
+        sigma[i] = math.sqrt(max(variance, 0.0))
+    return sigma
+
+
+@compiled
 def _pose_covariance(p: Floats) -> FloatArray:
     """The covariance (3, 3) of offset, -heading and width."""
-    turned = np.empty((CURVATURE, CURVATURE))
-    for i in range(CURVATURE):
-        for j in range(CURVATURE):
+    turned = np.empty((TAPER, TAPER))
+    for i in range(TAPER):
+        for j in range(TAPER):
             turned[i, j] = p[i, j] if (i == HEADING) == (j == HEADING) else -p[i, j]
     return turned
 
@@ -122,10 +148,11 @@ class ClothoidTracker:
         self._one: Floats = np.eye(size, dtype=dtype)
         self._lever_m = float(pair.nodes_m[pair.count // 2])
         walk = np.full(size, config.curvature_walk * bend)
-        walk[:CURVATURE] = config.offset_walk * unit, config.heading_walk_rad, config.width_walk * unit
+        walk[:TAPER] = config.offset_walk * unit, config.heading_walk_rad, config.width_walk * unit
+        walk[TAPER] = config.taper * math.sqrt(2.0 / config.taper_lanes)
         self._walk: Floats = (walk**2).astype(dtype)
         floor = np.full(size, 1e-4 * bend)
-        floor[:CURVATURE] = 0.0005 * unit, 0.0003, 0.0001 * unit
+        floor[:CURVATURE] = 0.0005 * unit, 0.0003, 0.0001 * unit, 0.0001
         self._floor: Floats = (floor**2).astype(dtype)
         step = pair.spacing_m / unit
         self._kept = config.straighten ** (2.0 * step)
@@ -148,10 +175,10 @@ class ClothoidTracker:
         self.forget()
         config, unit, n = self.config, self.config.lane_width_m, self.pair.count
         guess = np.full(len(self._one), lane.curvature_per_m, self.pair.dtype)
-        guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m
+        guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m, 0.0
         mean, covariance = guess.copy(), np.zeros_like(self._one)
         mean[CURVATURE:] = 0.0
-        for parameter, sigma in ((OFFSET, unit), (HEADING, 1.0), (WIDTH, config.start_width * unit)):
+        for parameter, sigma in enumerate((unit, 1.0, config.start_width * unit, config.taper)):
             covariance[parameter, parameter] = sigma**2
         covariance[CURVATURE:, CURVATURE:] = self._road
         node = self._node(lane.measured_at_m)
@@ -166,9 +193,10 @@ class ClothoidTracker:
         """Start about a belief: (offset, heading of the lane, curvature, width) (4,), and its covariance (4, 4)."""
         self.forget()
         guess = np.full(len(self._one), mean[2], self.pair.dtype)
-        guess[:CURVATURE] = mean[[0, 1, 3]]
+        guess[:CURVATURE] = *mean[[0, 1, 3]], 0.0
         spread = np.zeros_like(self._one)
-        spread[:CURVATURE, :CURVATURE] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
+        spread[:TAPER, :TAPER] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
+        spread[TAPER, TAPER] = self.config.taper**2
         spread[CURVATURE:, CURVATURE:] = self._road
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
@@ -210,6 +238,10 @@ class ClothoidTracker:
         dy = chord * math.sin(half) + reference * math.sin(turn_rad)
         distance = advance(x, p, dx, dy, self.phase_m, h)
         self.advance_m = abs(distance)
+        kept = math.exp(-self.advance_m / (self.config.taper_lanes * self.config.lane_width_m))
+        x[TAPER] *= kept
+        p[TAPER, :] *= kept
+        p[:, TAPER] *= kept
         self.phase_m += distance
         while self.phase_m >= h:
             self._roll(x, p, +1)
@@ -256,6 +288,20 @@ class ClothoidTracker:
         """The lane's width."""
         return float(self.known()[WIDTH])
 
+    @property
+    def taper(self) -> float:
+        """How much wider the lane becomes for each metre ahead."""
+        return float(self.known()[TAPER])
+
+    def half_m(self) -> Floats:
+        """Half the lane's width (n,) at the nodes."""
+        x = self.known()
+        return np.maximum(0.5 * (x[WIDTH] + x[TAPER] * self.pair.nodes_m), 0.0)
+
+    def sigma_m(self, shape: PairShape) -> Floats:
+        """Standard deviations (2 n,) [m] of the places of both lines' nodes."""
+        return _sigma(shape.jacobian, self.covariance)
+
     def curvature(self) -> float:
         """The centerline's curvature [1/m] at the reference point's foot."""
         share = self.phase_m / self.pair.spacing_m
@@ -264,7 +310,7 @@ class ClothoidTracker:
 
     def pose(self) -> tuple[float, float, float, FloatArray]:
         """Offset [m], the lane's heading [rad] and width [m]; covariance (3, 3) of (offset, -heading, width)."""
-        offset, heading, width = self.known()[:CURVATURE].tolist()
+        offset, heading, width = self.known()[:TAPER].tolist()
         return offset, heading, width, _pose_covariance(self.covariance)
 
     def known(self) -> Floats:
@@ -285,16 +331,17 @@ class ClothoidTracker:
         is 1, not 0.
         """
         before, (prior, p) = self.known(), self._prior
-        config = self.config
+        config, jacobian, left = self.config, shape.jacobian, nodes < self.pair.count
+        there = found[: len(nodes)] > 0.0
         self.parameters, self.covariance, count, carrying, missed, self.moved_m = correct(
             self._descend,
             (before, self.covariance, prior, p),
-            (shape.jacobian, self._noise, nodes, residual, found),
+            (jacobian, self._noise, nodes, residual, found),
             (config.gate, config.agreed, self._bend, self._lever_m),
         )
         self.iterations += count
         if missed >= config.conflict_nodes:
-            self._inflate(nodes < self.pair.count, found[: len(nodes)] > 0.0, carrying)
+            self._inflate(left, there, carrying)
         return carrying
 
     def _inflate(self, left: Bools, found: Bools, carrying: Bools) -> None:

@@ -29,7 +29,7 @@ SIDE = 6  # samples from the middle of the marking to that of a side; what lies 
 MARGIN = SIDE + WINDOW // 2  # samples that the filter needs on each side of a ridge's middle
 AROUND = 24  # samples on each side by which a ridge is classified
 REACH = 31  # samples on each side of a run's middle
-GATE = 15  # samples on each side of a run's middle among which its ridge is searched
+GATE = 15  # samples on each side of a run's middle among which its ridge is searched, at least
 LINE, BAR = range(2)
 LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 
@@ -114,7 +114,7 @@ def median_heights(height: Sums, within: Bools) -> Float32Array:
 
 @compiled
 def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
-    """The height (2 k,) that a ridge exceeds, in runs (2 k, 2 REACH + 1) on two rows about each of k places.
+    """The height (2 k,) that a ridge exceeds, in runs (2 k, s) on two rows about each of k places.
 
     It is `noises` times the median of |height| at the ends of a run, beyond the reach of a line in its middle; the mean
     over the runs about five neighbouring places.
@@ -180,35 +180,40 @@ class RowRidgeFilter:
 
 @compiled
 def lay_run(pixels: Ints, middle: float, step: float) -> None:
-    """Fill in a run's pixels (2 REACH + 1,), flat indices, about pixel `middle`, `step` [px] apart."""
+    """Fill in a run's pixels (s,), flat indices, about pixel `middle`, `step` [px] apart."""
+    reach = len(pixels) // 2
     for sample in range(len(pixels)):
-        pixels[sample] = int(middle + (sample - REACH) * step)
+        pixels[sample] = int(middle + (sample - reach) * step)
 
 
 @compiled
-def best_ridges(values: Float32Array, least: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
-    """The fields of `Ridges` for the best ridge of each of n runs (n, 2 REACH + 1); places relative to the middle."""
-    best, runs = _best(values), np.arange(len(values))
+def best_ridges(
+    values: Float32Array, least: Float32Array, gates: Ints
+) -> tuple[Float32Array, Float32Array, Float32Array, Bools]:
+    """The fields of `Ridges` for the best ridge of each of n runs (n, s) among `gates` (n,) samples on each side of
+    its middle; places relative to that."""
+    best, runs = _best(values, gates), np.arange(len(values))
     place, height, edge, flags = measure_ridges(values, runs, best, least)
     for i in range(len(place)):
-        place[i] += best[i] - REACH
+        place[i] += best[i] - values.shape[1] // 2
     return place, height, edge, flags
 
 
 @compiled
-def _best(values: Float32Array) -> Ints:
+def _best(values: Float32Array, gates: Ints) -> Ints:
     """The sample (n,) of each run with the largest filter response."""
     best = np.empty(len(values), np.intp)
-    begin, end = REACH - GATE - MARGIN, REACH + GATE + MARGIN + 1
-    sums = np.empty(end - begin - WINDOW + 1, np.float32)
+    reach = values.shape[1] // 2
+    sums = np.empty(values.shape[1], np.float32)
     for i in range(len(values)):
-        for j in range(len(sums)):
+        begin, count = reach - gates[i] - MARGIN, 2 * (gates[i] + MARGIN) + 2 - WINDOW
+        for j in range(count):
             sums[j] = 0.0
             for k in range(begin + j, begin + j + WINDOW):
                 sums[j] += values[i, k]
         most = -np.inf
-        for j in range(SIDE, len(sums) - SIDE):
+        for j in range(SIDE, count - SIDE):
             height = sums[j] - max(sums[j - SIDE], sums[j + SIDE])
             if height > most:
-                most, best[i] = height, j - SIDE + REACH - GATE
+                most, best[i] = height, j - SIDE + reach - gates[i]
     return best

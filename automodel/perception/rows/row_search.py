@@ -7,6 +7,7 @@ another direction (another road's, a reflection) is rejected.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -32,6 +33,7 @@ from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, 
 
 MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not searched
 MAX_TURN, SLACK = 0.4, 0.5  # of a ridge: turn from the node's direction [rad], and tear between ridges [samples]
+WHOLE_PX = 2.0  # a line that wide in the image fills a pixel at any place; of a thinner one an edge shows a share
 EDGE = 0.05  # of the image's height: nodes nearer to its upper or lower edge are not searched
 BESIDE = 0.1  # of the image's width: how far outside it a node may lie and still be searched
 
@@ -54,7 +56,7 @@ class NodeMeasurements:
 
     `nodes` (k,) are the indices of the nodes that were searched, of 2 n, the left line's first. Where `found` (2 k,) is
     1, `residual` (2 k,) is the line's offset to the left of the node [m], and then its turn to the left [rad].
-    `edge` (k,): the less sharp edge of a node's two ridges, as in `Ridges`.
+    `edge` (k,): the less sharp edge of a node's two ridges, as in `Ridges`, of a line `WHOLE_PX` wide.
     """
 
     nodes: Ints
@@ -66,8 +68,8 @@ class NodeMeasurements:
         """The number of `inliers` (k,) on the left and on the right line."""
         return _count(inliers, self.nodes, len(shape.place))
 
-    def points(self, shape: Nodes, inliers: Bools, half_m: float) -> tuple[FloatArray, FloatArray]:
-        """The points (j, 2) [m] measured at `inliers` (k,) on the left and the right line, `half_m` from `shape`."""
+    def points(self, shape: Nodes, inliers: Bools, half_m: Floats) -> tuple[FloatArray, FloatArray]:
+        """The points (j, 2) [m] of `inliers` (k,) on the left and on the right line, `half_m` (n,) from `shape`."""
         return _points(shape.place, shape.along, self.nodes, self.residual, inliers, half_m)
 
 
@@ -82,6 +84,9 @@ class RowSearch:
     BLURRED = 0.5  # of the usual edge: a blurrier ridge is no paint
     LEARN, FADE = 0.1, 0.02  # share a frame
     MIN_NODES = 3  # from which the usual edge is learnt
+    SIGMAS = 3.0  # of a node's place: how far from it its ridge is searched, where that is more than `GATE`
+    ASIDE = 0.8  # of half the lane: beyond its middle lies the other line
+    WIDER = (1, 2, 4, 8)  # times `GATE`, at most: half a lane width on each side for the thinnest markings
 
     def __init__(
         self,
@@ -95,7 +100,10 @@ class RowSearch:
         self._projection, self._brightness, self._contrast = projection, brightness, contrast
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
         self._size = size
-        self._noises = least_ridge(4 * len(nodes_m) * (2 * GATE + 1) / FALSE_SAMPLES)  # two lines, two runs a node
+        places = [(2 * GATE * times + 1) / FALSE_SAMPLES for times in self.WIDER]
+        # A false node is a false ridge in both of its runs, at places that agree by chance.
+        agree = 2.0 * (MAX_TURN * self.HALF_LENGTH * PER_MARKING + SLACK) / FALSE_SAMPLES
+        self._noises = [least_ridge(n * math.sqrt(2 * len(nodes_m) * min(agree / n, 1.0))) for n in places]
         tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / self._sample_m)
         tear[-1] = -1.0  # the next node is the other line's
         self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
@@ -112,20 +120,45 @@ class RowSearch:
         """Whether it looks for markings that are darker than the ground."""
         return self._brightness.dark
 
-    def look(self, image: Image, shape: Nodes, width_m: float) -> NodeMeasurements:
-        """Measure the pair `shape` whose lines are `width_m` apart."""
-        nodes, pixels, column, step, half_m = _lay(
-            self._projection.view, shape.place, shape.along, 0.5 * width_m, self._half_m, self._sample_m, self._size
+    def look(self, image: Image, shape: Nodes, half_m: Floats, sigma_m: Floats) -> NodeMeasurements:
+        """Measure the pair `shape`, half of whose width at the nodes is `half_m` (n,).
+
+        `sigma_m` (2 n,): standard deviations of the places of the left line's nodes, then of the right line's. A line
+        of which nothing is found close by is searched as far away as it may be.
+        """
+        count = len(half_m)
+        seen = self._measure(image, shape, half_m, np.ones(2 * count, np.intp))
+        k = len(seen.nodes)
+        left = np.arange(2 * count) < count
+        missing = [not (seen.found[:k] * (left[seen.nodes] == side)).any() for side in (True, False)]
+        reach_m = np.minimum(self.SIGMAS * sigma_m, self.ASIDE * np.tile(half_m, 2))
+        times = np.ceil(reach_m / (GATE * self._sample_m)).clip(1, self.WIDER[-1]).astype(np.intp)
+        times[~np.where(left, *missing)] = 1
+        if times.max() == 1:
+            return seen
+        further = self._measure(image, shape, half_m, times)
+        other = np.tile(times[seen.nodes] == 1, 2)
+        further.found[other], further.residual[other] = seen.found[other], seen.residual[other]
+        further.edge[other[:k]] = seen.edge[other[:k]]
+        return further
+
+    def _measure(self, image: Image, shape: Nodes, half_m: Floats, times: Ints) -> NodeMeasurements:
+        """Measure within so many `times` (2 n,) `GATE` of each node."""
+        gates = times * GATE
+        wider = int(np.searchsorted(self.WIDER, times.max()))
+        reach = REACH + (self.WIDER[wider] - 1) * GATE
+        nodes, pixels, column, step, along_m, whole = _lay(
+            self._projection.view, shape.place, shape.along, half_m, (self._half_m, self._sample_m), reach, self._size
         )
         # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
         values = self._brightness.read(image, pixels).astype(np.float32)
         if self._contrast > 0.0:
             least = np.full(len(values), self._contrast * WINDOW, np.float32)
         else:
-            least = run_thresholds(values, self._noises)
+            least = run_thresholds(values, self._noises[wider])
         min_edge, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
         found, residual, edge = _agree(
-            values, least, nodes, column, step, half_m, tear, self._sample_m, min_edge, width
+            values, least, nodes, column, step, along_m, tear, self._sample_m, min_edge, width, gates, whole
         )
         return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
 
@@ -143,18 +176,21 @@ def _lay(
     view: View,
     place: Complexes,
     along: Complexes,
-    left_m: float,
-    max_half_m: float,
-    sample_m: float,
+    left_m: Floats,
+    lengths_m: tuple[float, float],
+    reach: int,
     size: tuple[int, int],
-) -> tuple[Ints, Ints, Floats, Floats, Floats]:
+) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
     """The runs about the nodes that can be searched: they lie in the image, and their line is steep enough there.
 
-    The lines lie `left_m` beside the nodes, as in `LineProjection.project`. Returns the nodes (k,), and of their runs:
-    pixels (2 k, s), all upper ones first; the lower one's middle column (k,); the signed distance between samples (k,)
-    [px], to the left; their distance along the line from the node (k,) [m].
+    The lines lie `left_m` (n,) beside the nodes, as in `LineProjection.project`; `lengths_m`: half the distance along
+    the line between a node's rows, and a sample; `reach`: samples on each side of a run's middle. Returns the nodes
+    (k,), and of their runs: pixels (2 k, s), all upper ones first; the lower one's middle column (k,); the signed
+    distance between samples (k,) [px], to the left; their distance along the line from the node (k,) [m]; the marking's
+    width in the image (k,) as a share of `WHOLE_PX`, up to 1.
     """
     line = project_lines(view, place, along, left_m)
+    max_half_m, sample_m = lengths_m
     height, width = size
     margin = EDGE * height
     max_u, max_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
@@ -166,8 +202,8 @@ def _lay(
         if near and abs(along_u) < -MAX_SLANT * along_v:
             nodes[k] = i
             k += 1
-    pixels, column = np.empty((2 * k, 2 * REACH + 1), np.intp), np.empty(k, line.dtype)
-    step, half_m = np.empty(k, line.dtype), np.empty(k, line.dtype)
+    pixels, column = np.empty((2 * k, 2 * reach + 1), np.intp), np.empty(k, line.dtype)
+    step, half_m, whole = np.empty(k, line.dtype), np.empty(k, line.dtype), np.empty(k, line.dtype)
     for i in range(k):
         u, v, along_u, along_v, area = line[:, nodes[i]]
         down = max(min(along_v * max_half_m, -1.0), -margin)  # the further ahead, the higher up
@@ -177,7 +213,8 @@ def _lay(
             column[i] = u + (row - v) * along_u / along_v + 0.5
             lay_run(pixels[end * k + i], row * width + column[i], step[i])
         half_m[i] = down / along_v
-    return nodes[:k], pixels, column, step, half_m
+        whole[i] = min(-PER_MARKING * sample_m * area / (WHOLE_PX * math.hypot(along_u, along_v)), 1.0)
+    return nodes[:k], pixels, column, step, half_m, whole
 
 
 @compiled
@@ -192,20 +229,22 @@ def _agree(
     sample_m: float,
     min_edge: float,
     width: int,
+    gates: Ints,
+    whole: Floats,
 ) -> tuple[Floats, Floats, Floats]:
     """The fields `found`, `residual` and `edge` of `NodeMeasurements`, from the values (2 k, s) of the runs of `_lay`.
 
     A node is found if its two ridges agree and lie in the image, next to another such node.
     """
-    place, _, edge, flags = best_ridges(values, least)
     k = len(nodes)
+    place, _, edge, flags = best_ridges(values, least, np.concatenate((gates[nodes], gates[nodes])))
     found, residual, edges = np.zeros(2 * k, step.dtype), np.empty(2 * k, step.dtype), np.empty(k, edge.dtype)
     marks, means = np.zeros(k, np.bool_), np.empty(k, step.dtype)
     for i in range(k):
         far, near = place[i], place[k + i]
         means[i], tilt = 0.5 * (far + near), far - near
         residual[i], residual[k + i] = means[i] * sample_m, tilt * sample_m / (2.0 * half_m[i])
-        edges[i] = min(edge[i], edge[k + i])
+        edges[i] = min(edge[i], edge[k + i]) / whole[i]
         margin = -step[i] * MARGIN
         inside = margin < column[i] + step[i] * near < width - margin
         straight = abs(tilt) <= 2.0 * half_m[i] * MAX_TURN / sample_m + 2.0 * SLACK
@@ -220,7 +259,7 @@ def _agree(
 
 @compiled
 def _points(
-    place: Complexes, along: Complexes, nodes: Ints, residual: Floats, inliers: Bools, half_m: float
+    place: Complexes, along: Complexes, nodes: Ints, residual: Floats, inliers: Bools, half_m: Floats
 ) -> tuple[FloatArray, FloatArray]:
     """See `NodeMeasurements.points`."""
     n, lefts = len(place), 0
@@ -229,7 +268,8 @@ def _points(
         if not inliers[i]:
             continue
         left = nodes[i] < n
-        lateral = residual[i] + (half_m if left else -half_m)
+        half = half_m[nodes[i] % n]
+        lateral = residual[i] + (half if left else -half)
         at, t = place[nodes[i] % n], along[nodes[i] % n]
         points[count, 0], points[count, 1] = at.real - lateral * t.imag, at.imag + lateral * t.real
         count += 1

@@ -26,7 +26,7 @@ def pair(nodes: FloatArray = NODES, spacing: float = SPACING) -> ClothoidPair:
 
 
 def parameters(bend: str, count: int) -> FloatArray:
-    return np.concatenate(((0.06, -0.2, 0.44), BENDS[bend][:count]))
+    return np.concatenate(((0.06, -0.2, 0.44, 0.07), BENDS[bend][:count]))
 
 
 def integrated(
@@ -34,14 +34,14 @@ def integrated(
 ) -> tuple[Complexes, FloatArray, FloatArray]:
     """Centerline, heading and curvature at the arc lengths `reach`, by the midpoint rule from the foot on."""
     s = np.linspace(0.0, reach.max(), fine)
-    stations = np.arange(len(x) - 3) * SPACING - phase
+    stations = np.arange(len(x) - Parameter.CURVATURE) * SPACING - phase
     middle = 0.5 * (s[1:] + s[:-1])
     step = np.diff(s)
-    theta = x[1] + np.concatenate(([0.0], np.cumsum(step * np.interp(middle, stations, x[3:]))))
+    theta = x[1] + np.concatenate(([0.0], np.cumsum(step * np.interp(middle, stations, x[Parameter.CURVATURE :]))))
     path = np.concatenate(([0.0], np.cumsum(step * np.exp(0.5j * (theta[1:] + theta[:-1])))))
     place = REFERENCE - 1j * x[0] * np.exp(1j * x[1]) + path
     at = np.interp(reach, s, place.real) + 1j * np.interp(reach, s, place.imag)
-    return at, np.interp(reach, s, theta), np.interp(reach, stations, x[3:])
+    return at, np.interp(reach, s, theta), np.interp(reach, stations, x[Parameter.CURVATURE :])
 
 
 @pytest.mark.parametrize("phase", PHASES)
@@ -68,7 +68,7 @@ def test_the_trapezoids_error_falls_with_the_square_of_the_step() -> None:
 
 
 def nodes_of_both(x: FloatArray, shape: PairShape) -> Complexes:
-    half = 0.5j * x[Parameter.WIDTH] * shape.along
+    half = 0.5j * (x[Parameter.WIDTH] + x[Parameter.TAPER] * NODES) * shape.along
     return np.concatenate((shape.place + half, shape.place - half))
 
 
@@ -95,7 +95,8 @@ def test_a_station_that_is_passed_changes_nothing_but_the_phase() -> None:
     tested = pair()
     x = parameters("s", tested.stations)
     before = tested.shape(x, SPACING * (1.0 - 1e-9)).place.copy()
-    rolled = np.concatenate((x[:3], x[4:], [0.7]))
+    first = Parameter.CURVATURE
+    rolled = np.concatenate((x[:first], x[first + 1 :], [0.7]))
     assert tested.shape(rolled, 0.0).place == pytest.approx(before, abs=1e-7)
 
 
@@ -124,6 +125,19 @@ def test_the_table_is_the_curve_beside_the_centerline(bend: str, lateral: float)
     path = integrated(x, phase, fine)
     steps = np.abs(np.diff(path[0] + lateral * 1j * np.exp(1j * path[1])))
     assert s[-1] == pytest.approx(steps.sum(), abs=2e-3)
+
+
+def test_the_table_of_a_line_that_draws_away_goes_through_points_beside_the_centerline() -> None:
+    tested, taper = pair(), 0.08
+    x = parameters("s", tested.stations)
+    s, points, theta, _ = tested.table(x, 0.1, 0.2, taper=taper)
+    reach = np.linspace(0.0, NODES[-1], len(s))
+    place, heading, _ = integrated(x, 0.1, reach)
+    curve = place + (0.2 + taper * reach) * 1j * np.exp(1j * heading)
+    assert points[:, 0] + 1j * points[:, 1] == pytest.approx(curve, abs=2e-5)
+    steps = np.diff(points[:, 0] + 1j * points[:, 1])
+    assert np.diff(s) == pytest.approx(np.abs(steps), rel=0.01)
+    assert 0.5 * (theta[1:] + theta[:-1]) == pytest.approx(np.angle(steps), abs=0.01)
 
 
 def test_the_table_behind_the_car_is_the_arc_run_backwards() -> None:

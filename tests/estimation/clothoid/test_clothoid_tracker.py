@@ -19,7 +19,7 @@ REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
 NODES = np.geomspace(0.3, 1.4, 15)
 COUNT = len(NODES)
 SIGMA = np.repeat((0.004, 0.03), (2 * COUNT, COUNT))
-OFFSET, HEADING, LANE, FIRST = (int(p) for p in Parameter)
+OFFSET, HEADING, LANE, TAPER, FIRST = (int(p) for p in Parameter)
 EVERY = np.arange(2 * COUNT)
 
 
@@ -33,10 +33,10 @@ def tracker(
     rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, measured_at_m=0.6)
     made.start(rough)
     x = np.full(FIRST + made.pair.stations, curvature)
-    x[:FIRST] = offset, heading, WIDTH
+    x[:FIRST] = offset, heading, WIDTH, 0.0
     made.parameters = x
     sigma = np.full(len(x), 0.3)
-    sigma[:FIRST] = 0.02, 0.03, 0.01
+    sigma[:FIRST] = 0.02, 0.03, 0.01, 0.03
     made.covariance = np.diag(sigma**2)
     still(made)
     return made
@@ -56,13 +56,14 @@ def circle(offset: float, heading: float, curvature: float) -> complex:
 def residuals(made: ClothoidTracker, truth: FloatArray) -> FloatArray:
     """What a perfect search would say of a lane with the parameters `truth`: distances (2 n,), then angles (2 n,)."""
     pair, x, phase = made.pair, made.known(), made.phase_m
-    fine = ClothoidPair(np.linspace(0.005, 1.6, 800), SPACING, REFERENCE)
+    ahead = np.linspace(0.005, 1.6, 800)
+    fine = ClothoidPair(ahead, SPACING, REFERENCE)
     longer = np.concatenate((truth, np.full(fine.stations - pair.stations, truth[-1])))
     line, shape = fine.shape(longer, phase), pair.shape(x, phase)
     away, turned = [], []
     for side in (0.5, -0.5):
-        nodes = shape.place + side * x[LANE] * 1j * shape.along
-        curve = line.place + side * truth[LANE] * 1j * line.along
+        nodes = shape.place + side * (x[LANE] + x[TAPER] * NODES) * 1j * shape.along
+        curve = line.place + side * (truth[LANE] + truth[TAPER] * ahead) * 1j * line.along
         for node, along in zip(nodes, shape.along, strict=True):
             seen = (curve - node) * along.conjugate()
             away.append(np.interp(0.0, seen.real, seen.imag))
@@ -141,7 +142,7 @@ def test_the_covariance_is_carried_along_with_the_derivatives_of_the_drive() -> 
     onwards = np.stack([(driven(1e-6 * e) - driven(-1e-6 * e)) / 2e-6 for e in np.eye(size)], axis=1)
     wanted = onwards @ before @ onwards.T
     apart = after - wanted
-    assert (apart.diagonal() > -1e-4 * before.diagonal()).all()
+    assert (apart.diagonal() > -2e-3 * before.diagonal()).all()  # less by no more than what is left out, see below
     shares = apart / np.sqrt(np.outer(wanted.diagonal(), wanted.diagonal()))
     np.fill_diagonal(shares, 0.0)
     # That curvature moves the offset too, by half the square of the distance, is left out.
@@ -185,14 +186,42 @@ def test_without_odometry_the_lane_in_sight_stays_and_all_is_less_sure() -> None
 def test_perfect_sightings_lead_to_the_lane(solver: str) -> None:
     made = tracker(solver)
     truth = made.known().copy()
-    truth[:FIRST] += 0.008, -0.012, 0.004
+    truth[:FIRST] += 0.008, -0.012, 0.004, 0.0
     truth[FIRST:] += np.linspace(0.0, 0.15, made.pair.stations)
     at_first = np.abs(residuals(made, truth)[: 2 * COUNT]).max()
     see(made, truth, 3)
     left = np.abs(residuals(made, truth)[: 2 * COUNT])
     assert left.max() < 0.15 * at_first
     assert left.mean() < 0.0012
-    assert made.width_m == pytest.approx(truth[LANE], abs=0.001)
+    wide = 0.5 * (truth[LANE] + truth[TAPER] * NODES)
+    assert made.half_m() == pytest.approx(wide, abs=0.001)  # at the reference point it is not seen
+
+
+def test_a_lane_that_narrows_keeps_both_lines_and_its_width_is_followed() -> None:
+    made = tracker(lane=(0.0, 0.0, 0.0))
+    truth = made.known().copy()
+    truth[TAPER] = -0.1
+    for _ in range(10):
+        see(made, truth)
+        made.move(0.02, 0.0, 0.02, known=True)
+        truth[LANE] += 0.02 * truth[TAPER]
+    assert made.known()[TAPER] == pytest.approx(-0.1, abs=0.02)
+    assert made.width_m == pytest.approx(WIDTH - 0.1 * 0.2, abs=0.003)
+    assert made.half_m() == pytest.approx(0.5 * (truth[LANE] + truth[TAPER] * NODES), abs=0.01)
+
+
+def test_a_line_out_of_sight_may_lie_anywhere_that_a_lane_widens_to() -> None:
+    made = tracker(lane=(0.0, 0.0, 0.0))
+    truth, left = made.known().copy(), np.arange(COUNT)
+    at_first = 0.5 * math.sqrt(made.covariance[LANE, LANE])
+    for _ in range(60):
+        made.move(0.02, 0.0, 0.02, known=True)
+        found = np.zeros(4 * COUNT)
+        found[left] = found[2 * COUNT + left] = 1.0
+        made.update(made.shape(), EVERY, residuals(made, truth), found)
+    near, far = made.sigma_m(made.shape())[[5, COUNT + 5]]
+    assert far > 4.0 * near
+    assert far > 2.0 * at_first
 
 
 def test_both_solvers_come_to_the_same_lane() -> None:

@@ -54,7 +54,8 @@ def run_ridges(picture: NDArray[np.uint8], first: FloatArray, step: float = 1.0,
     pixels = np.empty((len(first), 2 * REACH + 1), np.intp)
     for run, middle in zip(pixels, first, strict=True):
         lay_run(run, middle, step)
-    return Ridges(*best_ridges(Brightness("grey", dark).read(picture, pixels).astype(np.float32), least(len(first))))
+    values, gates = Brightness("grey", dark).read(picture, pixels).astype(np.float32), np.full(len(first), GATE)
+    return Ridges(*best_ridges(values, least(len(first)), gates))
 
 
 def around(*markings: tuple[float, float]) -> NDArray[np.float32]:

@@ -59,6 +59,10 @@ def drawn(lens: str, road: str, lines: tuple[float, ...] = (0.5, -0.5), paint: i
     return np.rint(120.0 + paint * shares).astype(np.uint8)
 
 
+HALF = np.full(COUNT, 0.5 * LANE)
+SURE = np.zeros(2 * COUNT)  # the nodes' standard deviations where nothing is in doubt
+
+
 def search(lens: str = "none", dark: bool = False) -> RowSearch:
     projection, brightness = LineProjection(camera(lens)), Brightness("grey", dark)
     return RowSearch(projection, brightness, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
@@ -66,7 +70,7 @@ def search(lens: str = "none", dark: bool = False) -> RowSearch:
 
 def shaped(road: str, offset: float = 0.0, heading: float = 0.0) -> PairShape:
     pair = ClothoidPair(NODES, 0.3, REFERENCE)
-    return pair.shape(np.array([offset, heading, LANE, *[ROADS[road]] * pair.stations]), 0.0)
+    return pair.shape(np.array([offset, heading, LANE, 0.0, *[ROADS[road]] * pair.stations]), 0.0)
 
 
 def seen(measured: NodeMeasurements) -> NDArray[np.bool_]:
@@ -84,7 +88,7 @@ def seen(measured: NodeMeasurements) -> NDArray[np.bool_]:
 @pytest.mark.parametrize("offset", [0.0, 0.02, -0.015])
 def test_distances_to_the_left_are_those_on_the_ground(lens: str, road: str, offset: float) -> None:
     shape = shaped(road, offset)  # the car is said to be left of the centerline: so the lines lie left of the nodes
-    measured = search(lens).look(drawn(lens, road), shape, LANE)
+    measured = search(lens).look(drawn(lens, road), shape, HALF, SURE)
     k = len(measured.nodes)
     assert np.count_nonzero(seen(measured)) >= 14
     side = np.where(measured.nodes < COUNT, 0.5, -0.5) * LANE
@@ -103,7 +107,7 @@ def test_lines_turned_to_the_left_are_measured_so(turn: float) -> None:
     # The pair swings about its fifth node by -turn: the true lines are turned by +turn against it.
     middle = float(NODES[4])
     shape = shaped("straight", offset=middle * float(np.tan(-turn)), heading=-turn)
-    measured = search().look(drawn("none", "straight"), shape, LANE)
+    measured = search().look(drawn("none", "straight"), shape, HALF, SURE)
     k = len(measured.nodes)
     found = measured.found[k:] > 0.0
     assert np.count_nonzero(found) >= 6
@@ -112,16 +116,16 @@ def test_lines_turned_to_the_left_are_measured_so(turn: float) -> None:
 
 def test_dark_markings_are_found_where_they_are_looked_for() -> None:
     picture = drawn("none", "straight", paint=-80)
-    assert np.count_nonzero(seen(search(dark=True).look(picture, shaped("straight"), LANE))) >= 14
+    assert np.count_nonzero(seen(search(dark=True).look(picture, shaped("straight"), HALF, SURE))) >= 14
     other = search()
-    assert not seen(other.look(picture, shaped("straight"), LANE)).any()
+    assert not seen(other.look(picture, shaped("straight"), HALF, SURE)).any()
     other.forget(dark=True)
-    assert np.count_nonzero(seen(other.look(picture, shaped("straight"), LANE))) >= 14
+    assert np.count_nonzero(seen(other.look(picture, shaped("straight"), HALF, SURE))) >= 14
 
 
 def test_one_line_alone_is_found_and_the_other_is_not_made_up() -> None:
     for lines, left in (((0.5,), True), ((-0.5,), False)):
-        found = seen(search().look(drawn("none", "straight", lines), shaped("straight"), LANE))
+        found = seen(search().look(drawn("none", "straight", lines), shaped("straight"), HALF, SURE))
         assert np.count_nonzero(found[:COUNT]) >= 7 * left
         assert np.count_nonzero(found[COUNT:]) >= 7 * (not left)
         assert not (found[COUNT:] if left else found[:COUNT]).any()
@@ -129,10 +133,28 @@ def test_one_line_alone_is_found_and_the_other_is_not_made_up() -> None:
 
 def test_nothing_is_found_on_bare_ground_and_at_the_edge_of_a_shadow() -> None:
     bare = np.full((HEIGHT, WIDTH), 120, np.uint8)
-    assert not seen(search().look(bare, shaped("straight"), LANE)).any()
+    assert not seen(search().look(bare, shaped("straight"), HALF, SURE)).any()
     lateral = from_the_centerline(ground("none"), 0.0, 0.0)[:, 1::FINE]
     shadow = np.where(lateral > 0.5 * LANE, 60, 150).astype(np.uint8)  # along the left line
-    assert not seen(search().look(shadow, shaped("straight"), LANE)).any()
+    assert not seen(search().look(shadow, shaped("straight"), HALF, SURE)).any()
+
+
+def test_a_line_is_searched_as_far_from_its_node_as_the_node_may_be_wrong() -> None:
+    away = 0.25 * LANE  # the lane is said to be wider: both lines lie further in, several markings from their nodes
+    picture, shape, wider = drawn("none", "straight"), shaped("straight"), HALF + away
+    assert not seen(search().look(picture, shape, wider, SURE)).any()
+    measured = search().look(picture, shape, wider, SURE + 0.5 * away)
+    found = np.flatnonzero(measured.found[: len(measured.nodes)])
+    assert len(found) >= 10
+    inwards = np.where(measured.nodes[found] < COUNT, -away, away)
+    assert measured.residual[found] == pytest.approx(inwards, abs=0.1 * MARKING)
+
+
+def test_no_doubt_makes_a_line_of_the_other_one() -> None:
+    picture = drawn("none", "straight", (-0.5,))
+    found = seen(search().look(picture, shaped("straight"), HALF, SURE + LANE)).reshape(2, COUNT)
+    assert not found[0].any()
+    assert found[1].any()
 
 
 def test_a_gap_leaves_its_nodes_empty() -> None:
@@ -140,7 +162,7 @@ def test_a_gap_leaves_its_nodes_empty() -> None:
     x = ground("none")[:, FINE * WIDTH // 2, 0] - REFERENCE  # a straight road: a row has one arc length
     gap = (NODES[3] - 0.06, NODES[5] + 0.06)
     picture[(x > gap[0]) & (x < gap[1])] = 120
-    found = seen(search().look(picture, shaped("straight"), LANE)).reshape(2, COUNT)
+    found = seen(search().look(picture, shaped("straight"), HALF, SURE)).reshape(2, COUNT)
     assert not found[:, 3:6].any()
     assert found[:, :2].any(axis=1).all()
     assert found[:, 7:].all()
@@ -152,7 +174,7 @@ def test_a_piece_that_is_twice_as_broad_is_no_line_though_its_neighbours_are() -
     wide = np.abs(points[..., 0] - REFERENCE - NODES[5]) < 0.035
     shares = (left < np.where(wide, MARKING, 0.5 * MARKING)).reshape(HEIGHT, WIDTH, FINE).mean(axis=2)
     picture = np.rint(120.0 + 110.0 * shares).astype(np.uint8)
-    found = seen(search().look(picture, shaped("straight"), LANE))
+    found = seen(search().look(picture, shaped("straight"), HALF, SURE))
     assert found[[2, 3, 7, 8]].all()
     assert not found[5]
 
@@ -162,14 +184,14 @@ def test_what_crosses_the_line_is_not_the_line() -> None:
     across = np.abs(points[..., 0] - REFERENCE - NODES[5] - 1.2 * (points[..., 1] - 0.5 * LANE)) < 0.02
     shares = across.reshape(HEIGHT, WIDTH, FINE).mean(axis=2)
     picture = np.rint(120.0 + 110.0 * shares).astype(np.uint8)
-    assert not seen(search().look(picture, shaped("straight"), LANE)).any()
+    assert not seen(search().look(picture, shaped("straight"), HALF, SURE)).any()
 
 
 def test_nodes_outside_the_picture_are_not_looked_for() -> None:
     away = shaped("straight", offset=-1.2)  # the lane is far to the left of the car
-    assert len(search().look(drawn("none", "straight"), away, LANE).nodes) < COUNT
+    assert len(search().look(drawn("none", "straight"), away, HALF, SURE).nodes) < COUNT
     away = shaped("straight", heading=np.pi)  # behind the car
-    measured = search().look(drawn("none", "straight"), away, LANE)
+    measured = search().look(drawn("none", "straight"), away, HALF, SURE)
     assert len(measured.nodes) == 0
     assert len(measured.residual) == 0
 
@@ -177,37 +199,37 @@ def test_nodes_outside_the_picture_are_not_looked_for() -> None:
 def test_what_is_much_fainter_than_the_markings_were_is_none() -> None:
     usual, faint, shape = drawn("none", "straight"), drawn("none", "straight", paint=40), shaped("straight")
     looking = search()
-    assert seen(looking.look(faint, shape, LANE)).any()  # before anything is known
+    assert seen(looking.look(faint, shape, HALF, SURE)).any()  # before anything is known
     for known, other, believed in ((usual, faint, False), (faint, usual, True)):
         looking.forget()
-        measured = looking.look(known, shape, LANE)
+        measured = looking.look(known, shape, HALF, SURE)
         looking.learn(measured, measured.found[: len(measured.nodes)] > 0.0)
-        assert seen(looking.look(known, shape, LANE)).any()
-        assert seen(looking.look(other, shape, LANE)).any() == believed
+        assert seen(looking.look(known, shape, HALF, SURE)).any()
+        assert seen(looking.look(other, shape, HALF, SURE)).any() == believed
     looking.forget()
-    assert seen(looking.look(usual, shape, LANE)).any()
+    assert seen(looking.look(usual, shape, HALF, SURE)).any()
 
 
 def test_fainter_markings_are_believed_once_none_was_seen_for_a_while() -> None:
     looking, shape, faint = search(), shaped("straight"), drawn("none", "straight", paint=40)
-    first = looking.look(drawn("none", "straight"), shape, LANE)
+    first = looking.look(drawn("none", "straight"), shape, HALF, SURE)
     looking.learn(first, first.found[: len(first.nodes)] > 0.0)
-    empty = looking.look(faint, shaped("straight", heading=np.pi), LANE)
-    assert not seen(looking.look(faint, shape, LANE)).any()
+    empty = looking.look(faint, shaped("straight", heading=np.pi), HALF, SURE)
+    assert not seen(looking.look(faint, shape, HALF, SURE)).any()
     frames = math.ceil(math.log(35.0 / (110.0 * looking.BLURRED)) / math.log(1.0 - looking.FADE))
     for _ in range(frames):
         looking.learn(empty, np.zeros(0, bool))
-    assert seen(looking.look(faint, shape, LANE)).any()
+    assert seen(looking.look(faint, shape, HALF, SURE)).any()
 
 
 def test_the_markings_themselves_are_believed_however_long_none_was_seen() -> None:
     looking, shape, usual = search(), shaped("straight"), drawn("none", "straight")
-    first = looking.look(usual, shape, LANE)
+    first = looking.look(usual, shape, HALF, SURE)
     looking.learn(first, first.found[: len(first.nodes)] > 0.0)
-    empty = looking.look(usual, shaped("straight", heading=np.pi), LANE)
+    empty = looking.look(usual, shaped("straight", heading=np.pi), HALF, SURE)
     for _ in range(200):
         looking.learn(empty, np.zeros(0, bool))
-    assert seen(looking.look(usual, shape, LANE)).any()
+    assert seen(looking.look(usual, shape, HALF, SURE)).any()
 
 
 class Noted(Brightness):
@@ -221,7 +243,7 @@ class Noted(Brightness):
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     noted, shape = Noted("grey", False), shaped("left")
     looking = RowSearch(LineProjection(camera("none")), noted, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
-    looking.look(drawn("none", "left"), shape, LANE)
+    looking.look(drawn("none", "left"), shape, HALF, SURE)
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
     along = np.concatenate([shape.along, shape.along])
