@@ -132,7 +132,7 @@ class RenderedDrive:
     """The frames of a case, and the truth in each of them."""
 
     def __init__(self, car: CarConfig, case: Case) -> None:
-        self.track = track = load_track(case.track)
+        track = load_track(case.track)
         self.lane = track.lane(case.direction)
         self.drive = Drive(
             lane=self.lane,

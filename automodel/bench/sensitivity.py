@@ -1,9 +1,9 @@
 """`bench sensitivity`: what each tuned number of the stages matters, by moving it and driving again.
 
-The drives are short and unlike each other: random worlds, an intersection of the competition track, and, where they are
-there, clips of real highway images, whose truth is not known. Each frame is rendered once, and the network's mask of it
-is computed once: pipelines replay them with every value of a number. What differs is measured against the same replay
-with the number as it is.
+The drives are short and unlike each other: random worlds, an intersection of the competition track, tight bends, and,
+where they are there, clips of real highway images, whose truth is not known. Each frame is rendered once, and the
+network's mask of it is computed once: pipelines replay them with every value of a number. What differs is measured
+against the same replay with the number as it is.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from automodel.interfaces import Pipeline
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.random_worlds import kind_of
+from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import Odometer
 from automodel.sim.truth import Truth
 from automodel.sources.images import read_image
@@ -40,7 +41,7 @@ SCREENED, FINER = (-0.5, 0.5), (-0.2, 0.2)  # shares by which each number is mov
 FRAMES = 90  # of a drive: three seconds
 CLIPS = 3  # of real images
 CLIP_FRAMES = 5  # the last of each
-TRACK = "tmr"  # has an intersection
+TRACK, BENDS = "tmr", "chicane"  # with an intersection; with bends of a lane width's radius, where most is at its limit
 METRICS = ("availability_pct", "misled_pct", "bound_exceeded_pct", "offset_mae_pct", "heading_mae_deg")
 COLUMNS = ("number", "pipeline", "effect", "value", "minus_50", "minus_20", "plus_20", "plus_50", "changed_pct")
 SAME_LANES, SAME_RAD = 1e-3, 1e-3  # estimates closer than that are the same
@@ -174,7 +175,13 @@ def _baseline(car: CarConfig, choice: SensitivityChoice, name: str) -> tuple[tup
 def _drives(car: CarConfig, seeds: range, frames: int) -> tuple[RecordedDrive, ...]:
     """All drives, rendered once in a process."""
     recorded = [_random_world(car, seed, frames) for seed in seeds]
-    return (*recorded, _intersection(car, frames), *_real_clips())
+    bends = [
+        _on_track(
+            car, Case(pipeline="", track=BENDS, style="centred", seed=0, direction=way, speed_mps=2.0), 3 * frames
+        )
+        for way in ("forward", "reverse")
+    ]
+    return (*recorded, _intersection(car, frames), *bends, *_real_clips())
 
 
 def _random_world(car: CarConfig, seed: int, frames: int) -> RecordedDrive:
@@ -185,13 +192,18 @@ def _random_world(car: CarConfig, seed: int, frames: int) -> RecordedDrive:
 
 def _intersection(car: CarConfig, frames: int) -> RecordedDrive:
     """Along the competition track from three lane widths before its first intersection."""
+    track = load_track(TRACK)
+    at = track.crossings[0].s_first_m / track.road.length_m
+    return _on_track(car, Case(pipeline="", track=TRACK, style="centred", seed=0), frames, at, 3.0 * car.lane.width_m)
+
+
+def _on_track(car: CarConfig, case: Case, frames: int, at: float = 0.0, before_m: float = 0.0) -> RecordedDrive:
+    """Along a track from `before_m` before the share `at` of its length."""
     car = replace(car, camera=replace(car.camera, rate_hz=RATE_HZ))
-    drive = RenderedDrive(car, Case(pipeline="", track=TRACK, style="centred", seed=0))
-    lane, crossing = drive.lane, drive.track.crossings[0]
-    at_m = crossing.s_first_m / drive.track.road.length_m * lane.centerline.length_m
-    from_s = drive.drive.time_at(at_m - 3.0 * car.lane.width_m)
+    drive = RenderedDrive(car, case)
+    from_s = drive.drive.time_at(at * drive.lane.centerline.length_m - before_m) if at else 0.0
     t_s = [from_s + index / RATE_HZ for index in range(frames)]
-    odometer, seen = Odometer(0), []
+    odometer, seen = Odometer(case.seed), []
     for frame, _, truth in drive.frames(t_s, lambda _: None):
         motion = odometer.motion(drive.drive.pose(t_s[frame.index] - 0.5 / RATE_HZ), frame.t_ns)
         seen.append((frame, motion, truth, True))

@@ -67,7 +67,7 @@ class LineFollowing:
         `reach_m` is the lateral distance from the expectation in which the line may lie. Raises ValueError without
         `start` and `expected`.
         """
-        path = PathCursor(expected, self._settings.step_m) if expected is not None else None
+        path = PathCursor(expected, self._settings.step_m, self._settings.max_steps) if expected is not None else None
         if start is not None:
             pose = WindowPose(*start.point_m, start.direction_rad, start.curvature_per_m)
         elif path is not None:

@@ -16,7 +16,52 @@ from automodel.geometry import View
 from automodel.perception.windows.line_windows import LineWindows, WindowHit
 from automodel.types import FloatArray, Image
 
-ODD_RAD = math.radians(8.0)  # from the line's direction: a point that is turned by more belongs to another line
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FollowConfig:
+    """How a line is followed; lengths in lane widths, so that one set serves scale cars and full-size ones.
+
+    The effects are those of `automodel bench sensitivity`, of half and one and a half times the value.
+
+    - `step_lanes`: least distance between windows. 0.05: no effect; 0.15: the offset's error grows by a half, because a
+      window no longer reaches what the line turns within a step.
+    - `gap_lanes`: a line that is not seen for longer is lost: the length of an intersection. 2: in one world of twenty
+      the far side is not found again, and the neighbour's line is taken.
+    - `wide_gap_lanes`: a gap that is a junction's, not one between two dashes, which are half a lane width apart on
+      roads. Effect below 0.1 % of the lane's width.
+    - `radius_lanes`: radius of the tightest bend that a line is followed into. No effect but on roads that are tighter.
+    - `turn_rad`, `gap_turn_rad`: largest direction of a piece relative to the track's, and after a gap, when it may
+      lead into another road. One angle for both loses the lane in the chicane.
+    - `away_rad`: a line that turns away from the expected one by more is given up. 12 degrees: error plus a tenth.
+    - `odd_rad`: a point beside a wide gap that is turned by more from the line's usual direction lies on the corner of
+      another road. Without such points' removal the error in full-size circuits grows by a sixth.
+    - `spread`, `blind_spread`: widening of the search per distance, as uncertain as the direction of the expected line
+      is; where no line is expected. 0.12 for both: the neighbour's line is taken in one of twenty worlds; 0.06: the
+      lane is lost for three frames of a lap of the chicane.
+    - `heading_gain`, `curvature_gain`: shares of a window's lateral error that correct its heading and curvature.
+      Without the first the lane is lost in the chicane, without the second an S-bend is not followed to its end.
+    - `own_gain`, `found_gain`: share of a piece's own direction in the window's heading; of one found after a gap.
+      With 0.5 for both the lane is lost in the chicane; otherwise below 0.1 %.
+    - `covered`, `flanked`: a line found again covers this share of its window's length, and has less than this share of
+      a line on one of its sides: it is none of a zebra's bars. Without them other paint is followed at intersections.
+    """
+
+    step_lanes: float = 0.1
+    gap_lanes: float = 4.0
+    wide_gap_lanes: float = 0.6
+    radius_lanes: float = 1.0
+    turn_rad: float = math.radians(35.0)
+    gap_turn_rad: float = math.radians(17.0)
+    away_rad: float = math.radians(25.0)
+    odd_rad: float = math.radians(8.0)
+    spread: float = 0.06
+    blind_spread: float = 0.12
+    heading_gain: float = 0.5
+    curvature_gain: float = 0.1
+    own_gain: float = 0.25
+    found_gain: float = 0.5
+    covered: float = 0.7
+    flanked: float = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,12 +97,11 @@ class PathCursor:
     the line's turn over the next step. `ended`: there is no next step. `known`: the line is no guess there.
     """
 
-    MAX_STEPS = 4096  # a longer line is cut
-
-    def __init__(self, expected: ExpectedLine, step_m: float) -> None:
+    def __init__(self, expected: ExpectedLine, step_m: float, max_steps: int) -> None:
+        """A line of more than `max_steps` is cut."""
         points, heading = expected.points_m, expected.heading_rad
         s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-        places = np.arange(0.0, min(max(float(s[-1]), 1e-9), self.MAX_STEPS * step_m), step_m)
+        places = np.arange(0.0, min(max(float(s[-1]), 1e-9), max_steps * step_m), step_m)
         columns = (np.interp(places, s, column) for column in (points[:, 0], points[:, 1], heading))
         self._nodes: list[tuple[float, float, float]] = list(zip(*(c.tolist() for c in columns), strict=True))
         self._step_m, self._known_m = step_m, expected.known_m
@@ -91,20 +135,17 @@ class PathCursor:
 class TrackerSettings:
     """Lengths of a track in a view."""
 
-    STEP_LANES = 0.1  # minimum distance between windows
-    MAX_GAP_LANES, MAX_BLIND_GAP_LANES = 4.0, 1.25  # with an expected line, and without
-    WIDE_GAP_LANES = 0.6  # a junction's, not one between two dashes
-    MIN_RADIUS_LANES = 1.0
-
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
+        self.config = config = FollowConfig()
         self.marking_m = marking_width_m
-        self.step_m = max(LineWindows.ALONG * marking_width_m, self.STEP_LANES * lane_width_m)
+        self.step_m = max(LineWindows.ALONG * marking_width_m, config.step_lanes * lane_width_m)
         self.spacing_m = 0.6 * LineWindows.ACROSS * marking_width_m  # between the windows of a search
-        self.max_gap_m = self.MAX_GAP_LANES * lane_width_m
-        self.max_blind_gap_m = self.MAX_BLIND_GAP_LANES * lane_width_m
-        self.max_turn_rad = self.step_m / (self.MIN_RADIUS_LANES * lane_width_m)  # on one step
+        self.max_gap_m = config.gap_lanes * lane_width_m
+        # Over this distance the tightest bend leaves the tangent by half a lane width.
+        self.max_blind_gap_m = math.sqrt(config.radius_lanes) * lane_width_m
+        self.max_turn_rad = self.step_m / (config.radius_lanes * lane_width_m)  # on one step
         self.max_shift_m = 0.5 * (self.step_m * self.max_turn_rad + marking_width_m)  # lateral, of a line not lost
-        self.wide_gap = math.ceil(self.WIDE_GAP_LANES * lane_width_m / self.step_m)  # windows
+        self.wide_gap = math.ceil(config.wide_gap_lanes * lane_width_m / self.step_m)  # windows
         length = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
         self.max_steps = math.ceil(1.5 * length / self.step_m)
 
@@ -155,21 +196,21 @@ def _median_turn(points: list[TrackedPoint]) -> float:
     return sorted(p.turned_rad for p in points)[len(points) // 2] if points else 0.0
 
 
-def _odd(points: list[TrackedPoint]) -> list[bool]:
+def _odd(points: list[TrackedPoint], odd_rad: float) -> list[bool]:
     """Which points have another direction than the line."""
     usual = _median_turn(points)
-    return [abs(p.turned_rad - usual) > ODD_RAD for p in points]
+    return [abs(p.turned_rad - usual) > odd_rad for p in points]
 
 
-def without_corners(points: list[TrackedPoint], wide_gap: int, lost: bool) -> list[TrackedPoint]:
+def without_corners(points: list[TrackedPoint], wide_gap: int, lost: bool, odd_rad: float) -> list[TrackedPoint]:
     """The points of a line less the odd ones beside a wide gap: at a junction they lie on another road's corner.
 
-    `wide_gap` [windows]; `lost`: there is such a gap beyond the last point.
+    `wide_gap` [windows]; `lost`: there is such a gap beyond the last point; `odd_rad`: turn of an odd one.
     """
     gaps = [i for i in range(1, len(points)) if points[i].missed >= wide_gap] + [len(points)] * lost
     if not gaps:
         return points
-    odd = _odd(points)
+    odd = _odd(points, odd_rad)
     dropped: set[int] = set()
     for gap in gaps:
         dropped.update(itertools.takewhile(lambda i: odd[i], range(gap, len(points))))
@@ -182,20 +223,6 @@ class WindowTracker:
 
     `path` is a cursor on the expected line, near which the line must lie: within `reach_m` and what the distance adds.
     """
-
-    TURN_RAD = math.radians(35.0)  # largest direction of a piece relative to the track's
-    GAP_TURN_RAD, BLIND_GAP_TURN_RAD = math.radians(17.0), math.radians(25.0)  # after a gap; without an expected line
-    COVERED = 0.7  # minimum covered share of the window's length for a line found again
-    FLANKED = 0.4  # share of a line on both sides from which on a piece is one of a zebra's bars
-    AWAY_RAD = math.radians(25.0)  # off the expected line's direction: given up
-    SPREAD_PER_M, BLIND_SPREAD_PER_M = 0.06, 0.12  # widening of the search per metre of gap; without an expected line
-    LATERAL_PER_M = 0.08  # widening of the tolerance about the expected line per metre along it
-    HEADING_GAIN, CURVATURE_GAIN = 0.5, 0.1  # shares of a window's lateral error that correct heading and curvature
-    OWN_GAIN, FOUND_GAIN = 0.25, 0.5  # share of the piece's own direction; of one found after a gap
-    STRAIGHTEN = 0.9  # share of the curvature left after a step over a gap
-    REJOIN = 0.3  # share of the turn back to the line's usual direction on a step over a gap
-    TURNED_GAIN = 0.15  # weight of a point in the mean turn
-    MAX_HIDDEN = 2  # windows out of sight that end the track
 
     def __init__(
         self,
@@ -222,33 +249,33 @@ class WindowTracker:
         guided = self._path is not None
         self._track()
         if guided:
-            self.points = without_corners(self.points, self._set.wide_gap, self._missed >= self._set.wide_gap)
+            wide, lost = self._set.wide_gap, self._missed >= self._set.wide_gap
+            self.points = without_corners(self.points, wide, lost, self._set.config.odd_rad)
 
     def _track(self) -> None:
         pose = self._pose
-        hidden = -self._set.max_steps  # until the track comes into sight
+        seen = False  # the track has come into sight
         for _ in range(self._set.max_steps):
             hit = self._search() if self._lost else self._look(0.0)
             if hit is not None and self._accept(hit):
-                hidden = 0
+                seen = True
             elif self._windows.in_sight(pose.x_m, pose.y_m):
-                hidden = 0
+                seen = True
                 self._missed += 1
                 self._lost = True
                 most = self._set.max_blind_gap_m if self._path is None else self._set.max_gap_m
                 if self._missed * self._set.step_m > most:
                     self.lost_m = (pose.x_m, pose.y_m)
                     return
-            else:
-                hidden += 1
-                if hidden >= self.MAX_HIDDEN:
-                    return
+            elif seen:
+                return
             self._advance()
 
     def _search(self) -> WindowHit | None:
         """The line in the window or in windows to both sides, the nearest first."""
         pose = self._pose
-        spread = self.BLIND_SPREAD_PER_M if self._path is None else self.SPREAD_PER_M
+        config = self._set.config
+        spread = config.blind_spread if self._path is None else config.spread
         reach = spread * self._missed * self._set.step_m + (0.0 if self.points else self._reach_m)
         self._max_lateral_m = reach + self._set.marking_m
         if self._windows.is_empty(self._features, pose.x_m, pose.y_m, reach):
@@ -273,49 +300,46 @@ class WindowTracker:
         most = self._max_lateral_m if self._lost else self._set.max_shift_m
         if abs(pose.lateral(hit.x_m, hit.y_m)) > most:
             return None
-        if self._lost and not self._is_line_again(hit):
+        direction = hit.direction_rad
+        if self._lost and (direction is None or not self._is_line_again(hit, direction)):
             return None
-        if hit.direction_rad is not None and abs(hit.direction_rad - pose.heading_rad) > self.TURN_RAD:
+        most_rad = self._set.config.gap_turn_rad if self._lost else self._set.config.turn_rad
+        if direction is not None and abs(direction - pose.heading_rad) > most_rad:
             return None
         if path is not None and (self._lost or path.known):
-            most = self._reach_m + self._set.marking_m + self.LATERAL_PER_M * (path.s_m - self._from_m)
+            most = self._reach_m + self._set.marking_m + self._set.config.spread * (path.s_m - self._from_m)
             if abs(path.lateral(hit.x_m, hit.y_m)) > most:
                 return None
         return hit
 
-    def _is_line_again(self, hit: WindowHit) -> bool:
-        """Whether a piece may be the lost line: whole, in its direction, and none of a zebra's bars."""
-        direction = hit.direction_rad
-        most = self.BLIND_GAP_TURN_RAD if self._path is None else self.GAP_TURN_RAD
-        if direction is None or abs(direction - self._pose.heading_rad) > most:
-            return False
-        around = self._windows.surroundings(self._features, hit.x_m, hit.y_m, direction)
-        return around.covered >= self.COVERED and min(around.flanks) < self.FLANKED
+    def _is_line_again(self, hit: WindowHit, direction_rad: float) -> bool:
+        """Whether a piece may be the lost line: whole, and none of a zebra's bars."""
+        around = self._windows.surroundings(self._features, hit.x_m, hit.y_m, direction_rad)
+        return around.covered >= self._set.config.covered and min(around.flanks) < self._set.config.flanked
 
     def _accept(self, hit: WindowHit) -> bool:
         """Move onto the line; False where it has turned away from the expected line."""
-        pose, step, path = self._pose, self._set.step_m, self._path
+        pose, path = self._pose, self._path
         error = pose.lateral(hit.x_m, hit.y_m)
         pose.shift(error)
-        turn = 0.0
         if not self._lost:
-            turn = self.HEADING_GAIN * error / step
-            pose.curvature_per_m += self.CURVATURE_GAIN * error / (step * step)
-        seen_rad = pose.heading_rad + turn
+            pose.turn(self._set.config.heading_gain * error / self._set.step_m)
+            pose.curvature_per_m += self._set.config.curvature_gain * error / self._set.step_m**2
+        seen_rad = pose.heading_rad
         if hit.direction_rad is not None:
             seen_rad = hit.direction_rad
-            turn += (self.FOUND_GAIN if self._lost else self.OWN_GAIN) * (seen_rad - pose.heading_rad - turn)
-        pose.turn(turn)
+            gain = self._set.config.found_gain if self._lost else self._set.config.own_gain
+            pose.turn(gain * (seen_rad - pose.heading_rad))
         lateral = turned = 0.0
         if path is not None:
             lateral = path.lateral(pose.x_m, pose.y_m)
             turned = math.remainder(0.5 * (pose.heading_rad + seen_rad) - path.heading_rad, math.tau)
             if self._lost or path.known:
-                if abs(turned) > self.AWAY_RAD:
+                if abs(turned) > self._set.config.away_rad:
                     self._turn_back(path)
                     return False
-                self._turned_rad += max(self.TURNED_GAIN, 1.0 / (len(self.points) + 2)) * (turned - self._turned_rad)
-            elif abs(turned - self._turned_rad) > ODD_RAD:  # the line leaves the guessed part
+                self._turned_rad += (turned - self._turned_rad) / (len(self.points) + 2)
+            elif abs(turned - self._turned_rad) > self._set.config.odd_rad:  # the line leaves the guessed part
                 self._path = None
                 turned = self._turned_rad
         self.points.append(TrackedPoint(hit.x_m, hit.y_m, self._missed, lateral, turned))
@@ -324,7 +348,7 @@ class WindowTracker:
 
     def _turn_back(self, path: PathCursor) -> None:
         """Drop the last points, which led away from the expected line, and go on beside it as before them."""
-        odd = _odd(self.points)
+        odd = _odd(self.points, self._set.config.odd_rad)
         while odd and odd.pop():
             self._missed += 1 + self.points.pop().missed
         pose = self._pose
@@ -340,9 +364,7 @@ class WindowTracker:
             pose.curvature_per_m = path.turn_rad / step
             if self._lost:
                 wanted = path.heading_rad + self._turned_rad
-                pose.turn(self.REJOIN * math.remainder(wanted - pose.heading_rad, math.tau))
-        elif self._lost:
-            pose.curvature_per_m *= self.STRAIGHTEN
+                pose.turn(math.remainder(wanted - pose.heading_rad, math.tau))
         pose.advance(step, min(max(pose.curvature_per_m * step, -most), most))
         self._follow_path()
 

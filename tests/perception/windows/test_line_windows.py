@@ -134,7 +134,7 @@ class TestExpectations:
 
     def test_a_cursor_follows_its_line(self) -> None:
         road = Road(curvature_per_m=0.5)
-        path = PathCursor(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1)
+        path = PathCursor(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1, 100)
         assert path.turn_rad == pytest.approx(0.05, abs=1e-3)
         path.advance_to(math.sin(0.5) * 2.0, 2.0 - 2.0 * math.cos(0.5))  # 1 m along the arc
         assert path.s_m == pytest.approx(1.0, abs=0.06)
