@@ -25,14 +25,13 @@ from typing import Any
 
 import numpy as np
 
-from automodel.curves.foot import foot_on_circle
+from automodel.curves.foot import LEAST_STRETCH, foot_on_circle
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
 from automodel.types import FloatArray
 
 _LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
 _DIRECTION = slice(4, 5)
-_LEAST_STRETCH = 0.05  # least h in the Jacobian: it is 0 at the centre of curvature
 
 
 class State(IntEnum):
@@ -74,7 +73,7 @@ def predicted_state(
     along, left = shift_m[0] * cos + shift_m[1] * sin, shift_m[1] * cos - shift_m[0] * sin
     y = 0.5 * rho * width + left
     u, v = 1.0 - kappa * y, kappa * along
-    h = max(math.hypot(u, v), _LEAST_STRETCH)
+    h = max(math.hypot(u, v), LEAST_STRETCH)
     foot, offset = foot_on_circle(along, y, kappa)
     offset_along, offset_left = -v / h, u / h
     turn_along, turn_left = kappa * u / (h * h), kappa * v / (h * h)
@@ -96,21 +95,20 @@ def predicted_state(
 class PoseFilterConfig:
     """Noise of the lane's pose, by distance and by time; offsets and widths in lane widths.
 
-    Each pair holds the standard deviations gained over one lane width of distance and over one second; `lost` holds
-    those of heading [rad] and offset over one second of unknown motion. `gate`: share of good measurements that pass.
-    After `patience` rejections of a line in a row the filter is taken to be wrong and its covariance is opened.
+    Heading, offset and width gain these standard deviations over one lane width of distance and over one second;
+    `lost` holds those of heading [rad] and offset over one second of unknown motion. `gate`: share of good measurements
+    that pass. After `patience` rejections of a line in a row the filter is taken to be wrong and its covariance opened.
     """
 
     lane_width_m: float
     reference_x_m: float
-    heading_rad: tuple[float, float] = (0.02, 0.02)
-    offset_lanes: tuple[float, float] = (0.01, 0.01)
-    width_lanes: tuple[float, float] = (0.03, 0.003)
+    heading_rad: float = 0.02
+    offset_lanes: float = 0.01
+    width_lanes: float = 0.03
     lost: tuple[float, float] = (1.0, 0.5)
     gate: float = 0.999
     patience: int = 15
-    least_width: float = 0.4  # share of the lane width that bounds the estimate from below, and
-    most_width: float = 2.5  # from above
+    least_width: float = 0.4  # share of the lane width that bounds the estimate from below; its inverse does from above
 
     def __post_init__(self) -> None:
         if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
@@ -243,8 +241,7 @@ class LanePoseFilter:
         self._next, self._ekf.F = predicted_state(self._ekf.x, shift, before.yaw_rad, kappa)
         distance, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
         heading, offset, width_noise = (
-            distance * driven * driven + time * still * still
-            for driven, still in (config.heading_rad, config.offset_lanes, config.width_lanes)
+            (distance + time) * sigma * sigma for sigma in (config.heading_rad, config.offset_lanes, config.width_lanes)
         )
         if not motion_known:
             heading, offset = (q + time * lost * lost for q, lost in zip((heading, offset), config.lost, strict=True))
@@ -326,7 +323,7 @@ class LanePoseFilter:
 
     def _bounded_width(self, width_m: float) -> float:
         unit = self.config.lane_width_m
-        return min(max(width_m, self.config.least_width * unit), self.config.most_width * unit)
+        return min(max(width_m, self.config.least_width * unit), unit / self.config.least_width)
 
     def _spread(self, sigma: tuple[float, float, float]) -> FloatArray:
         heading, offset, width = sigma

@@ -25,7 +25,6 @@ from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 NEAR_SAMPLES = 16  # those nearest to the car, of a line that does not reach it
-BEARING_RAD = 0.02  # least standard deviation of the direction from the foot to a sample
 BEND = 0.25  # [lane widths] standard deviation of a line's place a lane width beyond its last point
 FORGOTTEN = 1e-4  # a line whose information has decayed to this share starts again
 _IDENTITY: FloatArray = np.eye(ORDER)
@@ -48,8 +47,7 @@ class ThetaRlsConfig:
     prior_rad: tuple[float, float, float] = (2.5, 1.5, 1.0)
     model_rad: float = 0.02
     sight_lanes: float = 1.0
-    lateral_walk_lanes: float = 0.02  # random walk of the line's distance over a lane width of distance
-    lateral_still_lanes: float = 0.02  # and over a second
+    lateral_walk_lanes: float = 0.02  # random walk of the line's distance over a lane width, and a second
     tightest_lanes: float = 1.2  # radius of the tightest arc beyond the points
 
     def __post_init__(self) -> None:
@@ -124,7 +122,7 @@ class ThetaRls:
         moved = 0.5 * (moved + moved.T)
         self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
         self._kept *= keep
-        walk = config.lateral_walk_lanes**2 * abs(distance_m) / unit + config.lateral_still_lanes**2 * max(dt_s, 0.0)
+        walk = config.lateral_walk_lanes**2 * (abs(distance_m) / unit + max(dt_s, 0.0))
         strayed = BEND**2 * (max(-self.line.s_max_m, 0.0) ** 4 / unit**4 - past**4)
         self.lateral_variance_m2 += (walk + max(strayed, 0.0)) * unit * unit
 
@@ -237,7 +235,7 @@ class ThetaRls:
         away = sampled.points_m[near] - line.points(places)
         residual = away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta)
         share = np.cos(theta - line.heading_at(0.0))
-        bearing = BEARING_RAD**2 + self.heading_variance_here()
+        bearing = self.heading_variance_here()
         weighted = share / (sampled.lateral_sigma_m[near] ** 2 + bearing * places * places)
         total = float(weighted @ share)
         if not total > 0.0:

@@ -9,6 +9,7 @@ import numpy as np
 
 from automodel.estimation.theta.centerline_fusion import CenterlineFusion
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
+from automodel.estimation.theta.line_spline import MIN_POINTS
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
 from automodel.estimation.theta.theta_rls import ThetaRlsConfig
 from automodel.estimation.theta.tracked_line import UNKNOWN_SPEED_LANES, SeenLine, TrackedLine, move_line
@@ -24,8 +25,6 @@ class TrackedLane:
     """
 
     KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
-    OWN_LANES = 0.5  # unseen distance after which it is predicted beside the centerline
-    FIRST_POINTS = 4  # that make a new line
     NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
     GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
     FAR_LANES, FAR_POINTS = 0.6, 3  # gap beyond which points must be this many
@@ -53,7 +52,7 @@ class TrackedLane:
     def start(self, left: SeenLine | None, right: SeenLine | None) -> bool:
         """Start with one frame's lines, of which one may be missing; False if they make no lane."""
         for tracked, seen in ((self.left, left), (self.right, right)):
-            if seen is not None and len(seen.points_m) >= self.FIRST_POINTS:
+            if seen is not None:
                 tracked.update(seen)
         self._fusion.update(self.left.rls, self.right.rls, self.unit, (0.1 * self.unit) ** 2)
         if self._fusion.rls.line is None:
@@ -65,8 +64,7 @@ class TrackedLane:
     def restart(self, left: SeenLine, right: SeenLine, mean: FloatArray, covariance: FloatArray) -> bool:
         """Start about a belief: (offset, direction of the lane, curvature, width) (4,), and its covariance (4, 4)."""
         for tracked, seen in ((self.left, left), (self.right, right)):
-            if len(seen.points_m) >= self.FIRST_POINTS:
-                tracked.update(seen)
+            tracked.update(seen)
         offset, theta, _, width = mean.tolist()
         sigma = np.sqrt(np.diag(covariance))
         self._fusion.update(self.left.rls, self.right.rls, width, float(covariance[3, 3]))
@@ -129,7 +127,7 @@ class TrackedLane:
 
     def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
-        return tracked.line if tracked.unseen_m < self.OWN_LANES * self.unit else None
+        return tracked.line if tracked.unseen_m < self.KEPT_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
         seen = self._before_gap(tracked, seen)
@@ -139,9 +137,9 @@ class TrackedLane:
     def _first_points(self, seen: SeenLine) -> int:
         """How many points make a new line: more where it has to be extrapolated far back to the car."""
         if not len(seen.points_m):
-            return self.FIRST_POINTS
+            return MIN_POINTS
         away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
-        return self.FIRST_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
+        return MIN_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
     def _before_gap(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
         """The points without those beyond a wide gap that are too few to be assigned to the line."""
