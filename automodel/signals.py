@@ -80,6 +80,7 @@ class MotionSource(enum.Enum):
     MODEL = "model"  # speed measured, yaw rate from the bicycle model on the applied steering
     COMMAND = "command"  # speed or steering as commanded
     RECORDED = "recorded"  # read from a recording or motion.csv
+    IMAGES = "images"  # seen in the images: the ground's own motion
     NONE = "none"  # unknown: both values are 0 and must not be used
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from automodel.config import CarConfig, CenterlineConfig
+from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import GroundCamera
@@ -83,6 +84,7 @@ class Centerline:
         self._ahead_m = ahead_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
+        self._image_motion = ImageMotion(self._camera, lane.width_m)
         self._look_for(lane.marking_width_m)
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
         self.notice = _provider_notice(self._markings, options)
@@ -114,6 +116,7 @@ class Centerline:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
+        self._image_motion.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
         self._lane: TrackedLane | None = None
@@ -122,6 +125,7 @@ class Centerline:
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
+        motion = self._image_motion.step(frame, motion)  # as given, or the ground's own motion
         self._predict(frame.t_ns, motion)  # odometry: lines, centerline and pose
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:

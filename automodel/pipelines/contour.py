@@ -20,6 +20,7 @@ from automodel.curves import DeferredCurve
 from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
+from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
@@ -31,7 +32,7 @@ from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchCo
 from automodel.perception.rows.row_hough import RowHough
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
-from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, MotionSource
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Floats, Image
@@ -76,6 +77,7 @@ class Contour:
         self._tracker = self._make_tracker(self._nodes_m, car, dtype)
         self._pair = self._tracker.pair
         self._projection = LineProjection(camera, dtype)
+        self._image_motion = ImageMotion(camera, unit)
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
@@ -123,6 +125,7 @@ class Contour:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
+        self._image_motion.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m, self._car.lane.markings == "dark")
         self._tracking.reset()
@@ -139,7 +142,7 @@ class Contour:
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
-        self._predict(frame.t_ns, motion)  # speed and yaw rate
+        self._predict(frame.t_ns, self._motion(frame, motion))  # speed and yaw rate
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
@@ -192,17 +195,23 @@ class Contour:
         tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
         self.reset()
 
+    def _motion(self, frame: Frame, motion: Motion) -> Motion:
+        """The motion as given; where it is unknown or contradicts the lines, that of the ground in the image."""
+        if motion.known and not self._odometry.trusted(frame.t_ns):
+            motion = Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+        return self._image_motion.step(frame, motion)
+
     def _predict(self, t_ns: int, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         self._t_ns = t_ns
-        moved = self._tracking.predict(t_ns, motion, self._odometry.trusted(t_ns))
+        moved = self._tracking.predict(t_ns, motion)
         if self._odometry_rejected:
             self._tracking.forget()
         if self._tracking.lost or moved is None:
             self._tracker.forget()
             self._odometry_rejected = False
             return
-        self._odometry_used = moved.known
+        self._odometry_used = moved.known and motion.source is not MotionSource.IMAGES
         self._tracker.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
 
     def _start(self, frame: Frame) -> tuple[Tracked, bool] | None:

@@ -1,0 +1,228 @@
+"""The car's motion from the images alone: where nothing else tells it, the ground's own texture does.
+
+Corners on the ground are followed from one image to the next (Lucas and Kanade 1981, on a pyramid). A car on wheels
+moves along an arc, so that one corner gives a motion (Scaramuzza 2011, "1-Point-RANSAC Structure from Motion for
+Vehicle-Mounted Cameras"); the one that most corners agree on is refined by least squares in the image. What does not
+move in the image though the rest does, such as a lamp's reflection, is left out. A Kalman filter on speed and yaw rate
+joins the frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+
+from automodel.geometry import SE2, GroundCamera
+from automodel.signals import Frame, Motion, MotionSource
+from automodel.types import Bools, Float32Array, FloatArray, Image
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageMotionConfig:
+    """Scales of `ImageMotion`; lengths in lane widths, pixels of an image of at most `width_px`.
+
+    `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion, and
+    this `share`; fewer agree by chance. `moving`: so many that move together, most of those that move at all, show that
+    the car does: nothing moves while it stands. `apart_px`: a corner agrees up to here; two of its `sigma_px`, the
+    error of following. `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in
+    them; noise that was followed differs by 1.4. `systematic`: share of a motion by which a wrong camera falsifies it.
+    `acceleration` [1/s^2], `yaw_acceleration_radps2`: what a driver and a steering do, sigma after a second. `speed`
+    [1/s], `yaw_rate_radps`: largest sigmas of a motion that is told: those of the odometry that dead reckoning expects
+    at a few lane widths a second. `most_speed` [1/s], `most_yaw_rate_radps`: sigmas of a car of which nothing is known.
+    """
+
+    width_px: int = 720
+    ahead: float = 3.0
+    aside: float = 1.5
+    corners: int = 80
+    least: int = 8
+    share: float = 0.25
+    moving: int = 6
+    apart_px: float = 1.0
+    sigma_px: float = 0.5
+    window_px: int = 17
+    alike: float = 0.9
+    systematic: float = 0.05
+    acceleration: float = 1.0
+    yaw_acceleration_radps2: float = 1.0
+    speed: float = 0.3
+    yaw_rate_radps: float = 0.2
+    most_speed: float = 4.0
+    most_yaw_rate_radps: float = 2.0
+
+
+class Seen(NamedTuple):
+    """A motion between two images: distance [m] and turn [rad]; their covariance (2, 2)."""
+
+    moved: FloatArray
+    covariance: FloatArray
+
+
+class ImageMotion:
+    """Fills in the motion of frames that come without one."""
+
+    ROUNDS = 3  # of the least squares
+    CANDIDATES = 40  # corners whose motion is tried
+    QUALITY = 0.02  # of a corner, relative to the best one
+    MAX_GAP_S = 0.5
+
+    def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
+        self.config, self._camera, self._unit = config or ImageMotionConfig(), camera, lane_width_m
+        self._scale = 1
+        while camera.camera.width_px / self._scale > self.config.width_px:
+            self._scale *= 2
+        self._mask: Image | None = None
+        self._middle = 0.5 * (self._scale - 1.0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last image and motion."""
+        self._last: Frame | None = None
+        self._mean: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s]
+        self._covariance = self._nothing()
+
+    def step(self, frame: Frame, motion: Motion) -> Motion:
+        """The motion up to a frame: as given where it is known, else as seen; unknown where too little was seen."""
+        last, self._last = self._last, frame
+        config, unit = self.config, self._unit
+        told = np.array((config.speed * unit, config.yaw_rate_radps))
+        if motion.known and math.isfinite(motion.speed_mps + motion.yaw_rate_radps):
+            self._mean, self._covariance = np.array((motion.speed_mps, motion.yaw_rate_radps)), np.diag(told**2)
+            return motion
+        dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
+        if last is None or not 0.0 < dt_s <= self.MAX_GAP_S or not self._fits(last) or not self._fits(frame):
+            self._mean, self._covariance = np.zeros(2), self._nothing()
+            return motion
+        walk = np.array((config.acceleration * unit, config.yaw_acceleration_radps2)) ** 2 * dt_s
+        self._covariance = self._covariance + np.diag(walk)
+        seen = self._between(self._small(last.image), self._small(frame.image), self._mean * dt_s)
+        if seen is not None:
+            self._correct(seen, dt_s)
+        if (np.diag(self._covariance) > told**2).any():
+            most = np.diag(self._nothing())
+            if (np.diag(self._covariance) > most).any():
+                self._mean, self._covariance = np.zeros(2), self._nothing()
+            return motion
+        speed, yaw_rate = self._mean.tolist()
+        return replace(motion, speed_mps=speed, yaw_rate_radps=yaw_rate, source=MotionSource.IMAGES)
+
+    def _fits(self, frame: Frame) -> bool:
+        camera = self._camera.camera
+        return frame.image.shape[:2] == (camera.height_px, camera.width_px)
+
+    def _nothing(self) -> FloatArray:
+        return np.diag(np.square((self.config.most_speed * self._unit, self.config.most_yaw_rate_radps)))
+
+    def _correct(self, seen: Seen, dt_s: float) -> None:
+        """The Kalman filter's correction by a motion that was seen."""
+        gain = np.linalg.solve(self._covariance + seen.covariance / dt_s**2, self._covariance).T
+        self._mean = self._mean + gain @ (seen.moved / dt_s - self._mean)
+        after = (np.eye(2) - gain) @ self._covariance
+        self._covariance = 0.5 * (after + after.T)
+
+    def _small(self, image: Image) -> Image:
+        """The image in grey, halved until it is small enough."""
+        grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        size = (grey.shape[1] // self._scale, grey.shape[0] // self._scale)
+        return grey if self._scale == 1 else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+
+    def _between(self, before: Image, after: Image, expected: FloatArray) -> Seen | None:
+        """The motion from one small image to the next; None where too few corners agree on one."""
+        start, end = self._follow(before, after, expected)
+        config = self.config
+        still = np.hypot(*(end - start).T) < 0.5 * config.apart_px
+        moving = np.count_nonzero(~still)
+        moved, least = np.zeros(2), max(config.least, round(config.share * len(start)))
+        if moving >= config.moving:
+            moved = self._consensus(start[~still], end[~still])
+            together = np.count_nonzero(self._near(start[~still], end[~still], moved))
+            if together < max(config.moving, moving // 2):
+                return None
+            least = min(least, int(together))
+        for _ in range(self.ROUNDS):
+            near = self._near(start, end, moved)
+            if np.count_nonzero(near) < least:
+                return None
+            residual, jacobian = self._linearised(start[near], end[near], moved)
+            moved = moved - np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+        sigma_px = max(1.4826 * float(np.median(np.abs(residual))), config.sigma_px)
+        covariance = np.linalg.solve(jacobian.T @ jacobian, np.eye(2)) * sigma_px**2
+        return Seen(moved, covariance + np.diag(np.square(config.systematic * moved)))
+
+    def _follow(self, before: Image, after: Image, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Corners (n, 2) [px], and where they went."""
+        config = self.config
+        if self._mask is None:
+            self._mask = self._ground_mask(before.shape)
+        apart = max(before.shape[1] / 80.0, 3.0)
+        found = cv2.goodFeaturesToTrack(before, config.corners, self.QUALITY, apart, mask=self._mask)
+        if found is None:
+            return np.empty((0, 2)), np.empty((0, 2))
+        start = found.reshape(-1, 2).astype(np.float32)
+        guess = self._image_of(start.astype(np.float64), expected)
+        guess = np.clip(np.where(np.isfinite(guess), guess, start), -1e4, 1e4).astype(np.float32)
+        size, flags = (config.window_px, config.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
+        end, status, differ = cv2.calcOpticalFlowPyrLK(
+            before, after, start, guess, winSize=size, maxLevel=2, flags=flags
+        )
+        followed = status.reshape(-1) > 0
+        start, end, differ = start[followed], end.reshape(-1, 2)[followed], differ.reshape(-1)[followed]
+        places = start.astype(np.float64)
+        good = np.isfinite(self._image_of(places, expected)).all(axis=1)
+        good &= differ < config.alike * self._contrast(before, start)
+        return places[good], end[good].astype(np.float64)
+
+    def _contrast(self, image: Image, places: Float32Array) -> FloatArray:
+        """Mean deviation (n,) from the mean in the windows about places (n, 2)."""
+        size = (self.config.window_px, self.config.window_px)
+        patches = (cv2.getRectSubPix(image, size, (float(u), float(v))).astype(np.float64) for u, v in places)
+        return np.array([np.abs(patch - patch.mean()).mean() for patch in patches])
+
+    def _image_of(self, pixels: FloatArray, moved: FloatArray) -> FloatArray:
+        """Where pixels (n, 2) of the ground go with a motion (distance, turn), in the small image."""
+        after_from_before = SE2.arc(float(moved[0]), float(moved[1])).inverse()
+        ground = self._camera.px_to_ground(pixels * self._scale + self._middle)
+        return np.asarray((self._camera.ground_to_px(after_from_before.apply(ground)) - self._middle) / self._scale)
+
+    def _near(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
+        """Which corners (n,) agree with a motion."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.hypot(*(self._image_of(start, moved) - end).T) < self.config.apart_px)
+
+    def _linearised(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Residuals (2 n,) [px] and their Jacobian (2 n, 2) for distance and turn, by differences."""
+        off = (self._image_of(start, moved) - end).reshape(-1)
+        steps = (1e-3 * self._unit, 1e-3)
+        columns = [
+            ((self._image_of(start, moved + step * np.eye(2)[i]) - end).reshape(-1) - off) / step
+            for i, step in enumerate(steps)
+        ]
+        return off, np.stack(columns, axis=1)
+
+    def _consensus(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """The motion by one corner that most corners agree with."""
+        before, after = (self._camera.px_to_ground(self._scale * px + self._middle) for px in (start, end))
+        turn = (before[:, 1] - after[:, 1]) / np.maximum(0.5 * (before[:, 0] + after[:, 0]), 1e-3)
+        distance = before[:, 0] - after[:, 0] + 0.5 * turn * (before[:, 1] + after[:, 1])
+        motions = np.stack((distance, turn), axis=1)
+        motions = motions[np.isfinite(motions).all(axis=1) & (np.abs(turn) < 0.5)][: self.CANDIDATES]
+        if not len(motions):
+            return np.zeros(2)
+        votes = [np.count_nonzero(self._near(start, end, moved)) for moved in motions]
+        return np.asarray(motions[int(np.argmax(votes))])
+
+    def _ground_mask(self, shape: tuple[int, ...]) -> Image:
+        """255 where the ground is near enough to be looked at."""
+        height, width = shape[:2]
+        v, u = np.mgrid[0:height, 0:width]
+        pixels = np.stack((u, v), axis=-1).reshape(-1, 2) * self._scale + self._middle
+        ground = self._camera.px_to_ground(pixels.astype(np.float64))
+        far_m = self._camera.first_visible_x_m() + self.config.ahead * self._unit
+        with np.errstate(invalid="ignore"):
+            inside = (ground[:, 0] > 0.0) & (ground[:, 0] < far_m)
+            inside &= np.abs(ground[:, 1]) < self.config.aside * self._unit
+        return np.where(inside, 255, 0).astype(np.uint8).reshape(height, width)

@@ -1,0 +1,148 @@
+"""The motion of a camera over a textured floor: images are drawn from the floor's map, for a pose that is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from automodel.config import CarConfig
+from automodel.estimation.image_motion import ImageMotion
+from automodel.geometry import SE2, GroundCamera
+from automodel.signals import Frame, Motion, MotionSource
+from automodel.types import FloatArray, Image
+
+CAR = CarConfig()
+CAMERA = GroundCamera.from_config(CAR.camera)
+HEIGHT, WIDTH, LANE = CAR.camera.height_px, CAR.camera.width_px, CAR.lane.width_m
+RATE_HZ = 30.0
+PX_PER_M, SIDE_PX = 250.0, 1500
+PIXELS: FloatArray = np.stack(np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT)), axis=-1).reshape(-1, 2).astype(float)
+GROUND = CAMERA.px_to_ground(PIXELS)
+
+
+def floor(contrast: float = 40.0) -> Image:
+    """A map of 6 x 6 m with spots of a few centimetres."""
+    rough = np.random.default_rng(7).normal(size=(SIDE_PX, SIDE_PX))
+    spots = cv2.GaussianBlur(rough, (0, 0), 3.0)
+    return np.clip(110.0 + contrast * spots / spots.std(), 0, 255).astype(np.uint8)
+
+
+def drawn(floor_map: Image, pose: SE2, noise: int = 0) -> Image:
+    """What the camera sees from a pose; `noise` is a seed, 0 for none."""
+    known = np.asarray(np.isfinite(GROUND).all(axis=1))
+    places = pose.apply(np.where(known[:, None], GROUND, 0.0)) * PX_PER_M + 0.5 * SIDE_PX
+    u, v = (places[:, i].reshape(HEIGHT, WIDTH).astype(np.float32) for i in (0, 1))
+    image = cv2.remap(floor_map, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+    grey: FloatArray = np.where(known.reshape(HEIGHT, WIDTH), image, 90).astype(np.float64)
+    if noise:
+        grey = grey + np.random.default_rng(noise).normal(0.0, 3.0, grey.shape)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def frames(speed: float, yaw_rate: float, count: int, floor_map: Image, noisy: bool = True) -> list[Frame]:
+    pose, seen = SE2(0.0, 0.0, 0.4), []
+    for index in range(count):
+        image = drawn(floor_map, pose, index + 1 if noisy else 0)
+        seen.append(Frame(t_ns=round(index * 1e9 / RATE_HZ), index=index, image=image))
+        pose = pose @ SE2.arc(speed / RATE_HZ, yaw_rate / RATE_HZ)
+    return seen
+
+
+def unknown(frame: Frame) -> Motion:
+    return Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+
+
+def watched(seen: list[Frame], camera: GroundCamera = CAMERA) -> list[Motion]:
+    looking = ImageMotion(camera, LANE)
+    return [looking.step(frame, unknown(frame)) for frame in seen]
+
+
+@pytest.mark.parametrize(("speed", "yaw_rate"), [(0.6, 0.0), (1.0, 0.7), (0.5, -1.2), (-0.3, 0.2)])
+def test_the_motion_is_that_of_the_camera_over_the_floor(speed: float, yaw_rate: float) -> None:
+    told = watched(frames(speed, yaw_rate, 8, floor()))[3:]
+    assert all(motion.source is MotionSource.IMAGES for motion in told)
+    assert np.mean([motion.speed_mps for motion in told]) == pytest.approx(speed, abs=0.03)
+    assert np.mean([motion.yaw_rate_radps for motion in told]) == pytest.approx(yaw_rate, abs=0.03)
+
+
+def test_a_car_that_stands_is_seen_to_stand() -> None:
+    told = watched(frames(0.0, 0.0, 6, floor()))[2:]
+    assert all(motion.known for motion in told)
+    assert [motion.speed_mps for motion in told] == pytest.approx([0.0] * len(told), abs=0.02)
+
+
+def test_noise_on_a_bare_floor_is_no_motion() -> None:
+    bare = floor(contrast=0.0)
+    assert not any(motion.known for motion in watched(frames(0.8, 0.3, 6, bare)))
+
+
+def test_lamps_that_are_mirrored_in_the_floor_do_not_stop_the_car() -> None:
+    seen = []
+    for frame in frames(0.8, 0.4, 8, floor()):  # at the same places in each image
+        image = frame.image.copy()
+        for u in range(60, WIDTH, 90):
+            cv2.circle(image, (u, round(0.55 * HEIGHT)), 12, 250, -1)
+        seen.append(dataclasses.replace(frame, image=image))
+    told = watched(seen)[3:]
+    assert all(motion.known for motion in told)
+    assert np.mean([motion.speed_mps for motion in told]) == pytest.approx(0.8, abs=0.05)
+
+
+def test_a_motion_that_is_known_is_passed_on_and_its_images_are_not_looked_at() -> None:
+    looking = ImageMotion(CAMERA, LANE)
+    nothing = np.zeros((HEIGHT, WIDTH), np.uint8)
+    for index in range(3):
+        frame = Frame(t_ns=index * 33_000_000, index=index, image=nothing)
+        given = Motion(t_ns=frame.t_ns, speed_mps=1.0, yaw_rate_radps=0.2)
+        assert looking.step(frame, given) is given
+
+
+def test_where_the_odometry_ends_the_images_go_on() -> None:
+    seen = frames(0.7, 0.3, 6, floor())
+    looking = ImageMotion(CAMERA, LANE)
+    for frame in seen[:3]:
+        looking.step(frame, Motion(t_ns=frame.t_ns, speed_mps=0.7, yaw_rate_radps=0.3))
+    told = [looking.step(frame, unknown(frame)) for frame in seen[3:]]
+    assert all(motion.source is MotionSource.IMAGES for motion in told)
+    assert told[-1].speed_mps == pytest.approx(0.7, abs=0.05)
+
+
+def test_a_gap_and_an_image_of_another_size_tell_nothing() -> None:
+    seen = frames(0.7, 0.0, 4, floor())
+    late = dataclasses.replace(seen[3], t_ns=seen[2].t_ns + 2_000_000_000)
+    small = dataclasses.replace(seen[3], image=seen[3].image[::2, ::2].copy())
+    for last in (late, small):
+        looking = ImageMotion(CAMERA, LANE)
+        told = [looking.step(frame, unknown(frame)) for frame in (*seen[:3], last)]
+        assert told[2].known
+        assert not told[3].known
+
+
+def test_colours_and_large_images_are_seen_alike() -> None:
+    large = dataclasses.replace(
+        CAR.camera,
+        width_px=2 * WIDTH,
+        height_px=2 * HEIGHT,
+        intrinsics=dataclasses.replace(
+            CAR.camera.intrinsics,
+            fx_px=2.0 * CAR.camera.intrinsics.fx_px,
+            fy_px=2.0 * CAR.camera.intrinsics.fy_px,
+            cx_px=2.0 * CAR.camera.intrinsics.cx_px + 0.5,
+            cy_px=2.0 * CAR.camera.intrinsics.cy_px + 0.5,
+        ),
+    )
+    seen = frames(0.8, 0.5, 7, floor())
+    colours = [
+        dataclasses.replace(
+            frame,
+            image=cv2.cvtColor(cv2.resize(frame.image, None, fx=2.0, fy=2.0), cv2.COLOR_GRAY2BGR).astype(np.uint8),
+        )
+        for frame in seen
+    ]
+    told = watched(colours, GroundCamera.from_config(large))[-1]
+    assert told.speed_mps == pytest.approx(0.8, abs=0.05)
+    assert told.yaw_rate_radps == pytest.approx(0.5, abs=math.radians(3.0))
