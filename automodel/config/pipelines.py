@@ -58,7 +58,9 @@ class ContourConfig:
     look_ahead_lanes: float = 2.5  # how far ahead of the first visible ground the lines are followed
     nodes: int = 18  # places at which a line is looked for
     piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
-    radius_lanes: float = 1.4  # radius of the tightest bend; some 50 on a highway
+    radius_lanes: float = (
+        1.4  # of the road's tightest bend; some 50 on a highway, where every pipeline starts on dashes
+    )
     contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
     colour: str = "grey"  # what is read of a colour image: "blue", "green", "red", or their weighted sum "grey"
     update: str = "gauss_newton"  # or "gradient_descent", as in the thesis

@@ -27,6 +27,7 @@ from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
+from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Image
 
@@ -85,6 +86,7 @@ class Centerline:
         self._markings = make_markings(car) if markings is None else markings
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
         self._image_motion = ImageMotion(self._camera, lane.width_m)
+        self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
         self._look_for(lane.marking_width_m)
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
         self.notice = _provider_notice(self._markings, options)
@@ -107,6 +109,7 @@ class Centerline:
         self._initialisation = LineInitialisation(self.view, unit, shown_m, self._reference_x_m)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
         self._scan = LineScan(self.view, unit, shown_m)
+        self._gentle.look_for(marking_m)
 
     @property
     def warning(self) -> str:
@@ -138,14 +141,17 @@ class Centerline:
         self.stages.lap("birdseye")
         if self._lane is None:
             start = self._tracking.start(frame.t_ns, self._scan.step(features))  # lines in view, the lane's pair
-            started = self._find(features) if start is None else self._restart(features, start)
+            gentle = self._begin(frame.image)  # line integrals, where all bends are wide
+            started = gentle or (self._find(features) if start is None else self._restart(features, start))
             self.stages.lap("start")
             if started is None:
                 if start is not None:
                     self._tracking.forget()
                 return self._tracking.lost_estimate(frame)
             self._lane, lines = started
-            if start is None:
+            if gentle is not None:
+                self._tracking.begin(frame.t_ns, True, self._followed(self._lane, lines).pose)
+            elif start is None:
                 self._tracking.begin(frame.t_ns, all(lines.used))
         else:
             followed = self._follow_lines(features, self._lane)  # window line following
@@ -179,6 +185,16 @@ class Centerline:
         if isinstance(self._markings, MarkingNetwork):
             mask = adaptive_threshold(mask)
         return self._features.step(mask)
+
+    def _begin(self, image: Image) -> tuple[TrackedLane, Lines] | None:
+        """A lane from the lines of a start from the whole image."""
+        found = self._gentle.step(image)
+        if found is None:
+            return None
+        sigma = np.full(len(found.left_m), found.sigma_m)
+        left, right = (SeenLine(points_m=points, sigma_m=sigma) for points in (found.left_m, found.right_m))
+        lane = TrackedLane(self._unit, self._reference_x_m)
+        return (lane, Lines(left, right, (True, True))) if lane.start(left, right) else None
 
     def _find(self, features: Image) -> tuple[TrackedLane, Lines] | None:
         """A lane from this frame alone: from a pair of lines, or from one."""

@@ -29,6 +29,7 @@ from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
 from automodel.tracking.belief import LaneBelief
+from automodel.tracking.gentle_start import GentleLane, GentleStart
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import FloatArray, Image
 
@@ -50,6 +51,7 @@ class Windows:
         self._size = (car.camera.height_px, car.camera.width_px)
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
         self._image_motion = ImageMotion(self._camera, lane.width_m)
+        self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
         near_x_m = self._camera.first_visible_x_m()
         ahead_m = near_x_m + options.view_ahead_lanes * lane.width_m - self._reference_x_m
         self._tracker = LaneTracker(
@@ -81,6 +83,7 @@ class Windows:
         self._windows = SlidingWindows(self.view, marking_m)
         self._initialiser = LaneInitialiser(self._windows, self._tracker)
         self._scan = LineScan(self.view, lane.width_m, marking_m)
+        self._gentle.look_for(marking_m)
 
     @property
     def warning(self) -> str:
@@ -113,8 +116,12 @@ class Windows:
         if self._tracking.lost:
             start = self._tracking.start(frame.t_ns, self._scan.step(lines))  # lines in view, the lane's pair
             self.stages.lap("start")
+            gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             candidate = self._initialiser.find(lines) if start is None else None  # histogram start, windows, fit
-            if start is not None:
+            if gentle is not None:
+                followed = self._followed(None, *self._begin(gentle))
+                self._tracking.begin(frame.t_ns, True, followed.pose)
+            elif start is not None:
                 followed = self._followed(None, *self._restart(start, areas.bright, lines))
             elif candidate is not None:
                 followed = self._followed(None, *self._start(candidate))
@@ -158,6 +165,14 @@ class Windows:
     def _start(self, candidate: LaneCandidate) -> Fitted:
         self._tracker.start(candidate.seen, candidate.solution)
         return candidate.seen, candidate.solution, candidate.support
+
+    def _begin(self, lane: GentleLane) -> Fitted:
+        """The lane fitted to the lines of a start from the whole image."""
+        arc = self._tracker.fit.start(*lane.belief.mean.tolist())
+        self._tracker.place(arc)
+        sigmas = [np.full(len(points), lane.sigma_m) for points in (lane.left_m, lane.right_m)]
+        seen = Observation(left_m=lane.left_m, right_m=lane.right_m, left_sigma_m=sigmas[0], right_sigma_m=sigmas[1])
+        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(lane.belief.covariance)))
 
     def _restart(self, belief: LaneBelief, bright: Image, lines: Image) -> Fitted:
         """The lane fitted anew about a belief."""

@@ -1,0 +1,74 @@
+"""A lane to start with on a road with large radii, of whose lines a single image shows worn dashes and dots."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from automodel.config import CarConfig
+from automodel.geometry import GroundCamera
+from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch
+from automodel.perception.rows.row_hough import RowHough
+from automodel.tracking.belief import LaneBelief, RoadModel
+from automodel.types import FloatArray, Image
+
+
+class GentleLane(NamedTuple):
+    """A lane, and points (n, 2) [m] on its left and right line, near to far, with their sigma [m]."""
+
+    belief: LaneBelief
+    left_m: FloatArray
+    right_m: FloatArray
+    sigma_m: float
+
+
+class GentleStart:
+    """Finds a lane by line integrals over the whole image; nothing where the road may have tight bends.
+
+    How tight they may be is what car.toml's `[pipeline.contour] radius_lanes` says of the road.
+    """
+
+    SIGMA = 0.03  # lane widths, and radians: error of what the search finds, some hundredths of a lane width
+    SPACING = 0.3  # lane widths between two points
+
+    def __init__(self, car: CarConfig, camera: GroundCamera, ahead_lanes: float) -> None:
+        unit, lane, radius = car.lane.width_m, car.lane, car.pipeline.contour.radius_lanes
+        self._unit, self._radius, self._reference_x_m = unit, radius, car.vehicle.reference_x_m
+        self._camera, self._lane = camera, lane
+        near = max(camera.first_visible_x_m() - self._reference_x_m, 0.0)
+        self._s = np.arange(near, near + ahead_lanes * unit, self.SPACING * unit)
+        light = Brightness("grey", lane.markings == "dark")
+        self._polarities = (light, light.negative())[: 1 + (lane.markings == "both")]
+        self._search: LineIntegralSearch | None = None
+        self.look_for(lane.marking_width_m)
+
+    def look_for(self, marking_m: float) -> None:
+        """Look for markings of this width from now on."""
+        self._road = RoadModel(lane_width_m=self._unit, marking_width_m=marking_m)
+        if self._radius < RowHough.GENTLE_LANES:
+            return
+        searched = LaneSearchConfig(
+            lane_width_m=self._unit,
+            marking_m=marking_m,
+            reference_x_m=self._reference_x_m,
+            radius_lanes=self._radius,
+        )
+        self._search = LineIntegralSearch(self._camera, searched)
+
+    def step(self, image: Image) -> GentleLane | None:
+        """The lane in an image of the camera's size; None where there is none, or another search is better."""
+        if self._search is None:
+            return None
+        for brightness in self._polarities:
+            lane = self._search.step(image, brightness)
+            if lane is None or not lane.fitted:
+                continue
+            sigma_m = self.SIGMA * self._unit
+            mean = np.array((lane.offset_m, lane.heading_rad, lane.curvature_per_m, lane.width_m))
+            spread = np.square((sigma_m, self.SIGMA, 1.0 / (self._radius * self._unit), sigma_m))
+            belief = LaneBelief(mean, np.diag(spread), self._road, self._reference_x_m)
+            left, right = (belief.beside(self._s, side)[0] for side in (+0.5, -0.5))
+            return GentleLane(belief, left, right, sigma_m)
+        return None
