@@ -23,9 +23,14 @@ class LaneShape:
     theta_rad: FloatArray
     kappa_per_m: FloatArray
     width_m: float
+    taper: float = 0.0  # its change per metre ahead
 
-    def beside(self, lateral_m: float) -> FloatArray:
-        """Points (n, 2) [m] at a distance to the left of the centerline."""
+    def line(self, side: int) -> FloatArray:
+        """Points (n, 2) [m] of the lane's line on `side` (+1 left, -1 right)."""
+        return self.beside(side * 0.5 * np.maximum(self.width_m + self.taper * self.s_m, 0.0))
+
+    def beside(self, lateral_m: float | FloatArray) -> FloatArray:
+        """Points (n, 2) [m] at a distance, one or (n,), to the left of the centerline."""
         out = np.empty_like(self.points_m)
         out[:, 0] = self.points_m[:, 0] - lateral_m * np.sin(self.theta_rad)
         out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)

@@ -39,8 +39,8 @@ def samples_of(
 def loose_prior(fit: LaneFit, mean: np.ndarray) -> LanePrior:
     unit = fit.config.lane_width_m
     nodes = np.full(len(fit.nodes_m), 1.0 / unit)
-    return LanePrior(mean=mean, sigma=np.concatenate(([0.3 * unit, 0.5], nodes, [0.1 * unit])))
+    return LanePrior(mean=mean, sigma=np.concatenate(([0.3 * unit, 0.5], nodes, [0.1 * unit, 0.003])))
 
 
 def true_parameters(fit: LaneFit, lane: WorldLane, s_m: float, offset_m: float, heading_rad: float) -> np.ndarray:
-    return np.concatenate(([offset_m, -heading_rad], lane.curvature(s_m + fit.nodes_m), [lane.width_m]))
+    return np.concatenate(([offset_m, -heading_rad], lane.curvature(s_m + fit.nodes_m), [lane.width_m, 0.0]))

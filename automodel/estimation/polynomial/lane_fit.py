@@ -2,9 +2,9 @@
 
 The centerline is c(s) with c(0) = p_ref - d n(theta0), c' = (cos theta, sin theta), theta(s) = theta0 + int_0^s kappa,
 and kappa piecewise linear between nodes: a chain of clothoids. A point of the line on side sigma (+1 left, -1 right)
-should lie at the signed distance sigma w / 2 from it. Gauss-Newton with an analytic Jacobian minimises the robust
-weighted sum of squared distances plus a prior, the last solution moved by the odometry, over the parameters
-(d, theta0, kappa_0 .. kappa_m, w).
+should lie at the signed distance sigma (w + w' s) / 2 from it: a lane that narrows or widens has no parallel lines.
+Gauss-Newton with an analytic Jacobian minimises the robust weighted sum of squared distances plus a prior, the last
+solution moved by the odometry, over the parameters (d, theta0, kappa_0 .. kappa_m, w, w').
 
 Body frame: d is the car's offset (left positive) at the reference point, -theta0 its heading in the lane.
 """
@@ -62,7 +62,7 @@ class Bearing:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSolution:
-    """Parameters (d, theta0, kappa.., w), their information matrix, and which samples were inliers (n,)."""
+    """Parameters (d, theta0, kappa.., w, w'), their information matrix, and which samples were inliers (n,)."""
 
     parameters: FloatArray
     information: FloatArray
@@ -81,7 +81,7 @@ class LaneSolution:
     @property
     def width_m(self) -> float:
         """The lane's width [m]."""
-        return float(self.parameters[-1])
+        return float(self.parameters[-2])
 
 
 class LaneFit:
@@ -113,11 +113,11 @@ class LaneFit:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return len(self.nodes_m) + 3
+        return len(self.nodes_m) + 4
 
     def start(self, offset_m: float, theta_rad: float, curvature_per_m: float, width_m: float) -> FloatArray:
         """Parameters (m,) of an arc."""
-        return np.concatenate(([offset_m, theta_rad], np.full(len(self.nodes_m), curvature_per_m), [width_m]))
+        return np.concatenate(([offset_m, theta_rad], np.full(len(self.nodes_m), curvature_per_m), [width_m, 0.0]))
 
     def shape(self, parameters: FloatArray) -> LaneShape:
         """The centerline of the parameters."""
@@ -126,8 +126,9 @@ class LaneFit:
             s_m=self.grid_m,
             points_m=points,
             theta_rad=theta,
-            kappa_per_m=self._hats @ parameters[2:-1],
-            width_m=float(parameters[-1]),
+            kappa_per_m=self._hats @ parameters[2:-2],
+            width_m=float(parameters[-2]),
+            taper=float(parameters[-1]),
         )
 
     def moved(self, parameters: FloatArray, shape: LaneShape, after_from_before: SE2) -> FloatArray:
@@ -139,9 +140,10 @@ class LaneFit:
         at = nearest_samples(shape.points_m, reference)
         ahead, left = newton_steps(reference - shape.points_m[at], shape.theta_rad[at], shape.kappa_per_m[at])
         s, d = float((shape.s_m[at] + ahead)[0]), float((left - 0.5 * shape.kappa_per_m[at] * ahead**2)[0])
-        kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-1])
+        kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-2])
+        width = parameters[-2] + s * parameters[-1]
         heading = float(np.interp(s, self.grid_m, shape.theta_rad)) + after_from_before.yaw_rad
-        return np.concatenate(([d, heading], kappa, parameters[-1:]))
+        return np.concatenate(([d, heading], kappa, [width, parameters[-1]]))
 
     def solve(
         self,
@@ -158,7 +160,7 @@ class LaneFit:
         fixed.flat[:: self.size + 1] += weight_prior
         if bearing is not None:
             row = np.zeros(self.size)
-            row[1], row[2:-1] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
+            row[1], row[2:-2] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
             fixed = fixed + np.outer(row, row) / bearing.sigma_rad**2
             pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
         parameters = (prior.mean if guess is None else guess).copy()
@@ -192,33 +194,39 @@ class LaneFit:
         points, theta, jacobian = self._curve(parameters, want_jacobian=True)
         q = samples.points_m
         nearest = nearest_samples(points, q)
-        theta, kappa = theta[nearest], self._hats[nearest] @ parameters[2:-1]
+        theta, kappa = theta[nearest], self._hats[nearest] @ parameters[2:-2]
         ahead, left = newton_steps(q - points[nearest], theta, kappa)
-        residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * 0.5 * parameters[-1]
-        rows = jacobian[nearest]  # (n, 2, m - 1): d position / d (d, theta0, kappa)
+        s = self.grid_m[nearest] + ahead
+        half = 0.5 * (parameters[-2] + parameters[-1] * s)
+        residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * half
+        rows = jacobian[nearest]  # (n, 2, m - 2): d position / d (d, theta0, kappa)
         out = np.empty((len(q), self.size))
-        np.einsum("nk,nkm->nm", np.column_stack((np.sin(theta), -np.cos(theta))), rows, out=out[:, :-1])
+        np.einsum("nk,nkm->nm", np.column_stack((np.sin(theta), -np.cos(theta))), rows, out=out[:, :-2])
         out[:, 1] -= ahead
-        out[:, 2:-1] -= ahead[:, None] * self._turn[nearest]
-        out[:, -1] = -0.5 * samples.side
+        out[:, 2:-2] -= ahead[:, None] * self._turn[nearest]
+        if parameters[-1] != 0.0:  # the foot moves along the lane, to where it is wider or narrower
+            slide = np.einsum("nk,nkm->nm", np.column_stack((np.cos(theta), np.sin(theta))), rows)
+            share = 0.5 * parameters[-1] * samples.side / np.maximum(1.0 - kappa * left, 0.05)
+            out[:, :-2] += share[:, None] * slide
+        out[:, -2], out[:, -1] = -0.5 * samples.side, -0.5 * samples.side * s
         return residual, out
 
     def covariance(self, solution: LaneSolution) -> FloatArray:
         """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
         picked = np.zeros((self.size, 3))
-        picked[0, 0], picked[1, 1], picked[-1, 2] = 1.0, -1.0, 1.0
+        picked[0, 0], picked[1, 1], picked[-2, 2] = 1.0, -1.0, 1.0
         return np.asarray(picked.T @ np.linalg.solve(solution.information, picked))
 
     def direction(self, parameters: FloatArray, s_m: float) -> float:
         """Direction [rad] of the centerline at s, body frame."""
-        return float(parameters[1] + _hat_integrals(self.nodes_m, np.array([s_m]))[0] @ parameters[2:-1])
+        return float(parameters[1] + _hat_integrals(self.nodes_m, np.array([s_m]))[0] @ parameters[2:-2])
 
     def curvature(self, parameters: FloatArray, s_m: float = 0.0) -> float:
         """Curvature [1/m] of the centerline at s."""
-        return float(np.interp(s_m, self.nodes_m, parameters[2:-1]))
+        return float(np.interp(s_m, self.nodes_m, parameters[2:-2]))
 
     def _curve(self, p: FloatArray, want_jacobian: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
-        kappa = p[2:-1]
+        kappa = p[2:-2]
         theta = p[1] + self._turn @ kappa
         middle = p[1] + self._turn_middle @ kappa
         cos, sin = np.cos(middle), np.sin(middle)
@@ -228,7 +236,7 @@ class LaneFit:
         points[:, 1] = -p[0] * c0 + self._sum @ sin
         jacobian = np.empty((0, 0, 0))
         if want_jacobian:
-            jacobian = np.empty((len(theta), 2, self.size - 1))
+            jacobian = np.empty((len(theta), 2, self.size - 2))
             jacobian[:, :, 0] = s0, -c0
             jacobian[:, 0, 1] = -points[:, 1]
             jacobian[:, 1, 1] = points[:, 0] - self.config.reference_x_m
@@ -242,8 +250,8 @@ class LaneFit:
         count = len(self.nodes_m)
         step_sigma = 0.35 / unit * np.sqrt(spacing / (0.6 * unit))
         difference = np.diff(np.eye(count), axis=0) / step_sigma
-        information = np.zeros((count + 3, count + 3))
-        information[2:-1, 2:-1] = difference.T @ difference
+        information = np.zeros((count + 4, count + 4))
+        information[2:-2, 2:-2] = difference.T @ difference
         return information
 
 

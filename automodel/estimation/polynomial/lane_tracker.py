@@ -52,6 +52,7 @@ class LaneTracker:
     CROSSING_LANES = 3.3  # length of a crossing along the lane
     CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
     CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
+    TAPER, TAPER_LANES = 0.03, 3.0  # of the width along the road: sigma of its change, and how long that lasts
     DRIFT = 0.012  # growth of a remembered point's sigma per distance driven
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
@@ -63,9 +64,15 @@ class LaneTracker:
         far = self.fit.config.ahead_lanes * u
         reach = np.clip((self.fit.nodes_m - self.SURE_LANES * u) / (far - self.SURE_LANES * u), 0.0, 1.0)
         kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
-        self._sigma = np.concatenate(([self.OFFSET * u, self.HEADING_RAD], kappa, [0.004 * u]))
-        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u]))
-        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u]))
+        self._sigma = np.concatenate(
+            (
+                [self.OFFSET * u, self.HEADING_RAD],
+                kappa,
+                [0.004 * u, self.TAPER * math.sqrt(2.0 * self.STEP_LANES / self.TAPER_LANES)],
+            )
+        )
+        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * self.TAPER]))
+        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u, self.TAPER]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
@@ -107,7 +114,7 @@ class LaneTracker:
         samples = _samples(seen)
         mean = guess.copy()  # where nothing is seen: straight, with the car on the centerline
         mean[:2] = 0.0
-        mean[2:-1][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
+        mean[2:-2][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
         solution = self.fit.solve(samples, LanePrior(mean=mean, sigma=self._start_sigma), rounds=6, guess=guess)
         residual = self.fit.residuals(solution.parameters, samples)[0]
         good = solution.inliers
@@ -130,7 +137,7 @@ class LaneTracker:
         """Start near an arc (m,) that is known up to `sigma` (4,): of offset, heading, curvature, width."""
         samples = _samples(seen)
         offset, heading, curvature, width = sigma.tolist()
-        spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width]))
+        spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width, self.TAPER]))
         solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, self._sigma)), rounds=6)
         self._take(solution.parameters)
         self._keep(samples, solution.inliers)
@@ -146,7 +153,7 @@ class LaneTracker:
                 return
         elif self.parameters is not None:
             after = self.parameters.copy()  # a bend before a crossing does not continue behind it
-            after[2:-1][self.fit.nodes_m > distance_m] = 0.0
+            after[2:-2][self.fit.nodes_m > distance_m] = 0.0
             self._take(after)
         if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:
             self._crossing_s_m = distance_m
@@ -192,8 +199,9 @@ class LaneTracker:
         sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
         nodes, start = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > start - 0.15 * self.unit) & (nodes < start + self.CROSSING_LANES * self.unit)
-        mean[2:-1][straight] = 0.0
-        sigma[2:-1][straight] = 0.15 / self.unit
+        mean[-1] *= math.exp(-self._step_m / (self.TAPER_LANES * self.unit))
+        mean[2:-2][straight] = 0.0
+        sigma[2:-2][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
 
     def _take(self, parameters: FloatArray | None) -> None:

@@ -191,7 +191,7 @@ class SlidingWindows:
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:
         """y [m] of the line on `side` (+1 left, -1 right) at each window's `centre_x_m`, NaN beyond the line's ends."""
-        points = lane.beside(side * 0.5 * lane.width_m)
+        points = lane.line(side)
         x = points[:, 0]
         first = int(np.argmin(np.abs(lane.s_m)))  # beside the car; in a tight bend the line passes there again
         folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (lane.s_m[1] - lane.s_m[0]))

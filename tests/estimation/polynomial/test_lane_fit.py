@@ -47,7 +47,7 @@ def test_one_line_places_the_lane_by_its_known_width(side: int) -> None:
     one = both.side == side
     samples = LineSamples(points_m=both.points_m[one], side=both.side[one], sigma_m=both.sigma_m[one])
     prior = loose_prior(FIT, FIT.start(0.0, 0.0, 0.0, WIDTH_M))
-    prior = replace(prior, sigma=np.concatenate((prior.sigma[:-1], [0.001])))
+    prior = replace(prior, sigma=np.concatenate((prior.sigma[:-2], [0.001, 0.001])))
     found = FIT.solve(samples, prior, rounds=8)
     assert found.offset_m == pytest.approx(-0.04, abs=0.002)
     assert found.heading_rad == pytest.approx(0.1, abs=math.radians(0.5))
@@ -55,10 +55,10 @@ def test_one_line_places_the_lane_by_its_known_width(side: int) -> None:
 
 def test_the_shape_is_the_integral_of_its_curvature() -> None:
     parameters = np.random.default_rng(3).normal(0.0, 0.6, FIT.size)
-    parameters[[0, 1, -1]] = 0.05, -0.4, WIDTH_M
+    parameters[[0, 1, -2, -1]] = 0.05, -0.4, WIDTH_M, 0.0
     shape = FIT.shape(parameters)
     s = np.linspace(shape.s_m[0], shape.s_m[-1], 40_001)
-    kappa = np.interp(s, FIT.nodes_m, parameters[2:-1])
+    kappa = np.interp(s, FIT.nodes_m, parameters[2:-2])
     step = s[1] - s[0]
     zero = int(np.argmin(np.abs(s)))
     theta = np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * step)))
@@ -69,12 +69,39 @@ def test_the_shape_is_the_integral_of_its_curvature() -> None:
     x += REFERENCE_M - 0.05 * -math.sin(-0.4) - x[zero]
     y += -0.05 * math.cos(-0.4) - y[zero]
     np.testing.assert_allclose(shape.theta_rad, np.interp(shape.s_m, s, theta), atol=1e-6)
-    np.testing.assert_allclose(shape.kappa_per_m, np.interp(shape.s_m, FIT.nodes_m, parameters[2:-1]), atol=1e-12)
+    np.testing.assert_allclose(shape.kappa_per_m, np.interp(shape.s_m, FIT.nodes_m, parameters[2:-2]), atol=1e-12)
     np.testing.assert_allclose(shape.points_m[:, 0], np.interp(shape.s_m, s, x), atol=3e-4)
     np.testing.assert_allclose(shape.points_m[:, 1], np.interp(shape.s_m, s, y), atol=3e-4)
     for at in (-0.3, 0.0, 0.77):
         assert FIT.direction(parameters, at) == pytest.approx(float(np.interp(at, s, theta)), abs=1e-6)
         assert FIT.curvature(parameters, at) == pytest.approx(float(np.interp(at, s, kappa)), abs=1e-3)
+
+
+@pytest.mark.parametrize("taper", [-0.08, 0.06])
+def test_a_lane_that_narrows_or_widens_is_fitted_with_both_its_lines(taper: float) -> None:
+    lane = LANES["left"]
+    car, s = lane.car(S0, -0.04, 0.1, REFERENCE_M), np.linspace(S0, S0 + 1.2, 20)
+    half = 0.5 * (WIDTH_M + taper * (s - S0))
+    points = [
+        car.inverse().apply(
+            np.concatenate([lane.beside(np.array([at]), side * h) for at, h in zip(s, half, strict=True)])
+        )
+        for side in (1.0, -1.0)
+    ]
+    samples = LineSamples(
+        points_m=np.concatenate(points), side=np.repeat((1.0, -1.0), len(s)), sigma_m=np.full(2 * len(s), 0.002)
+    )
+    prior = loose_prior(FIT, FIT.start(0.0, 0.0, 0.0, WIDTH_M))
+    found = FIT.solve(samples, replace(prior, sigma=np.concatenate((prior.sigma[:-1], [0.1]))), rounds=8)
+    assert found.parameters[-1] == pytest.approx(taper, abs=0.005)
+    assert found.offset_m == pytest.approx(-0.04, abs=0.002)
+    assert found.width_m == pytest.approx(WIDTH_M, abs=0.002)
+    assert found.inliers.all()
+    shape = FIT.shape(found.parameters)
+    ahead = int(np.argmin(np.abs(shape.s_m - 1.0)))
+    assert float(np.hypot(*(shape.line(+1) - shape.line(-1))[ahead])) == pytest.approx(WIDTH_M + taper, abs=0.008)
+    moved = FIT.moved(found.parameters, shape, SE2.arc(0.3, 0.0).inverse())
+    assert moved[-2] == pytest.approx(WIDTH_M + 0.3 * taper, abs=0.003)
 
 
 def test_the_jacobian_is_the_residuals_slope() -> None:
@@ -84,6 +111,7 @@ def test_the_jacobian_is_the_residuals_slope() -> None:
         clean = samples_of(lane, lane.car(S0, offset, heading, REFERENCE_M))
         samples = replace(clean, points_m=clean.points_m + rng.normal(0.0, 0.001, clean.points_m.shape))
         parameters = true_parameters(FIT, lane, S0, offset, heading)
+        parameters[-1] = 0.03
         jacobian = FIT.residuals(parameters, samples)[1]
         for i in range(FIT.size):
             step = np.zeros(FIT.size)
@@ -126,9 +154,9 @@ def test_a_moved_lane_is_the_lane_seen_from_the_moved_car(
     s, offset, new_heading = lane.pose_of(before @ before_from_after, REFERENCE_M)
     assert moved[0] == pytest.approx(offset, abs=3e-4)
     assert moved[1] == pytest.approx(-new_heading, abs=2e-3)
-    assert moved[-1] == lane.width_m
+    assert moved[-2] == lane.width_m
     inside = (FIT.nodes_m + s - S0 > FIT.nodes_m[0]) & (FIT.nodes_m + s - S0 < FIT.nodes_m[-1])
-    np.testing.assert_allclose(moved[2:-1][inside], lane.curvature(s + FIT.nodes_m)[inside], atol=2e-3)
+    np.testing.assert_allclose(moved[2:-2][inside], lane.curvature(s + FIT.nodes_m)[inside], atol=2e-3)
 
 
 def test_a_moved_lane_agrees_with_a_new_fit() -> None:
