@@ -26,7 +26,6 @@ from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.types import FloatArray
 
 SAMPLES = 24  # of each line
-REACH_LANES = (1.5, 8.0)  # behind and ahead of the car: the range of the samples
 MEMORY = 0.25  # share of the lines' memory: their samples are smoothed over time already
 _GRID = np.linspace(0.0, 1.0, SAMPLES)
 _NOTHING = np.empty(0)
@@ -95,11 +94,10 @@ def _mapped(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArray,
     direction = sum(map(operator.mul, directions, shares)) / sum(shares)
     parts = []
     for (rls, line, lateral), own in zip(sides, directions, strict=True):
-        unit, d = rls.config.lane_width_m, lateral * width_m
-        low, high = max(line.s_min_m, -REACH_LANES[0] * unit), min(line.s_max_m, REACH_LANES[1] * unit)
-        if not high > low:
+        d = lateral * width_m
+        if not line.s_max_m > line.s_min_m:
             continue
-        s = low + (high - low) * _GRID
+        s = line.s_min_m + (line.s_max_m - line.s_min_m) * _GRID
         theta, weight = rls.samples(s)
         on_centre = to_centerline(s, theta, own, d)
         # eq. (16): the feet on lines that are not parallel do not lie on one perpendicular

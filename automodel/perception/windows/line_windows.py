@@ -55,7 +55,6 @@ class LineWindows:
     ACROSS, ALONG = 4.5, 2.8  # size in marking widths
     FULL = 1.9  # share of a whole line's pixels from which on it is an area
     SPREAD = 0.3  # maximum variance across the line in squared markings; that of one line is 1/12
-    SLICE_ACROSS, SLICE_ALONG, SLICE_FULL, SLICE_SPREAD = 2.4, 1.0, 1.5, 0.16  # where a window shows more than a line
     FILL = 0.35  # minimum share of a whole line's pixels
     LONG = 0.5  # minimum variance along the window, relative to a line that fills it, for a direction; no disc has it
     FLANK = (1.5, 4.5)  # markings from a piece to what is beside it
@@ -69,7 +68,7 @@ class LineWindows:
         self._marking_px = (marking_width_m / view.m_per_px, marking_width_m / view.m_per_row)  # index: `sideways`
         self._aspect = (view.m_per_px / view.m_per_row, view.m_per_row / view.m_per_px)
         whole = self.ACROSS, self.ALONG, self.FULL, self.SPREAD, self.LONG
-        part = self.SLICE_ACROSS, self.SLICE_ALONG, self.SLICE_FULL, self.SLICE_SPREAD, math.inf
+        part = 0.5 * self.ACROSS, 0.5 * self.ALONG, self.FULL, 0.5 * self.SPREAD, math.inf
         self._shapes = tuple(tuple(self._shape(sideways, *of) for of in (whole, part)) for sideways in (False, True))
         if visible is None:
             visible = np.full((self._height, self._width), 255, np.uint8)
@@ -123,7 +122,7 @@ class LineWindows:
     def look(self, features: Image, x_m: float, y_m: float, heading_rad: float) -> WindowHit | None:
         """The line about a place (x, y) [m] and a heading in a binary view (h, w); None where there is none.
 
-        Where a window shows more than one line, only a slice of it about the place itself counts.
+        Where a window shows more than one line, only the half of it about the place itself counts.
         """
         row, column = (self._far_m - x_m) / self._row_m - 0.5, (self._left_m - y_m) / self._column_m - 0.5
         ahead, left = abs(math.cos(heading_rad)), abs(math.sin(heading_rad))
