@@ -43,7 +43,18 @@ CLIPS = 3  # of real images
 CLIP_FRAMES = 5  # the last of each
 TRACK, BENDS = "tmr", "chicane"  # with an intersection; with bends of a lane width's radius, where most is at its limit
 METRICS = ("availability_pct", "misled_pct", "bound_exceeded_pct", "offset_mae_pct", "heading_mae_deg")
-COLUMNS = ("number", "pipeline", "effect", "value", "minus_50", "minus_20", "plus_20", "plus_50", "changed_pct")
+COLUMNS = (
+    "number",
+    "pipeline",
+    "effect",
+    "value",
+    "minus_50",
+    "minus_20",
+    "plus_20",
+    "plus_50",
+    "changed_pct",
+    "meaning",
+)
 SAME_LANES, SAME_RAD = 1e-3, 1e-3  # estimates closer than that are the same
 
 View = tuple[Frame, Motion, Truth, bool]  # the last: a marking of the lane is in view
@@ -102,7 +113,10 @@ def listing(choice: SensitivityChoice) -> list[Row]:
     """A row for each number, in the order of the files."""
     names: dict[str, Row] = {}
     for number, pipeline in choice.cases():
-        row = names.setdefault(number.path, {"number": number.path, "value": number.value, "pipelines": ""})
+        row = names.setdefault(
+            number.path,
+            {"number": number.path, "value": number.value, "pipelines": "", "meaning": number.meaning},
+        )
         row["pipelines"] = f"{row['pipelines']} {pipeline}".strip()
     return list(names.values())
 
@@ -123,7 +137,7 @@ def measure_number(car: CarConfig, choice: SensitivityChoice, case: tuple[TunedN
     number, name = case
     drives, before = _baseline(car, choice, name)
     row: Row = {"number": number.path, "pipeline": name, "value": number.value, "effect": 0.0, "changed_pct": 0.0}
-    row |= {"error": ""} | dict.fromkeys(_label(share) for share in sorted(SCREENED + FINER))
+    row |= {"meaning": number.meaning, "error": ""} | dict.fromkeys(_label(share) for share in sorted(SCREENED + FINER))
     detail: Row = {}
     for share in (*SCREENED, *FINER):
         if share in FINER and not row["changed_pct"]:

@@ -13,7 +13,9 @@ import functools
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import re
 import sys
+import tokenize
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +48,10 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TunedNumber:
-    """A numeric literal at module or class level: `path` is its module, class, name, and place where it has several."""
+    """A numeric literal at module or class level: `path` is its module, class, name, and place where it has several.
+
+    `meaning` is what the source says of it: the comment beside it, else its entry in the class's docstring.
+    """
 
     path: str  # "perception.windows.line_windows.LineWindows.FLANK[1]"
     value: float
@@ -55,6 +60,7 @@ class TunedNumber:
     column: int
     whole: bool
     in_class: bool
+    meaning: str
 
     def moved(self, share: float) -> float | None:
         """The value times 1 + share, rounded where it is a whole number; None where that is the value itself."""
@@ -99,11 +105,15 @@ def _tree(module: str) -> ast.Module:
 def _numbers_of(module: str) -> Iterator[TunedNumber]:
     tree, short = _tree(module), module.removeprefix("automodel.")
     classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef) and not _is_enum(node)]
+    comments = _comments(module)
+    texts: dict[str | None, str] = {node.name: ast.get_docstring(node) or "" for node in classes}
     for owner, body in ((None, tree.body), *((node.name, node.body) for node in classes)):
         for statement in body:
             if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
                 continue
             target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
+            lines = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)
+            comment = " ".join(comments[line] for line in lines if line in comments)
             for name, literal in _named(target, statement.value):
                 path = ".".join(part for part in (short, owner, name) if part)
                 yield TunedNumber(
@@ -114,7 +124,22 @@ def _numbers_of(module: str) -> Iterator[TunedNumber]:
                     column=literal.col_offset,
                     whole=isinstance(literal.value, int),
                     in_class=owner is not None,
+                    meaning=comment or _described(name.partition("[")[0], texts.get(owner, "")),
                 )
+
+
+@functools.cache
+def _comments(module: str) -> dict[int, str]:
+    """The comments of a module that stand beside code, by line."""
+    with tokenize.open(_sources()[module]) as stream:
+        tokens = [token for token in tokenize.generate_tokens(stream.readline) if token.type == tokenize.COMMENT]
+    return {token.start[0]: token.string.lstrip("# ") for token in tokens if token.line.strip() != token.string}
+
+
+def _described(name: str, docstring: str) -> str:
+    """The first sentence about `name` in a docstring, "" where there is none."""
+    found = re.search(rf"`{re.escape(name)}`[^.]*\.", docstring)
+    return " ".join(found.group().replace("`", "").split()) if found else ""
 
 
 def _is_enum(node: ast.ClassDef) -> bool:

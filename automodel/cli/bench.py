@@ -155,7 +155,7 @@ def sensitivity(
         only=only, pipelines=pipelines, seeds=range(first_seed, first_seed + seeds), frames=frames
     )
     if listed:
-        show("bench sensitivity", numbers(choice), as_json, ("number", "value", "pipelines"))
+        show("bench sensitivity", numbers(choice), as_json, ("number", "value", "pipelines", "meaning"))
     else:
         show("bench sensitivity", measure(car_of(car_file), choice, jobs), as_json, COLUMNS)
     return 0

@@ -23,6 +23,14 @@ def test_fields_attributes_and_parts_of_tuples_are_found() -> None:
     assert one("estimation.theta.theta_rls.ThetaRlsConfig.prior_rad[1]").value == 1.5
 
 
+def test_a_number_says_what_it_is() -> None:
+    assert (
+        one("perception.markings.binary_views.FeaturePoints.OPEN").meaning == "sides of the kernels in marking widths"
+    )
+    described = one("perception.windows.window_tracker.FollowConfig.step_lanes").meaning
+    assert described.startswith("step_lanes: least distance between windows")
+
+
 @pytest.mark.parametrize(
     "what", ["onnx_check", "brightness", "Part.", "PoseState.", "hypotheses.LEFT", "NO_POINTS", "log_odds"]
 )
