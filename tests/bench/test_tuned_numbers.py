@@ -24,9 +24,8 @@ def test_fields_attributes_and_parts_of_tuples_are_found() -> None:
 
 
 def test_a_number_says_what_it_is() -> None:
-    assert (
-        one("perception.markings.binary_views.FeaturePoints.OPEN").meaning == "sides of the kernels in marking widths"
-    )
+    beside = one("perception.markings.binary_views.FeaturePoints.KERNEL").meaning
+    assert beside == "side of the kernel that opens and closes, in marking widths"
     described = one("perception.windows.window_tracker.FollowConfig.step_lanes").meaning
     assert described.startswith("step_lanes: least distance between windows")
 

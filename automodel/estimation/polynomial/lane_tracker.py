@@ -48,7 +48,7 @@ class LaneTracker:
     OFFSET = 0.005
     HEADING_RAD = 0.006
     BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth per distance without a line: per metre, radians per lane width
-    KAPPA_NEAR, KAPPA_FAR, SURE_LANES = 0.06, 0.3, 1.0
+    KAPPA_NEAR, KAPPA_FAR = 0.06, 0.3  # [1 / lane width] of the curvature: where the prior is trusted, and far ahead
     CROSSING_LANES = 3.3  # length of a crossing along the lane
     CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
     CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
@@ -62,7 +62,8 @@ class LaneTracker:
         nodes = len(self.fit.nodes_m)
         u = self.unit
         far = self.fit.config.ahead_lanes * u
-        reach = np.clip((self.fit.nodes_m - self.SURE_LANES * u) / (far - self.SURE_LANES * u), 0.0, 1.0)
+        sure = config.sure_lanes * u
+        reach = np.clip((self.fit.nodes_m - sure) / (far - sure), 0.0, 1.0)
         kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
         self._sigma = np.concatenate(
             (

@@ -73,13 +73,13 @@ class FeaturePoints:
     is 255 where the view shows ground that the camera sees.
     """
 
-    OPEN, CLOSE = 0.6, 0.6  # sides of the kernels in marking widths
+    KERNEL = 0.6  # side of the kernel that opens and closes, in marking widths
 
     def __init__(self, camera: CameraConfig, view: View, marking_width_m: float, threshold: float = 0.5) -> None:
         if not 0.0 < threshold < 1.0:
             raise ValueError(f"FeaturePoints: expected a threshold between 0 and 1, got {threshold}")
         self.view, self._camera, self._level = view, camera, 255.0 * threshold
-        self._open, self._close = (self._kernel(side * marking_width_m) for side in (self.OPEN, self.CLOSE))
+        self._cleaning = self._kernel(self.KERNEL * marking_width_m)
         self._birdseyes: dict[tuple[int, int], BirdsEye] = {}
         self.visible: Image = BirdsEye(GroundCamera.from_config(camera), view).mask
 
@@ -88,10 +88,9 @@ class FeaturePoints:
         rows, columns = mask.shape
         birdseye = self._birdseye((columns, rows))
         lines = cv2.threshold(birdseye.warp(mask), self._level, 255, cv2.THRESH_BINARY)[1]
-        if self._close is not None:
-            lines = cv2.morphologyEx(lines, cv2.MORPH_CLOSE, self._close)
-        if self._open is not None:
-            lines = cv2.morphologyEx(lines, cv2.MORPH_OPEN, self._open)
+        if self._cleaning is not None:
+            lines = cv2.morphologyEx(lines, cv2.MORPH_CLOSE, self._cleaning)
+            lines = cv2.morphologyEx(lines, cv2.MORPH_OPEN, self._cleaning)
         return np.asarray(cv2.bitwise_and(lines, birdseye.mask), dtype=np.uint8)
 
     def _birdseye(self, size_px: tuple[int, int]) -> BirdsEye:

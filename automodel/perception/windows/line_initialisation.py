@@ -87,14 +87,14 @@ class LineInitialisation:
     """
 
     NEAR_LANES = 2.0  # depth of the near part
-    DIRECTIONS = tuple(math.radians(degrees) for degrees in range(-60, 61, 10))  # at the near part's middle
-    CURVATURES = np.linspace(-0.5, 0.5, 5)  # there, in 1 / lane width
+    DIRECTION_RAD, DIRECTIONS = math.radians(60.0), 13  # at the near part's middle: the largest, and how many are tried
+    CURVATURE, CURVATURES = 0.5, 5  # there, in 1 / lane width: likewise
     HALF_LANES = 1.6  # lateral reach to each side, at the near part's middle
     CELL_LANES = 0.15  # length of the pieces along the arc, each of which counts once
-    WIDTHS = (0.65, 1.35)  # of a pair, in lane widths
+    WIDTH_TOLERANCE = 0.35  # of a pair, in lane widths
     NEAREST, FARTHEST = 0.02, 0.9  # distances of a line from the reference point, in lane widths
     MAX_HEADING_RAD = math.radians(50.0)  # at the reference point
-    PAIR_LANES, SINGLE_LANES = 0.3, 0.6  # minimum length of each line of a pair, and of a single one
+    PAIR_LANES = 0.3  # minimum length of each line of a pair; a single one has as much as both
     AREA = 2.2  # markings: what is as large as this in both directions is no line
     BARS = 0.6  # lane widths: largest spacing of a zebra's bars
     MAX_PIXELS = 500
@@ -111,7 +111,12 @@ class LineInitialisation:
         sides = [2 * round(0.5 * self.AREA * marking_width_m / m) + 1 for m in (view.m_per_row, view.m_per_px)]
         self._area = np.ones(sides, np.uint8)
         self._places: FloatArray = np.arange(0.5 - 0.5 * self._bins, 0.5 * self._bins) * self._bin_m
-        directions, kappas = np.meshgrid(np.array(self.DIRECTIONS), self.CURVATURES / lane_width_m, indexing="ij")
+        bend = self.CURVATURE / lane_width_m
+        directions, kappas = np.meshgrid(
+            np.linspace(-self.DIRECTION_RAD, self.DIRECTION_RAD, self.DIRECTIONS),
+            np.linspace(-bend, bend, self.CURVATURES),
+            indexing="ij",
+        )
         arcs = _Arcs(view.x_near_m + 0.5 * depth, directions.ravel(), kappas.ravel())
         self._arcs = arcs.select(np.abs(arcs.headings_rad(reference_x_m)) <= self.MAX_HEADING_RAD)
         heading = np.abs(self._arcs.headings_rad(reference_x_m))
@@ -206,7 +211,7 @@ class LineInitialisation:
         for left, right in itertools.permutations(lines, 2):
             width = left.lateral - right.lateral
             between = left.lateral >= self.NEAREST and right.lateral <= -self.NEAREST
-            if between and self.WIDTHS[0] <= width <= self.WIDTHS[1]:
+            if between and abs(width - 1.0) <= self.WIDTH_TOLERANCE:
                 both = min(left.score, 2.0 * right.score) + min(right.score, 2.0 * left.score)
                 if both * (1.0 - abs(width - 1.0)) > best:
                     best, found = both * (1.0 - abs(width - 1.0)), (left, right)
@@ -216,7 +221,7 @@ class LineInitialisation:
         """The line nearest to the car, of those at least 0.4 times as long as the longest."""
         near = [line for line in lines if self.NEAREST <= abs(line.lateral) <= self.FARTHEST]
         longest = max((line.score for line in near), default=0.0)
-        if longest < self.SINGLE_LANES:
+        if longest < 2.0 * self.PAIR_LANES:
             return None, None
         line = min((line for line in near if line.score >= 0.4 * longest), key=lambda line: abs(line.lateral))
         return (line, None) if line.lateral > 0.0 else (None, line)

@@ -36,7 +36,7 @@ class HistogramStart:
     the inner line is out of view.
     """
 
-    SLOPES = tuple(math.tan(math.radians(degrees)) for degrees in sorted(range(-40, 41, 10), key=abs))
+    HEADING_RAD, HEADINGS = math.radians(40.0), 9  # the largest that is tried, and how many are
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
     SINGLES = 4
@@ -46,6 +46,8 @@ class HistogramStart:
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
         self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
         self._first_row = max(view.height_px - int(self.NEAR_LANES * lane_width_m / view.m_per_row), 0)
+        headings = np.linspace(-self.HEADING_RAD, self.HEADING_RAD, self.HEADINGS)
+        self._slopes = np.tan(headings[np.argsort(np.abs(headings), kind="stable")]).tolist()
         self._bin_m = 0.5 * marking_width_m
         self._half = 1.2 * lane_width_m
         self._bins = int(2 * self._half / self._bin_m)
@@ -62,7 +64,7 @@ class HistogramStart:
         points = self.view.to_body(px)
         pairs: list[tuple[float, StartCandidate]] = []
         singles: list[tuple[float, StartCandidate]] = []
-        for slope in self.SLOPES:
+        for slope in self._slopes:
             lateral = points[:, 1] - (points[:, 0] - self.reference_x_m) * slope
             counts = np.histogram(lateral, self._bins, (-self._half, self._half))[0].astype(np.float64)
             peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same") / self._full
