@@ -153,7 +153,8 @@ class RowHough:
 
     TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: distance of a ridge from a lane's line: near, growth with distance
     HIT = 2  # votes of a row whose ridge lies within half the tolerance; 1 within the whole
-    HEADING_RAD, LOSS = 0.25, 2.5  # one sigma of the heading; the loss of a lane at one sigma of each of the prior's
+    # One sigma of the prior: heading, curvature (of the tightest bend's); the loss of a lane at one sigma of each.
+    HEADING_RAD, CURVATURE, LOSS = 0.25, 0.44, 2.5
     SINGLE_LOSS = 4.0  # of a single line
     THIRD = 0.6  # relative to the weaker line of a pair: a line between the two with so many votes rejects the lane
     GENTLE_LANES = 15.0  # radius of the tightest bend from which on `LineIntegralSearch` is tried first
@@ -190,9 +191,7 @@ class RowHough:
         # The reference point about each axis (c, h): arc length and distance to the left.
         self._s, self._d = (np.ascontiguousarray(part[..., 0]) for part in feet)
         heading = theta[..., 0] + kappa[..., 0] * self._s
-        self._loss = self.LOSS * (
-            (heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / tightest / config.curvature_sigma) ** 2
-        )
+        self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / tightest / self.CURVATURE) ** 2)
         self._offset_loss = self.LOSS / (config.offset_sigma * unit) ** 2
         step = float(self._lateral[1] - self._lateral[0])
         narrow, wide = (round(width * unit / step) for width in (config.narrowest, 1.0 / config.narrowest))
