@@ -69,6 +69,7 @@ class ImageMotion:
     CANDIDATES = 40  # corners whose motion is tried
     QUALITY = 0.02  # of a corner, relative to the best one
     MAX_GAP_S = 0.5
+    MOST_SIGMAS = 10.0  # of a car of which nothing is known: no motion that is told is taken for a larger one
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
         self.config, self._camera, self._unit = config or ImageMotionConfig(), camera, lane_width_m
@@ -91,7 +92,9 @@ class ImageMotion:
         config, unit = self.config, self._unit
         told = np.array((config.speed * unit, config.yaw_rate_radps))
         if motion.known and math.isfinite(motion.speed_mps + motion.yaw_rate_radps):
-            self._mean, self._covariance = np.array((motion.speed_mps, motion.yaw_rate_radps)), np.diag(told**2)
+            most = self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))
+            self._mean = np.clip((motion.speed_mps, motion.yaw_rate_radps), -most, most)
+            self._covariance = np.diag(told**2)
             return motion
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
         if last is None or not 0.0 < dt_s <= self.MAX_GAP_S or not self._fits(last) or not self._fits(frame):

@@ -146,3 +146,13 @@ def test_colours_and_large_images_are_seen_alike() -> None:
     told = watched(colours, GroundCamera.from_config(large))[-1]
     assert told.speed_mps == pytest.approx(0.8, abs=0.05)
     assert told.yaw_rate_radps == pytest.approx(0.5, abs=math.radians(3.0))
+
+
+@pytest.mark.parametrize("speed", [1e300, -1e300, 1e9])
+@pytest.mark.parametrize("yaw_rate", [0.0, 1e300])
+def test_an_absurd_motion_that_was_told_breaks_nothing(speed: float, yaw_rate: float) -> None:
+    looking = ImageMotion(CAMERA, LANE)
+    for one in frames(0.6, 0.3, 2, floor()):
+        told = Motion(t_ns=one.t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate)
+        motion = looking.step(one, unknown(one) if one.index else told)
+    assert math.isfinite(motion.speed_mps + motion.yaw_rate_radps)
