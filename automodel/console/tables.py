@@ -32,7 +32,7 @@ def show(command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str
     there are chief columns, others without any value are left out.
     """
     if as_json:
-        print(json.dumps({"version": __version__, "command": command, "rows": [dict(row) for row in rows]}))
+        click.echo(json.dumps({"version": __version__, "command": command, "rows": [dict(row) for row in rows]}))
         return
     if not rows:
         return
