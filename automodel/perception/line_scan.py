@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from automodel.geometry import View
-from automodel.types import FloatArray, Image
+from automodel.types import Bools, FloatArray, Image
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,8 +52,8 @@ class ScanConfig:
     `least_lanes`: a shorter piece is a speck. `gap_lanes`: between two dashes of one line, at most: the Carolo-Cup's
     are half a lane apart, a motorway's (9 m on 3.75 m) 2.4. `turn_rad`: direction by which a dash may be wrong; `bend`:
     by how much the line may turn besides [rad] over a lane width of gap. `wide`: a piece as many markings wide is an
-    area. `bars_lanes`: two pieces closer to each other, side by side, are a zebra's bars, where neither is `bars_ratio`
-    times as long as the other. `spacing_lanes`: of the points.
+    area. `bars` pieces next to each other, `bar_lanes` apart, are a zebra crossing: where lanes are divided, two double
+    lines make four, but no three next to each other. `spacing_lanes`: of the points.
     """
 
     least_lanes: float = 0.15
@@ -61,8 +61,8 @@ class ScanConfig:
     turn_rad: float = 0.06
     bend: float = 0.6
     wide: float = 2.5
-    bars_lanes: float = 0.4
-    bars_ratio: float = 2.5
+    bars: int = 3
+    bar_lanes: tuple[float, float] = (0.12, 0.4)
     spacing_lanes: float = 0.2
 
 
@@ -80,13 +80,13 @@ class LineScan:
 
     def step(self, lines: Image) -> tuple[SightedLine, ...]:
         """The lines of a view, in no order."""
-        pieces = self._without_bars(self._pieces(lines))
-        return tuple(self._line(piece) for piece in self._joined(pieces))
+        return tuple(self._line(piece) for piece in self._joined(self._pieces(lines)))
 
     def _pieces(self, lines: Image) -> list[_Piece]:
         """Connected areas that are longer than wide, each with the middles of its rows."""
         count, labels, stats, _ = cv2.connectedComponentsWithStats(lines, connectivity=8)
         least = self.config.least_lanes * self._unit / self.view.m_per_row
+        bars = self._bars(lines)
         pieces = []
         for label in range(1, count):
             left, top, width, height, area = stats[label].tolist()
@@ -95,6 +95,8 @@ class LineScan:
             part = labels[top : top + height, left : left + width] == label
             per_row = part.sum(axis=1)
             there = np.flatnonzero(per_row)
+            if 2 * np.count_nonzero(bars[top + there]) > len(there):
+                continue
             middle = (part @ np.arange(width))[there] / per_row[there]
             mean_m = area / len(there) * self.view.m_per_px
             x = self._x[top + there][::-1]
@@ -108,26 +110,15 @@ class LineScan:
                 pieces.append(piece)
         return pieces
 
-    def _without_bars(self, pieces: list[_Piece]) -> list[_Piece]:
-        """Without pieces that have one of about their length on both sides, too near for the lines of a lane."""
-        near = self.config.bars_lanes * self._unit
-        kept = []
-        for piece in pieces:
-            sides = set()
-            for other in pieces:
-                low, high = max(piece.x[0], other.x[0]), min(piece.x[-1], other.x[-1])
-                length, others = piece.x[-1] - piece.x[0], other.x[-1] - other.x[0]
-                if other is piece or high - low < 0.5 * min(length, others):
-                    continue
-                if max(length, others) > self.config.bars_ratio * min(length, others):
-                    continue
-                at = 0.5 * (low + high)
-                apart = (other.at(at)[0] - piece.at(at)[0]) / math.hypot(1.0, piece.at(at)[1])
-                if abs(apart) < near:
-                    sides.add(apart > 0.0)
-            if len(sides) < 2:
-                kept.append(piece)
-        return kept
+    def _bars(self, lines: Image) -> Bools:
+        """The rows (h,) of a zebra crossing: several bars next to each other, at least in most of the rows around."""
+        config = self.config
+        rows, columns = np.nonzero((lines[:, 1:] > 0) & (lines[:, :-1] == 0))  # left edges
+        apart = np.diff(columns) * self.view.m_per_px / self._unit
+        beside = (np.diff(rows) == 0) & (apart > config.bar_lanes[0]) & (apart < config.bar_lanes[1])
+        pairs = np.bincount(rows[:-1][beside], minlength=len(lines)).astype(np.float32)
+        around = 2 * round(0.5 * config.least_lanes * self._unit / self.view.m_per_row) + 1
+        return np.asarray(cv2.blur(pairs, (1, around)).ravel() >= config.bars - 1.0)
 
     def _joined(self, pieces: list[_Piece]) -> list[_Piece]:
         """Pieces that continue each other, as one; the best fitting ends first."""

@@ -154,16 +154,18 @@ class Centerline:
             elif start is None:
                 self._tracking.begin(frame.t_ns, all(lines.used))
         else:
-            followed = self._follow_lines(features, self._lane)  # window line following
+            both = self._follow_lines(features, self._lane)  # window line following
             self.stages.lap("following")
-            lines = self._update(self._lane, *followed)  # spline, s-theta, RLS, centerline, relative pose, EKF
-        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
-            anew = self._tracking.judge(self._scan.step(features), self._followed(self._lane, lines))
+            lines = self._update(self._lane, *both)  # spline, s-theta, RLS, centerline, relative pose, EKF
+        followed = self._followed(self._lane, lines)
+        if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
+            anew = self._tracking.judge(self._scan.step(features), followed)
             if anew is not None:
                 self._lane, lines = self._restart(features, anew) or (self._lane, lines)
+                followed = self._followed(self._lane, lines)
             self.stages.lap("doubt")
         self.stages.lap("estimation")
-        estimate = self._tracking.follow(frame, self._followed(self._lane, lines))
+        estimate = self._tracking.follow(frame, followed)
         if self._tracking.lost:
             self._lane = None
         self.stages.lap("estimate")

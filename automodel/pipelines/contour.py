@@ -165,15 +165,16 @@ class Contour:
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
             tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
-        if self._tracking.in_doubt and not both:  # which of all lines in view are the lane's?
-            lines = self._scan.step(self._lines_in_view(frame.image))
-            anew = self._tracking.judge(lines, self._followed(tracked, self._seen(tracked)))
+        nodes = 1 if both else self.LINE_NODES  # a start looks at more rows than there are nodes
+        followed = self._followed(tracked, self._seen(tracked, nodes))
+        if not both and self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
+            anew = self._tracking.judge(self._scan.step(self._lines_in_view(frame.image)), followed)
             if anew is not None:
                 tracked = self._restart(frame.image, anew)
+                followed = self._followed(tracked, self._seen(tracked))
             self.stages.lap("doubt")
         self._search.learn(tracked.measured, tracked.inliers)
-        seen = self._seen(tracked, 1 if both else self.LINE_NODES)  # a start looks at more rows than there are nodes
-        estimate = self._tracking.follow(frame, self._followed(tracked, seen))
+        estimate = self._tracking.follow(frame, followed)
         if self._tracking.lost:
             self._forget()
         self.stages.lap("estimate")

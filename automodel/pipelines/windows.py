@@ -135,7 +135,7 @@ class Windows:
             self.stages.lap("windows")
             followed = self._followed(scan.crossing, seen, *self._tracker.update(seen))  # lane fit
             self.stages.lap("lane_fit")
-        if self._tracking.in_doubt:  # which of all lines in view are the lane's?
+        if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             anew = self._tracking.judge(self._scan.step(lines), followed)
             if anew is not None:
                 followed = self._followed(None, *self._restart(anew, areas.bright, lines))

@@ -25,6 +25,9 @@ from automodel.curves.foot import foot_on_circle
 from automodel.perception.line_scan import SightedLine
 from automodel.types import FloatArray
 
+# A road's bends do not grow everywhere: most of it goes on as it is, and some places are where a bend begins or ends.
+BEND_SHARE, BEND_CALM, BEND_SUDDEN = 0.2, 0.25, 4.0  # of such places; factors of `bend_walk` elsewhere, and there
+
 
 class Part(IntEnum):
     """Indices of the belief's mean."""
@@ -39,17 +42,21 @@ class Part(IntEnum):
 class RoadModel:
     """What roads, cars and line-like things are like; lengths in lane widths.
 
-    `bend_walk`: variance that the curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane
-    widths' radius (the Carolo-Cup's tightest has 2.5) that begins or ends every five or six; `Bends` learns the real
-    one. `line_sigma`: error common to a line's points, by the camera's height and pitch. `point_markings`: error of a
-    single point, in marking widths. `step`, `turn_rad`: sigmas gained over a lane width of driving by odometry.
-    `lost_step`, `lost_turn_rad`: over a second of unknown motion. `width_walk`: of the width, over a lane width of
-    driving. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing that is no line of this lane: lateral place,
-    direction, curvature.
+    `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch, by which
+    what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the curvature gains
+    per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's tightest has 2.5)
+    that begins or ends every five or six; `Bends` learns the real one. `line_sigma`: error common to a line's points.
+    `point_markings`: error of a single point, in marking widths. `step`, `turn_rad`: sigmas gained over a lane width of
+    driving by odometry. `lost_step`, `lost_turn_rad`: over a second of unknown motion. `width_walk`: of the width, over
+    a lane width of driving. `news`: way after which a frame is a new witness: shorter, and its errors are those of the
+    frame before. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing that is no line of this lane:
+    lateral place, direction, curvature.
     """
 
     lane_width_m: float
     marking_width_m: float
+    eye_m: tuple[float, float] = (0.0, math.inf)
+    pitch_rad: float = math.radians(0.6)
     bend_walk: float = 0.02
     line_sigma: float = 0.02
     point_markings: float = 0.1
@@ -58,6 +65,7 @@ class RoadModel:
     lost_step: float = 0.5
     lost_turn_rad: float = 1.0
     width_walk: float = 0.03
+    news: float = 0.25
     anywhere: float = 1.2
     any_turn_rad: float = 0.4
     any_bend: float = 0.3
@@ -180,24 +188,42 @@ class LaneBelief:
         mean = np.array((d, math.remainder(theta, math.tau), kappa, width))
         return replace(self, mean=mean, covariance=covariance)
 
-    def update(self, assigned: Sequence[Assigned], share: float = 1.0, rounds: int = 2) -> tuple[LaneBelief, float]:
+    def update(self, assigned: Sequence[Assigned], way: float = math.inf, rounds: int = 3) -> tuple[LaneBelief, float]:
         """The belief after a frame's lines, and the logarithm of how likely they are [nats].
 
-        `share`: how much of the frame is news; of one that shows what the last one showed, little is.
+        `way`: lane widths driven since the last frame; of one that shows what the last one showed, little is news. What
+        lies so far ahead that the car has driven a tenth of the way to it is seen for the tenth time along one road.
         """
         if not assigned:
             return self, 0.0
+        road = self.road
+        afters, odds = [], []
+        for chance, factor in ((1.0 - BEND_SHARE, BEND_CALM), (BEND_SHARE, BEND_SUDDEN)):
+            belief = replace(self, road=replace(road, bend_walk=factor * road.bend_walk))
+            after, log_likelihood = belief._updated(assigned, way, rounds)
+            afters.append(after)
+            odds.append(log_likelihood + math.log(chance))
+        total = float(np.logaddexp(odds[0], odds[1]))
+        calm, sudden = afters
+        sudden_share = math.exp(odds[1] - total)
+        away = sudden.mean - calm.mean
+        covariance = (1.0 - sudden_share) * calm.covariance + sudden_share * sudden.covariance
+        covariance += sudden_share * (1.0 - sudden_share) * np.outer(away, away)
+        return replace(self, mean=calm.mean + sudden_share * away, covariance=covariance), total
+
+    def _updated(self, assigned: Sequence[Assigned], way: float, rounds: int) -> tuple[LaneBelief, float]:
+        """`update` on a road whose bends are as likely everywhere."""
         after, log_likelihood = self, 0.0
         for turn in range(rounds):
             s, left = after._along(np.concatenate([line.points_m for line, _ in assigned]))
             roles = np.repeat([role for _, role in assigned], [len(line.points_m) for line, _ in assigned])
             rows = _rows(s, roles)
             residual = left - roles * after.mean[Part.WIDTH] + rows @ (after.mean - self.mean)
-            noise = self._noise(s, assigned) / max(share, 1e-6)
-            spread = rows @ self.covariance @ rows.T + noise
-            factor = np.linalg.cholesky(spread)
+            noise, known = self._noise(s, assigned), rows @ self.covariance @ rows.T
             if turn == 0:
-                log_likelihood = _log_density(residual, factor)
+                log_likelihood = _log_density(residual, np.linalg.cholesky(known + noise))
+            looks = np.sqrt(np.maximum(np.maximum(s / self.road.lane_width_m, self.road.news) / max(way, 1e-6), 1.0))
+            factor = np.linalg.cholesky(known + noise * np.outer(looks, looks))
             gain = np.linalg.solve(factor, rows @ self.covariance)
             change = gain.T @ np.linalg.solve(factor, residual)
             mean, covariance = self.mean + change, self.covariance - gain.T @ gain
@@ -224,6 +250,9 @@ class LaneBelief:
         apart = high - low
         bends = low**5 / 5.0 + apart * low**4 / 2.0 + apart * apart * low**3 / 3.0
         noise = (0.25 * road.bend_walk / unit**3) * bends
+        x, y = np.concatenate([line.points_m for line, _ in assigned]).T
+        wedge = (road.pitch_rad / road.eye_m[1]) * y * (x - road.eye_m[0])
+        noise += np.outer(wedge, wedge)
         start = 0
         for line, _ in assigned:
             stop = start + len(line.points_m)

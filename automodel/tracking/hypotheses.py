@@ -50,20 +50,31 @@ class Hypothesis:
         """The lines of the last frame that play a role."""
         return tuple(line for line, its in self.assigned if its == role)
 
+    def merged(self, other: Hypothesis, share: float) -> Hypothesis:
+        """This hypothesis with the doubt that a less likely one casts on it: the moments of both beliefs by their odds.
+
+        The odds stay: both explain the same lines. `share`: how much of the last frame is counted in them.
+        """
+        ahead = self.log_odds - other.log_odds + (1.0 - share) * (self.news - other.news)
+        others = 1.0 / (1.0 + math.exp(min(ahead, 50.0)))
+        away = other.belief.mean - self.belief.mean
+        covariance = (1.0 - others) * self.belief.covariance + others * other.belief.covariance
+        covariance += others * (1.0 - others) * np.outer(away, away)
+        belief = replace(self.belief, mean=self.belief.mean + others * away, covariance=covariance)
+        return replace(self, belief=belief)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HypothesesConfig:
     """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies.
 
-    `lines`: lines of a frame that are looked at, the longest first. `news_lanes`: distance after which a frame is a new
-    witness: shorter, and its errors are those of the frame before. `same_lanes`, `same_rad`: hypotheses closer than
+    `lines`: lines of a frame that are looked at, the longest first. `same_lanes`, `same_rad`: hypotheses closer than
     this are one. `neighbour_price` [nats]: a road may have no lane there.
     """
 
     most: int = 4
     prune: float = 7.0
     lines: int = 5
-    news_lanes: float = 0.25
     same_lanes: float = 0.12
     same_rad: float = 0.12
     neighbour_price: float = 1.5
@@ -90,18 +101,22 @@ class Hypotheses:
         if self.all:
             self._since_lanes += max(abs(distance_m) / self.all[0].belief.road.lane_width_m, STILL_LANES * dt_s)
 
-    def update(self, lines: Sequence[SightedLine], kinds: LineKinds) -> float:
-        """Assign a frame's lines, branch, and weigh; returns how much of the frame was news, 0 .. 1."""
+    def update(self, lines: Sequence[SightedLine], kinds: LineKinds, way: float | None = None) -> float:
+        """Assign a frame's lines, branch, and weigh; returns how much of the frame was news, 0 .. 1.
+
+        `way`: lane widths since the last frame, where it was not driven by these hypotheses.
+        """
         if not self.all:
             return 0.0
         config = self.config
-        share = min(self._since_lanes / config.news_lanes, 1.0)
-        self._since_lanes = 0.0
         belief = self.all[0].belief  # as clutter, lines are as likely for every hypothesis
+        way = self._since_lanes if way is None else way
+        share = min(way / belief.road.news, 1.0)
+        self._since_lanes = 0.0
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
         priced = [(line, belief.clutter(line)) for line in longest]
-        grown = [child for one in self.all for child in self._children(one, priced, kinds, share)]
-        self._keep(grown)
+        grown = [child for one in self.all for child in self._children(one, priced, kinds, way)]
+        self._keep(grown, share)
         return share
 
     def posterior(self) -> list[float]:
@@ -112,7 +127,7 @@ class Hypotheses:
         return [weight / total for weight in weights]
 
     def _children(
-        self, parent: Hypothesis, lines: Sequence[tuple[SightedLine, float]], kinds: LineKinds, share: float
+        self, parent: Hypothesis, lines: Sequence[tuple[SightedLine, float]], kinds: LineKinds, way: float
     ) -> list[Hypothesis]:
         """The parent with each plausible assignment of the lines; with none of them it stays as it was.
 
@@ -134,22 +149,27 @@ class Hypotheses:
                         grown.append((Hypothesis(belief, odds, assigned), others + clutter))
             grown.sort(key=lambda each: -each[0].log_odds)
             beam = grown[: self.config.most]
-        children = []
+        children, share = [], min(way / parent.belief.road.news, 1.0)
         for one, _ in beam:
-            belief, _ = parent.belief.update(one.assigned, share)
-            children.append(Hypothesis(belief, parent.log_odds + share * one.log_odds, one.assigned, one.log_odds))
+            belief, _ = parent.belief.update(one.assigned, way)
+            news = one.log_odds
+            children.append(Hypothesis(belief, parent.log_odds + share * news, one.assigned, news))
         return children
 
     def _price(self, assigned: Sequence[Assigned]) -> float:
         """What it costs [nats] to believe in neighbouring lanes."""
         return self.config.neighbour_price * sum(abs(role) > 1.0 for _, role in assigned)
 
-    def _keep(self, grown: list[Hypothesis]) -> None:
+    def _keep(self, grown: list[Hypothesis], share: float) -> None:
         grown.sort(key=lambda each: -each.log_odds)
         kept: list[Hypothesis] = []
         for one in grown:
-            if not any(self._same(one, other) for other in kept):
+            like = next((k for k, other in enumerate(kept) if self._same(one, other)), None)
+            if like is None:
                 kept.append(one)
+            else:
+                kept[like] = kept[like].merged(one, share)
+        kept.sort(key=lambda each: -each.log_odds)
         best = kept[0].log_odds
         self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)
 
@@ -159,6 +179,16 @@ class Hypotheses:
         lateral = abs(float(a[Part.OFFSET] - b[Part.OFFSET])) / unit
         turned = abs(float(a[Part.THETA] - b[Part.THETA]))
         return lateral < self.config.same_lanes and turned < self.config.same_rad
+
+
+def _clutter_odds(lines: int, assigned: int) -> float:
+    """How much likelier [nats] it is that some of a frame's lines are no clutter, by their number alone.
+
+    Their number is a Poisson number whose mean is not known, but is about one (an exponential distribution): so m of
+    them are as likely as m! / 2^(m + 1). Where there is much clutter, some of it lies where a line is expected.
+    """
+    rest = lines - assigned
+    return math.lgamma(rest + 1.0) - math.lgamma(lines + 1.0) + assigned * math.log(2.0)
 
 
 def _possible(one: Hypothesis, line: SightedLine, role: float) -> bool:

@@ -21,7 +21,7 @@ from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose,
 from automodel.tracking.belief import Assigned, Bends, LaneBelief, Part, RoadModel
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
-from automodel.tracking.integrity import CameraErrors, Innovations, bound
+from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, bound
 from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
@@ -36,11 +36,11 @@ class TrackingConfig:
     `width_sigma`: share by which the real lane may be wider or narrower than car.toml says. `bend`: sigma of the
     curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the nearest lines from which
     on another line may be taken for the lane's: four of them reach halfway to the next. `gate`: squared innovation
-    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `same`: one
-    that happens in a third of them. `sure`: posterior of the one hypothesis that is followed. `exists`: log-odds [nats]
-    that it must have against clutter. `confirm_s`: for so long must a lane of one line be seen before it is told.
-    `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend [1 / lane width] where nothing
-    is known. `unknown_lanes`: speed [lane widths / s] of a car whose speed is not known.
+    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `same`, `differs`:
+    ones that happen in a third and in a hundredth of them. `sure`: posterior of the one hypothesis that is followed.
+    `exists`: log-odds [nats] that it must have against clutter. `confirm_s`: for so long must a lane of one line be
+    seen before it is told. `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend
+    [1 / lane width] where nothing is known. `unknown_lanes`: speed [lane widths / s] of a car whose speed is not known.
     """
 
     coast_s: float
@@ -50,6 +50,7 @@ class TrackingConfig:
     confusable: float = 0.125
     gate: float = 27.6
     same: float = 2.2
+    differs: float = 9.2
     sure: float = 0.99
     exists: float = 5.0
     confirm_s: float = 0.1
@@ -82,7 +83,14 @@ class LaneTracking:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
         camera = GroundCamera.from_config(car.camera)
         self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
-        self._bends = Bends(RoadModel(lane_width_m=car.lane.width_m, marking_width_m=car.lane.marking_width_m))
+        self._bends = Bends(
+            RoadModel(
+                lane_width_m=car.lane.width_m,
+                marking_width_m=car.lane.marking_width_m,
+                eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
+                pitch_rad=ANGLE_RAD,
+            )
+        )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
@@ -105,8 +113,10 @@ class LaneTracking:
         self.in_doubt = False
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
+        self._around_m = 0.0  # driven since the last look at all lines in view
         self._confirmed_ns = 0
         self._pair_m = 0.0  # driven with both lines seen
+        self._looked = False  # at all lines in view, in this frame
 
     @property
     def paired(self) -> bool:
@@ -123,7 +133,7 @@ class LaneTracking:
 
         A motion that is not `trusted` counts as unknown.
         """
-        moved = self._motions.step(t_ns, motion, trusted)
+        moved, self._looked = self._motions.step(t_ns, motion, trusted), False
         if moved is None:
             self.forget()
             return None
@@ -137,6 +147,7 @@ class LaneTracking:
             driven = abs(moved.distance_m) if moved.known else self.config.unknown_lanes * self._unit * moved.dt_s
             self._blind_m += driven
             self._news_m += max(driven, STILL_LANES * self._unit * moved.dt_s)
+            self._around_m += driven
             self._bends.move(driven)
         return moved
 
@@ -179,14 +190,16 @@ class LaneTracking:
         return LaneBelief(mean, np.diag(np.square(sigma)), self._bends.road, self._reference_x_m)
 
     def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
-        """Weigh a frame's lines; where the estimator must start anew, None where it may go on or nothing is sure.
+        """Weigh all lines in view, and where the estimator must start anew; None where it may go on or nothing is sure.
 
         What the estimator says is a hypothesis too: unlikely by as much as it differs from dead reckoning, likely by
         what it explains.
         """
-        if self._reckoned is None or not self._possible(followed.pose):
+        if not self._possible(followed.pose):
             return None
-        own = [_sighted(line.points_m) for line in (followed.left, followed.right) if line.seen]
+        if self._reckoned is None:
+            return self._watch(lines, followed)
+        own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
         share = self._hypotheses.update((*lines, *own), self._kinds)
         best, measured = self._hypotheses.all[0], self._measured(followed.pose)
         alone = Hypotheses()
@@ -199,15 +212,15 @@ class LaneTracking:
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
         told = told and (clear or len({role for _, role in best.assigned}) > 1)
-        better = self._lateral_variance(best.belief) < self._lateral_variance(measured) and apart > self.config.same
+        better = self._lateral_variance(best.belief) < self._lateral_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
-            self._believe(replace(best.belief, mean=measured.mean))
+            self._believe(best.belief)
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
             self._believe(alone.all[0].belief)
-        elif (told and own) or (self._sure(best) and (not own or self._beats(best, said, alone.all[0].news))):
+        elif self._sure(best) and (not own or self._beats(best, said, alone.all[0].news)):
             self._believe(best.belief)
-            return best.belief
+            return best.belief if apart > self.config.differs or self._vaguer(measured, best.belief) else None
         return None
 
     def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
@@ -230,6 +243,13 @@ class LaneTracking:
         """Whether a hypothesis is far likelier than the estimator's, by all frames and by this one."""
         exists = self.config.exists
         return best.log_odds > max(said, 0.0) + 2.0 * exists and best.news > max(news, 0.0) + exists
+
+    def looks_around(self, followed: Followed) -> bool:
+        """Whether `judge` wants the lines of the whole view: where one line is followed, or none, it may be any."""
+        if self.lost or self.in_doubt:
+            return self.in_doubt
+        plain = followed.left.seen and followed.right.seen
+        return not plain and self._around_m > self._bends.road.news * self._unit
 
     def follow(self, frame: Frame, followed: Followed) -> LaneEstimate:
         """The estimate by what the pipeline's estimator says; LOST, and forgotten, where that cannot be true."""
@@ -256,29 +276,64 @@ class LaneTracking:
         """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
         belief = self._belief
         assert belief is not None
-        news_m = self._hypotheses.config.news_lanes * self._unit
-        if self._news_m > news_m / 3.0:
-            sides = ((followed.left, LEFT), (followed.right, RIGHT))
-            said = [Assigned(_sighted(line.points_m), role) for line, role in sides if line.seen]
-            assigned = [one for one in said if belief.explains(one)]
-            if said and not assigned:
+        if self._news_m > self._bends.road.news * self._unit / 3.0 and not self._looked:
+            own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
+            assigned = [one for one in own if belief.explains(one)]
+            if own and not assigned:
                 self._doubt(belief)
             elif assigned:
-                share = min(self._news_m / news_m, 1.0)
-                belief, _ = replace(belief, road=self._bends.road).update(assigned, share)
-                if len(assigned) == len(sides):
-                    self._pair_m += min(self._news_m, news_m)
-                self._news_m = 0.0
-                normalised = self._apart(measured, belief)
-                self._innovations.add(0.5 * normalised)
-                if normalised > self.config.gate:
-                    self._doubt(belief)
-                self._belief = belief
-        if self._confusable(belief):
+                after, _ = replace(belief, road=self._bends.road).update(assigned, self._news_m / self._unit)
+                self._learn(after, measured, len(assigned) == len((LEFT, RIGHT)))
+                belief = after
+        if not self.in_doubt and self._confusable(belief):
             mean, covariance = measured.mean.copy(), belief.covariance.copy()
             mean[Part.KAPPA] = self._bend_ahead(followed.centerline)
             covariance[Part.KAPPA, Part.KAPPA] += (mean[Part.KAPPA] - belief.curvature_per_m) ** 2
             self._doubt(replace(belief, mean=mean, covariance=covariance))
+
+    def _watch(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
+        """Learn from all lines in view, which may fit in more than one way.
+
+        Returns a belief to start anew from where the estimator misses a line.
+        """
+        belief, measured = self._belief, self._measured(followed.pose)
+        assert belief is not None
+        self._looked, self._around_m = True, 0.0
+        own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
+        around = Hypotheses()
+        around.start(((replace(belief, road=self._bends.road), 0.0),))
+        around.update((*lines, *own), self._kinds, self._news_m / self._unit)
+        best = around.all[0]
+        ambiguous = around.posterior()[0] < self.config.sure or (own and not best.assigned)
+        if ambiguous:
+            self._doubt(belief)
+        elif best.assigned:
+            self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
+            if self._misses(followed, measured, best):
+                self._believe(best.belief)
+                return best.belief
+        return None
+
+    def _misses(self, followed: Followed, measured: LaneBelief, best: Hypothesis) -> bool:
+        """Whether the estimator misses a line of its lane that is in view, and is not where that line says."""
+        belief = best.belief
+        if all(line.seen for line, role in _sides(followed) if best.line(role)) or self._confusable(belief):
+            return False
+        return self._vaguer(measured, belief)
+
+    def _vaguer(self, one: LaneBelief, other: LaneBelief) -> bool:
+        """Whether one is so much less certain than the other that it says nothing against it."""
+        return self._lateral_variance(one) > self.config.differs * self._lateral_variance(other)
+
+    def _learn(self, belief: LaneBelief, measured: LaneBelief, pair: bool) -> None:
+        """Take a belief that has learnt from a frame, and doubt the estimator where it contradicts that."""
+        if pair:
+            self._pair_m += min(self._news_m, self._bends.road.news * self._unit)
+        self._news_m, self._belief = 0.0, belief
+        normalised = self._apart(measured, belief)
+        self._innovations.add(0.5 * normalised)
+        if normalised > self.config.gate:
+            self._doubt(belief)
 
     def _doubt(self, belief: LaneBelief) -> None:
         """From now on the estimator is not believed without a look at everything else."""
@@ -381,9 +436,17 @@ class LaneTracking:
         return float(turn) / self._near_m
 
 
+def _sides(followed: Followed) -> tuple[tuple[LaneLine, float], tuple[LaneLine, float]]:
+    """The lane's lines with their roles."""
+    return (followed.left, LEFT), (followed.right, RIGHT)
+
+
 def _sighted(points_m: FloatArray) -> SightedLine:
     """An estimator's points of a line, thinned: neighbours are no more witnesses than one."""
     stride = max(len(points_m) // LEARNT_POINTS, 1)
     points = points_m[::stride]
-    length_m = float(np.hypot(*(points_m[-1] - points_m[0])))
-    return SightedLine(points_m=points, painted_m=length_m, span_m=0.0)
+    return SightedLine(points_m=points, painted_m=_length_m(points_m), span_m=0.0)
+
+
+def _length_m(points_m: FloatArray) -> float:
+    return float(np.hypot(*(points_m[-1] - points_m[0])))
