@@ -110,9 +110,8 @@ def _flushed(code: int) -> int:
             stream.flush()
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-            if (
-                not isinstance(error, BrokenPipeError) and not code
-            ):  # a reader that stops early is no error; once is enough
+            # A reader that stops early is no error, and what has failed was told.
+            if not isinstance(error, BrokenPipeError) and not code:
                 _error(f"automodel: the output cannot be written: {error.strerror}", 1)
             code = code or 1
     return code

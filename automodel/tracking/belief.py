@@ -55,8 +55,8 @@ class RoadModel:
 
     lane_width_m: float
     marking_width_m: float
-    eye_m: tuple[float, float] = (0.0, math.inf)
-    pitch_rad: float = math.radians(0.6)
+    eye_m: tuple[float, float] = (0.0, 1.0)
+    pitch_rad: float = 0.0
     bend_walk: float = 0.02
     line_sigma: float = 0.02
     point_markings: float = 0.1
@@ -191,15 +191,15 @@ class LaneBelief:
     def update(self, assigned: Sequence[Assigned], way: float = math.inf, rounds: int = 3) -> tuple[LaneBelief, float]:
         """The belief after a frame's lines, and the logarithm of how likely they are [nats].
 
-        `way`: lane widths driven since the last frame; of one that shows what the last one showed, little is news. What
-        lies so far ahead that the car has driven a tenth of the way to it is seen for the tenth time along one road.
+        `way`: lane widths driven since the last frame; of one that shows what the last one showed, little is news. A
+        point is a new witness after the way to it: until then the same bends lie between. The road is a mixture of two,
+        one that goes on as it is and one on which a bend begins or ends; the result has the mixture's moments.
         """
         if not assigned:
             return self, 0.0
-        road = self.road
         afters, odds = [], []
         for chance, factor in ((1.0 - BEND_SHARE, BEND_CALM), (BEND_SHARE, BEND_SUDDEN)):
-            belief = replace(self, road=replace(road, bend_walk=factor * road.bend_walk))
+            belief = replace(self, road=replace(self.road, bend_walk=factor * self.road.bend_walk))
             after, log_likelihood = belief._updated(assigned, way, rounds)
             afters.append(after)
             odds.append(log_likelihood + math.log(chance))

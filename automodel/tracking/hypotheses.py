@@ -152,8 +152,7 @@ class Hypotheses:
         children, share = [], min(way / parent.belief.road.news, 1.0)
         for one, _ in beam:
             belief, _ = parent.belief.update(one.assigned, way)
-            news = one.log_odds
-            children.append(Hypothesis(belief, parent.log_odds + share * news, one.assigned, news))
+            children.append(Hypothesis(belief, parent.log_odds + share * one.log_odds, one.assigned, one.log_odds))
         return children
 
     def _price(self, assigned: Sequence[Assigned]) -> float:
@@ -179,16 +178,6 @@ class Hypotheses:
         lateral = abs(float(a[Part.OFFSET] - b[Part.OFFSET])) / unit
         turned = abs(float(a[Part.THETA] - b[Part.THETA]))
         return lateral < self.config.same_lanes and turned < self.config.same_rad
-
-
-def _clutter_odds(lines: int, assigned: int) -> float:
-    """How much likelier [nats] it is that some of a frame's lines are no clutter, by their number alone.
-
-    Their number is a Poisson number whose mean is not known, but is about one (an exponential distribution): so m of
-    them are as likely as m! / 2^(m + 1). Where there is much clutter, some of it lies where a line is expected.
-    """
-    rest = lines - assigned
-    return math.lgamma(rest + 1.0) - math.lgamma(lines + 1.0) + assigned * math.log(2.0)
 
 
 def _possible(one: Hypothesis, line: SightedLine, role: float) -> bool:

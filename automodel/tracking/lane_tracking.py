@@ -36,8 +36,8 @@ class TrackingConfig:
     `width_sigma`: share by which the real lane may be wider or narrower than car.toml says. `bend`: sigma of the
     curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the nearest lines from which
     on another line may be taken for the lane's: four of them reach halfway to the next. `gate`: squared innovation
-    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `same`, `differs`:
-    ones that happen in a third and in a hundredth of them. `sure`: posterior of the one hypothesis that is followed.
+    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `differs`: one
+    that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is followed.
     `exists`: log-odds [nats] that it must have against clutter. `confirm_s`: for so long must a lane of one line be
     seen before it is told. `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend
     [1 / lane width] where nothing is known. `unknown_lanes`: speed [lane widths / s] of a car whose speed is not known.
@@ -49,7 +49,6 @@ class TrackingConfig:
     bend: float = 0.1
     confusable: float = 0.125
     gate: float = 27.6
-    same: float = 2.2
     differs: float = 9.2
     sure: float = 0.99
     exists: float = 5.0
@@ -116,7 +115,6 @@ class LaneTracking:
         self._around_m = 0.0  # driven since the last look at all lines in view
         self._confirmed_ns = 0
         self._pair_m = 0.0  # driven with both lines seen
-        self._looked = False  # at all lines in view, in this frame
 
     @property
     def paired(self) -> bool:
@@ -133,7 +131,7 @@ class LaneTracking:
 
         A motion that is not `trusted` counts as unknown.
         """
-        moved, self._looked = self._motions.step(t_ns, motion, trusted), False
+        moved = self._motions.step(t_ns, motion, trusted)
         if moved is None:
             self.forget()
             return None
@@ -276,7 +274,7 @@ class LaneTracking:
         """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
         belief = self._belief
         assert belief is not None
-        if self._news_m > self._bends.road.news * self._unit / 3.0 and not self._looked:
+        if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
             assigned = [one for one in own if belief.explains(one)]
             if own and not assigned:
@@ -298,14 +296,13 @@ class LaneTracking:
         """
         belief, measured = self._belief, self._measured(followed.pose)
         assert belief is not None
-        self._looked, self._around_m = True, 0.0
+        self._around_m = 0.0
         own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
         around = Hypotheses()
         around.start(((replace(belief, road=self._bends.road), 0.0),))
         around.update((*lines, *own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
-        ambiguous = around.posterior()[0] < self.config.sure or (own and not best.assigned)
-        if ambiguous:
+        if around.posterior()[0] < self.config.sure or (own and not best.assigned):
             self._doubt(belief)
         elif best.assigned:
             self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
@@ -315,11 +312,9 @@ class LaneTracking:
         return None
 
     def _misses(self, followed: Followed, measured: LaneBelief, best: Hypothesis) -> bool:
-        """Whether the estimator misses a line of its lane that is in view, and is not where that line says."""
-        belief = best.belief
-        if all(line.seen for line, role in _sides(followed) if best.line(role)) or self._confusable(belief):
-            return False
-        return self._vaguer(measured, belief)
+        """Whether the estimator misses a line of its lane that is in view, and knows far less than that line says."""
+        missed = any(best.line(role) and not line.seen for line, role in _sides(followed))
+        return missed and not self._confusable(best.belief) and self._vaguer(measured, best.belief)
 
     def _vaguer(self, one: LaneBelief, other: LaneBelief) -> bool:
         """Whether one is so much less certain than the other that it says nothing against it."""

@@ -206,6 +206,33 @@ def test_what_is_no_news_teaches_little() -> None:
     assert sigmas[2] == pytest.approx(NOWHERE.sigma(Part.OFFSET), rel=0.05)
 
 
+def test_what_lies_far_ahead_is_news_only_after_the_way_to_it() -> None:
+    for from_m, to_m, lost in ((0.0, 0.1, 1.0), (1.0, 1.4, 2.0)):
+        lines = pair(STRAIGHT, from_m, to_m)
+        known, at_first, soon = (
+            NOWHERE.sigma(Part.WIDTH),
+            *(NOWHERE.update(lines, way)[0].sigma(Part.WIDTH) for way in (math.inf, 0.25)),
+        )
+        information = [sigma**-2.0 - known**-2.0 for sigma in (at_first, soon)]
+        assert information[0] >= 0.99 * lost * information[1]
+        assert (information[0] < 1.01 * information[1]) == (lost == 1.0)
+
+
+@pytest.mark.parametrize("pitch_rad", [0.01, -0.01])
+def test_lines_that_a_wrong_pitch_lets_converge_are_the_lanes_where_the_pitch_is_uncertain(pitch_rad: float) -> None:
+    eye_m = (0.0, 0.2)
+    lines = []
+    for line, role in pair(STRAIGHT, 0.2, 1.5):
+        x, y = line.points_m.T
+        lines.append(Assigned(sighted(np.column_stack((x, y * (1.0 + pitch_rad * x / eye_m[1])))), role))
+    sure, unsure = (
+        belief(STRAIGHT, (0.02, 0.05, 0.1, 0.005), model=replace(ROAD_MODEL, eye_m=eye_m, pitch_rad=sigma))
+        for sigma in (0.0, 0.01)
+    )
+    assert unsure.update(lines)[1] > sure.update(lines)[1] + 3.0
+    assert unsure.update(lines)[0].width_m == pytest.approx(LANE_M, abs=0.01)
+
+
 def test_no_line_changes_nothing() -> None:
     found, odds = NOWHERE.update(())
     assert found is NOWHERE

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ class Drive:
     ) -> LaneEstimate:
         """One frame in which there is a lane."""
         self.predict(speed_mps=speed_mps, known=known)
-        self.anew = self.tracking.judge(lines, followed) if self.tracking.in_doubt else None
+        self.anew = self.tracking.judge(lines, followed) if self.tracking.looks_around(followed) else None
         return self.tracking.follow(self.frame, followed)
 
     @property
@@ -197,6 +198,57 @@ def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
         assert drive.anew is None
     assert not drive.doubted
     assert bound(estimate) < 0.3 * LANE_M
+
+
+def unsure(followed: Followed) -> Followed:
+    """The same from an estimator that has not seen a line for long."""
+    covariance = np.diag(np.square((0.06, 0.3, 0.02)))
+    return replace(followed, pose=replace(followed.pose, covariance=covariance))
+
+
+@pytest.mark.parametrize(("seen", "looks"), [(BOTH, 0), ((LEFT,), 4), (NONE, 4)])
+def test_all_lines_in_view_are_wanted_every_quarter_of_a_lane_where_one_is_followed_or_none(
+    seen: Sequence[float], looks: int
+) -> None:
+    drive, wanted = driving(), 0
+    for _ in range(12):  # of 5 cm each: one and a half lane widths
+        drive.predict()
+        wanted += drive.tracking.looks_around(said(0.0, seen))
+        if drive.tracking.looks_around(said(0.0, seen)):
+            drive.tracking.judge(sights(0.0), said(0.0, seen))
+    assert wanted == looks
+
+
+def test_a_blind_and_unsure_estimator_is_sent_to_the_line_that_is_in_view() -> None:
+    drive = driving()
+    sent = []
+    for _ in range(6):
+        drive.follow(unsure(said(0.0, NONE, heading_rad=0.1)), sights(0.0, (LEFT,)))
+        sent.append(drive.anew)
+    found = [one for one in sent if one is not None]
+    assert found
+    assert found[0].offset_m == pytest.approx(0.0, abs=0.015)
+    assert found[0].heading_rad == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_blind_estimator_that_is_sure_of_where_the_line_is_goes_on() -> None:
+    drive = driving()
+    for _ in range(6):
+        drive.follow(said(0.0, NONE), sights(0.0, (LEFT,)))
+        assert drive.anew is None
+        assert not drive.doubted
+
+
+def test_an_estimator_that_drifts_after_a_wrong_line_is_noticed_by_the_lines_in_view() -> None:
+    drive, off = driving(), 0.0
+    while off < 0.5 * LANE_M:
+        off += 0.004  # so slowly that no step is an odd one
+        estimate = drive.follow(said(off, (LEFT,)), sights(0.0))
+        if drive.anew is not None:
+            break
+        assert bound(estimate) > off
+    assert drive.anew is not None
+    assert abs(drive.anew.offset_m) < 0.5 * off  # what it drifted before was believed in part
 
 
 def test_blind_for_a_while_the_lane_is_doubted_and_found_again() -> None:
