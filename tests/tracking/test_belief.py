@@ -233,6 +233,16 @@ def test_lines_that_a_wrong_pitch_lets_converge_are_the_lanes_where_the_pitch_is
     assert unsure.update(lines)[0].width_m == pytest.approx(LANE_M, abs=0.01)
 
 
+def test_a_line_beyond_the_end_of_a_bend_is_explained_by_a_road_that_may_change_at_once() -> None:
+    bend = belief(Road(curvature_per_m=-1.0), (0.003, 0.016, 0.19, 0.01))
+    x = np.linspace(0.7, 1.2, 4)
+    straight_on = sighted(
+        np.column_stack((x, 0.2 - 0.5 * 0.5**2 - 0.5 * (x - 0.5)))
+    )  # the bend ends half a metre ahead
+    assert bend.explains(Assigned(straight_on, LEFT))
+    assert not bend.explains(Assigned(straight_on, RIGHT))
+
+
 def test_no_line_changes_nothing() -> None:
     found, odds = NOWHERE.update(())
     assert found is NOWHERE

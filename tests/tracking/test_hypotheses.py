@@ -183,3 +183,15 @@ def test_of_two_that_say_about_the_same_the_moments_remain(ahead: float, others:
     assert merged.belief.offset_m - first.belief.offset_m == pytest.approx(0.02 * others)
     variance = 0.01**2 * (1.0 + 3.0 * others) + others * (1.0 - others) * 0.02**2
     assert merged.belief.sigma(Part.OFFSET) == pytest.approx(math.sqrt(variance))
+
+
+def test_an_assignment_that_is_hardly_likelier_than_none_leaves_the_doubt() -> None:
+    line = line_of(road_at(-0.18), LEFT, 0.6, 0.8)
+    sure = belief(STRAIGHT, (0.02, 0.05, 0.1, 0.02))
+    hypotheses = Hypotheses()
+    hypotheses.start(((sure, 0.0),))
+    hypotheses.update((line,), LineKinds())
+    best = hypotheses.all[0]
+    assert abs(best.news) < 4.0
+    alone, _ = sure.update(best.assigned)
+    assert best.belief.sigma(Part.OFFSET) > 1.02 * min(alone.sigma(Part.OFFSET), sure.sigma(Part.OFFSET))
