@@ -37,7 +37,7 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "estimation.theta.line_spline._PIECES": "the cubic B-spline",
     "estimation.theta.pose_filter._LINES": "rows of the measurement",
     "estimation.theta.pose_filter._DIRECTION": "rows of the measurement",
-    "estimation.theta.theta_rls._DAMPING": "numerical tolerance",
+    "estimation.theta.theta_rls.ThetaRls._DAMPING": "numerical tolerance",
     "estimation.theta.centerline_fusion._GRID": "from 0 to 1",
     "perception.rows.row_ridges.LINE": "rows of an array",
     "pipelines.*.NO_POINTS": "the shape of an empty array",

@@ -13,16 +13,18 @@ from automodel.types import Floats, Ints
 
 
 class OdometryMonitor:
-    """Rejects the odometry while lines contradict it; `sigma_m` (n,): standard deviation of each node's place [m]."""
+    """Rejects the odometry while lines contradict it.
 
-    MIN_NODES = 3  # found in a frame, so that it counts
-    SHARE, MOST = 0.3, 6.0  # of a frame in the running mean; the most [sigmas] that it counts
-    REJECTED = 2.5  # [sigmas] running mean from which on the odometry is rejected
-    RETRY_NS = 5_000_000_000  # after this time the odometry is used again,
-    RETRY_SHARE = 0.5  # with the running mean at this share of `REJECTED`
+    `sigma_m` (n,): standard deviation of each node's place [m]. A frame in which fewer than `least` nodes were found
+    says nothing.
+    """
 
-    def __init__(self, sigma_m: Floats) -> None:
-        self._sigma = sigma_m
+    SHARE = 0.3  # of a frame in the running mean
+    REJECTED = 2.5  # [sigmas] running mean from which on the odometry is rejected; a frame counts twice that at most
+    RETRY_NS = 5_000_000_000  # after this time the odometry is used again
+
+    def __init__(self, sigma_m: Floats, least: int) -> None:
+        self._sigma, self._least = sigma_m, least
         self.reset()
 
     def reset(self) -> None:
@@ -33,7 +35,7 @@ class OdometryMonitor:
     def trusted(self, t_ns: int) -> bool:
         """Whether the motion up to `t_ns` may be used."""
         if self._rejected_ns is not None and not 0 <= t_ns - self._rejected_ns < self.RETRY_NS:
-            self._mean, self._rejected_ns = self.RETRY_SHARE * self.REJECTED, None
+            self.reset()
         return self._rejected_ns is None
 
     def rejects(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
@@ -43,8 +45,8 @@ class OdometryMonitor:
         `found` is above 0. The frame counts with the median of their residuals in sigmas.
         """
         median, count = _median(self._sigma, nodes, residual, found)
-        if count >= self.MIN_NODES:
-            self._mean += self.SHARE * (min(median, self.MOST) - self._mean)
+        if count >= self._least:
+            self._mean += self.SHARE * (min(median, 2.0 * self.REJECTED) - self._mean)
         if self._mean < self.REJECTED:
             return False
         self._rejected_ns = t_ns

@@ -8,7 +8,6 @@ is followed, or another one may be, the whole view is searched for lines.
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -58,9 +57,7 @@ class Contour:
     name = "contour"
     ROUNDS, START_ROUNDS = 3, 4  # iterations of measurement and correction, at most
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
-    SINGLE_NODES, PAIR_NODES, SURE_NODES = 4, 4, 10  # of a new lane: on one line; of a certain one: on each, on both
-    START_OFFSET, START_HEADING_RAD = 0.4, 0.7  # lane widths: limits of a car's pose in its own lane
-    LINE_NODES = 2  # that make a line seen
+    LINE_NODES = 2  # that make a line seen; twice as many start one
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     PIECES = 7  # maximum number of the pair's stations ahead
@@ -89,7 +86,9 @@ class Contour:
         """Look for markings of this width from now on, and first of this polarity."""
         options, unit, self._marking_m = self._options, self._unit, marking_m
         brightness = Brightness(options.colour, dark)
-        self._search = RowSearch(self._projection, brightness, options.contrast, self._nodes_m, marking_m, self._size)
+        self._search = RowSearch(
+            self._projection, brightness, options.contrast, self._nodes_m, marking_m, unit, self._size
+        )
         searched = LaneSearchConfig(
             lane_width_m=unit,
             marking_m=marking_m,
@@ -115,7 +114,7 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
-        self._odometry = OdometryMonitor(sigma)
+        self._odometry = OdometryMonitor(sigma, 2 * self.LINE_NODES)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
@@ -188,7 +187,7 @@ class Contour:
             offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, measured_at_m=self._unit
         )
         self._tracker.start(straight)
-        self._tracker.move(0.0, 0.0, 0.0, True)
+        self._tracker.move(0.0, 0.0, True)
         self._tracker.pose()
         tracked = self._track(nothing, 1, True)
         tracked.counts()
@@ -213,7 +212,7 @@ class Contour:
             self._odometry_rejected = False
             return
         self._odometry_used = moved.known and motion.source is not MotionSource.IMAGES
-        self._tracker.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
+        self._tracker.move(moved.distance_m, moved.turn_rad, moved.known)
 
     def _start(self, frame: Frame) -> tuple[Tracked, bool] | None:
         """A lane from this frame alone, and whether both its lines were seen; None where there is no lane."""
@@ -223,7 +222,7 @@ class Contour:
         self._tracker.start(lane)
         self._search.forget(lane.edge, lane.dark)
         tracked = self._track(frame.image, self.START_ROUNDS)
-        if (max(tracked.counts()) < self.SINGLE_NODES and not lane.fitted) or not self._within():
+        if (max(tracked.counts()) < 2 * self.LINE_NODES and not lane.fitted) or not self._within():
             return None
         return tracked, lane.fitted or self._sure(tracked.counts())  # fitted: on more rows than there are nodes
 
@@ -254,9 +253,9 @@ class Contour:
         return lane
 
     def _within(self) -> bool:
-        """Whether the car is in the lane and about parallel to it; else it is the neighbouring lane, or none."""
-        offset, heading, width, _ = self._tracker.pose()
-        return math.hypot(offset / (self.START_OFFSET * width), heading / self.START_HEADING_RAD) < 1.0
+        """Whether the car is in the lane; else it is the neighbouring lane, or none."""
+        offset, _, width, _ = self._tracker.pose()
+        return abs(offset) < 0.5 * width
 
     def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""
@@ -264,7 +263,7 @@ class Contour:
         for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
-            seen = self._search.look(image, shape, tracker.half_m(), tracker.sigma_m(shape))
+            seen = self._search.look(image, shape, tracker.half_m(), tracker.reach_m(shape))
             if predicted and k == 0:
                 self._odometry_rejected = self._odometry.rejects(self._t_ns, seen.nodes, seen.residual, seen.found)
             stages.lap("search")
@@ -275,11 +274,9 @@ class Contour:
         return Tracked(shape, seen, inliers)
 
     def _sure(self, counts: tuple[int, int]) -> bool:
-        return min(counts) >= self.PAIR_NODES and sum(counts) >= self.SURE_NODES
+        return min(counts) >= 2 * self.LINE_NODES
 
     def _followed(self, tracked: Tracked, seen: tuple[bool, bool]) -> Followed:
-        if seen[0] or seen[1]:
-            self._tracker.blind_m = 0.0
         offset, theta, width, covariance = self._tracker.pose()
         points = tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
         return Followed(

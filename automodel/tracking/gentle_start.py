@@ -9,6 +9,7 @@ import numpy as np
 from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.row_ground_lookup import GENTLE_LANES
 from automodel.tracking.belief import LaneBelief, RoadModel
 from automodel.types import FloatArray, Image
 
@@ -33,7 +34,6 @@ class GentleStart:
 
     SIGMA = 0.03  # lane widths, and radians: error of what the search finds, some hundredths of a lane width
     SPACING = 0.3  # lane widths between two points
-    LEAST_RADIUS = 15.0  # lane widths: of the tightest bend from which on it searches, as `RowHough.GENTLE_LANES`
 
     def __init__(self, car: CarConfig, camera: GroundCamera, ahead_lanes: float) -> None:
         unit, lane, radius = car.lane.width_m, car.lane, car.pipeline.contour.radius_lanes
@@ -49,7 +49,7 @@ class GentleStart:
     def look_for(self, marking_m: float) -> None:
         """Look for markings of this width from now on."""
         self._road = RoadModel(lane_width_m=self._unit, marking_width_m=marking_m)
-        if self._radius < self.LEAST_RADIUS:
+        if self._radius < GENTLE_LANES:
             return
         # Here, not above: it loads the compiler, which takes time and is for nothing on other roads.
         from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch

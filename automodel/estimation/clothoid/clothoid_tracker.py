@@ -37,30 +37,21 @@ class TrackerConfig:
     """
 
     lane_width_m: float
+    radius_lanes: float  # of the tightest bend
     solver: str = "gauss_newton"  # a key of `SOLVERS`
     offset_walk: float = 0.01
     heading_walk_rad: float = 0.012
-    blind_offset: float = 0.03  # added while no line is seen
-    blind_heading_rad: float = 0.03
     width_walk: float = 0.002
     taper: float = 0.03  # sigma of the width's change along the road: by a third within three lane widths at most
     taper_lanes: float = 3.0  # for which such a change lasts
-    radius_lanes: float = 1.1  # of the tightest bend
     curvature_walk: float = 0.03  # of a station's value: what was measured gets out of date
     curvature_step: float = 0.4  # from station to station, per root lane width of road
     straighten: float = 0.95  # share of a curvature that is expected to remain half a lane width further on
-    start_offset: float = 0.08  # sigmas of a lane at the start
-    start_heading_rad: float = 0.1
-    start_width: float = 0.05
-    unknown_offset: float = 0.05  # added in a frame without odometry
-    unknown_heading_rad: float = 0.05
+    start: float = 0.08  # sigma of a lane's offset, heading [rad] and width at the start
+    unknown: float = 0.05  # added to the offset, and to the heading [rad], in a frame without odometry
     unknown_curvature: float = 0.8  # share that is kept then of a curvature out of sight: the car may have passed it
     unknown_share: float = 0.1  # share of the variance of roads' curvature that is added in its place
-    yaw_rate_sigma_radps: float = 0.01
-    agreed: float = 0.3  # share of its limit: while no residual is larger, the weights are not renewed
     gate: float = 3.5  # [sigmas of the estimate and the measurement together]
-    conflict_sigma: float = 0.03  # added to offset and heading in a frame whose line was found and rejected
-    conflict_nodes: int = 4  # found and rejected nodes that make such a line
 
 
 _foot_on_circle = compiled(foot_on_circle)
@@ -97,12 +88,10 @@ def advance(x: Floats, p: Floats, dx: float, dy: float, phase_m: float, spacing_
 
 
 @compiled
-def add_process_noise(p: Floats, walk: Floats, floor: Floats, distance: float, offset: float, heading: float) -> None:
-    """Add the process noise of `distance` [lane widths] and a frame, and these variances of offset and heading."""
+def add_process_noise(p: Floats, walk: Floats, floor: Floats, distance: float) -> None:
+    """Add the process noise of `distance` [lane widths] and a frame."""
     for i in range(len(p)):
         p[i, i] += walk[i] * distance + floor[i]
-    p[OFFSET, OFFSET] += offset
-    p[HEADING, HEADING] += heading
 
 
 @compiled
@@ -131,9 +120,9 @@ def _pose_covariance(p: Floats) -> FloatArray:
 class ClothoidTracker:
     """One lane, tracked from frame to frame.
 
-    `parameters` (m,) is None while there is no lane; `covariance` (m, m) is theirs. `blind_m` is the distance driven
-    since lines were seen, `advance_m` that of the last `move` along the lane, `moved_m` how far the last `update` moved
-    the lane halfway along. `iterations` counts those of the solver since `move`.
+    `parameters` (m,) is None while there is no lane; `covariance` (m, m) is theirs. `advance_m` is the distance
+    of the last `move` along the lane, `moved_m` how far the last `update` moved the lane halfway along. `iterations`
+    counts those of the solver since `move`.
     """
 
     def __init__(self, pair: ClothoidPair, config: TrackerConfig, sigma: Floats) -> None:
@@ -167,7 +156,7 @@ class ClothoidTracker:
         self.parameters: Floats | None = None
         self.covariance: Floats = self._one
         self._prior: tuple[Floats, Floats] = self._one[0], self._one
-        self.phase_m = self.blind_m = self.advance_m = self.moved_m = 0.0
+        self.phase_m = self.advance_m = self.moved_m = 0.0
         self.iterations = 0
 
     def start(self, lane: ArcLane) -> None:
@@ -178,12 +167,12 @@ class ClothoidTracker:
         guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m, 0.0
         mean, covariance = guess.copy(), np.zeros_like(self._one)
         mean[CURVATURE:] = 0.0
-        for parameter, sigma in enumerate((unit, 1.0, config.start_width * unit, config.taper)):
+        for parameter, sigma in enumerate((unit, 1.0, config.start * unit, config.taper)):
             covariance[parameter, parameter] = sigma**2
         covariance[CURVATURE:, CURVATURE:] = self._road
         node = self._node(lane.measured_at_m)
         rows = self.pair.shape(guess, 0.0).jacobian[[node, node + n, node + 2 * n]]
-        precision = np.array((config.start_offset * unit, config.start_offset * unit, config.start_heading_rad)) ** -2.0
+        precision = np.array((config.start * unit, config.start * unit, config.start)) ** -2.0
         weighted = (rows * (precision / lane.share**2)[:, None].astype(guess.dtype)).T
         self.covariance = posterior(weighted @ rows, covariance)
         self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
@@ -201,7 +190,7 @@ class ClothoidTracker:
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
 
-    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
+    def move(self, distance_m: float, turn_rad: float, known: bool) -> None:
         """Move the lane into the body frame after a motion along an arc; `known` is False without odometry."""
         self.iterations = 0
         if self.parameters is None:
@@ -210,21 +199,11 @@ class ClothoidTracker:
         self.advance_m = 0.0
         if known:
             self._advance(x, p, distance_m, turn_rad)
-        blind = self.blind_m > 0.0
-        self.blind_m += abs(distance_m)
         unit, config = self.config.lane_width_m, self.config
-        distance, offset_m, heading_rad = self.advance_m / unit, config.blind_offset * unit, config.blind_heading_rad
-        add_process_noise(
-            p,
-            self._walk,
-            self._floor,
-            distance,
-            offset_m**2 * distance if blind else 0.0,
-            (heading_rad**2 * distance if blind else 0.0) + (config.yaw_rate_sigma_radps * dt_s) ** 2,
-        )
+        add_process_noise(p, self._walk, self._floor, self.advance_m / unit)
         if not known:
-            p[OFFSET, OFFSET] += (config.unknown_offset * unit) ** 2
-            p[HEADING, HEADING] += config.unknown_heading_rad**2
+            p[OFFSET, OFFSET] += (config.unknown * unit) ** 2
+            p[HEADING, HEADING] += config.unknown**2
             self._relax(x, p)
         self.parameters, self.covariance = x, p
         self._prior = x, p
@@ -298,9 +277,9 @@ class ClothoidTracker:
         x = self.known()
         return np.maximum(0.5 * (x[WIDTH] + x[TAPER] * self.pair.nodes_m), 0.0)
 
-    def sigma_m(self, shape: PairShape) -> Floats:
-        """Standard deviations (2 n,) [m] of the places of both lines' nodes."""
-        return _sigma(shape.jacobian, self.covariance)
+    def reach_m(self, shape: PairShape) -> Floats:
+        """How far (2 n,) [m] from their places both lines' nodes may be: the gate in standard deviations."""
+        return self.config.gate * _sigma(shape.jacobian, self.covariance)
 
     def curvature(self) -> float:
         """The centerline's curvature [1/m] at the reference point's foot."""
@@ -331,27 +310,14 @@ class ClothoidTracker:
         is 1, not 0.
         """
         before, (prior, p) = self.known(), self._prior
-        config, jacobian, left = self.config, shape.jacobian, nodes < self.pair.count
-        there = found[: len(nodes)] > 0.0
-        self.parameters, self.covariance, count, carrying, missed, self.moved_m = correct(
+        self.parameters, self.covariance, count, carrying, self.moved_m = correct(
             self._descend,
             (before, self.covariance, prior, p),
-            (jacobian, self._noise, nodes, residual, found),
-            (config.gate, config.agreed, self._bend, self._lever_m),
+            (shape.jacobian, self._noise, nodes, residual, found),
+            (self.config.gate, self._bend, self._lever_m),
         )
         self.iterations += count
-        if missed >= config.conflict_nodes:
-            self._inflate(left, there, carrying)
         return carrying
-
-    def _inflate(self, left: Bools, found: Bools, carrying: Bools) -> None:
-        """Add variance where most found nodes of a line were rejected: the lane is less certain than it seemed."""
-        config = self.config
-        for side in (left, ~left):
-            there = found & side
-            if np.count_nonzero(there) >= config.conflict_nodes > 2 * np.count_nonzero(there & carrying):
-                self.covariance[OFFSET, OFFSET] += (config.conflict_sigma * config.lane_width_m) ** 2
-                self.covariance[HEADING, HEADING] += config.conflict_sigma**2
 
     def _node(self, s_m: float) -> int:
         return int(np.abs(self.pair.nodes_m - s_m).argmin())

@@ -122,20 +122,20 @@ def _times(matrix: Floats, values: Floats) -> Floats:
 
 @compiled
 def correct(
-    descend: bool, state: State, seen: Sightings, scales: tuple[float, float, float, float]
-) -> tuple[Floats, Floats, int, Bools, int, float]:
+    descend: bool, state: State, seen: Sightings, scales: tuple[float, float, float]
+) -> tuple[Floats, Floats, int, Bools, float]:
     """Correct the parameters by measurements that were taken at an estimate, with robust weights.
 
-    The weights are renewed once where a residual that remains is not small. `state`: parameters (m,) and covariance
+    The weights are renewed once where a residual remains beyond its limit. `state`: parameters (m,) and covariance
     (m, m) of the estimate, then those of the prediction. `seen`: the Jacobian (3 n, m) of `PairShape`; the variances of
     its rows and their largest residuals (2, 3 n); nodes (k,), residuals and found (2 k,) as in
-    `ClothoidTracker.update`. `scales`: the gate [sigmas], the share of its limit up to which a residual is small, the
-    largest curvature [1/m], and the lever [m] that turns a change of heading into a distance.
+    `ClothoidTracker.update`. `scales`: the gate [sigmas], the largest curvature [1/m], and the lever [m] that turns a
+    change of heading into a distance.
 
-    Returns the parameters, their covariance, the iterations, which nodes (k,) support the lane, how many were found
-    without supporting it, and how far the lane moved [m].
+    Returns the parameters, their covariance, the iterations, which nodes (k,) support the lane, and how far it moved
+    [m].
     """
-    gate, agreed, bend, lever_m = scales
+    gate, bend, lever_m = scales
     before, _, prior, prior_covariance = state
     found, k = seen[4], len(seen[2])
     rows, aim, ratio2, precision, limit = _linearise(state, seen, gate)
@@ -153,19 +153,18 @@ def correct(
                 left -= rows[i, a] * change[a]
             ratio2[i] = (left / limit[i]) ** 2
             worst = max(worst, ratio2[i] * found[i])
-        if worst <= agreed * agreed:
+        if worst <= 1.0:
             break
     parameters = np.empty_like(prior)
     for a in range(len(prior)):
         parameters[a] = prior[a] + change[a]
         if a >= CURVATURE:
             parameters[a] = min(max(parameters[a], -bend), bend)
-    carrying, missed = np.empty(k, np.bool_), 0
+    carrying = np.empty(k, np.bool_)
     for i in range(k):
         carrying[i] = weight[i] > 0.1 * precision[i]
-        missed += int(found[i] > 0.0) - int(carrying[i])
     moved_m = abs(parameters[OFFSET] - before[OFFSET]) + abs(parameters[HEADING] - before[HEADING]) * lever_m
-    return parameters, after, iterations, carrying, missed, float(moved_m)
+    return parameters, after, iterations, carrying, float(moved_m)
 
 
 @compiled

@@ -39,11 +39,10 @@ class InitialLane(ArcLane):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneSearchConfig:
-    """The searched lanes; lengths in lane widths; pairs are (largest value, number of values).
+    """The searched lanes; lengths in lane widths.
 
-    Both searches share the prior's width and offset. Moved by half, `width_sigma` changes the offset's error in random
-    worlds by 0.1 % of the lane's width, `offset_sigma` hardly; on the labelled highway images of `bench tusimple` all
-    lanes are found with each of them.
+    Both searches share the prior of the width and the offset: moved by half, `sigma` changes nothing in random worlds,
+    and on the labelled highway images of `bench tusimple` all lanes are found with it.
     """
 
     lane_width_m: float
@@ -53,15 +52,10 @@ class LaneSearchConfig:
     contrast: float = 0.0  # grey levels; 0: measured
     rows: int = 16
     ahead: float = 2.0  # depth of the rows from the nearest visible ground
-    headings_rad: tuple[float, int] = (0.7, 19)
-    curvatures: tuple[float, int] = (0.73, 13)  # relative to that of the tightest bend
-    lateral: tuple[float, int] = (1.4, 57)
+    heading_rad: float = 0.7  # the largest
     narrowest: float = 0.7  # width; the widest is its inverse
-    pair_rows: int = 3  # minimum rows that show each line of a pair
-    single_rows: int = 6  # and a single line
-    # One sigma of the prior: relative width, offset (lane widths).
-    width_sigma: float = 0.12
-    offset_sigma: float = 0.2
+    least_rows: int = 4  # that show each line of a pair; twice as many a single line
+    sigma: float = 0.2  # of the prior: relative width, and offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +106,7 @@ class LineIntegralSearch:
         rows = self._sums(self._inside.astype(np.float32))
         self._weight: Float32Array = np.float32(1.0) / np.sqrt(np.maximum(rows, np.float32(1.0)))
         prior = (2.0 * self._theta / self.HEADING_RAD) ** 2 + (self._kappa / tightest / self.CURVATURE) ** 2
-        self._offset_sigma, self._width_sigma = config.offset_sigma, config.width_sigma
+        self._sigma = config.sigma
         self._prior_loss: Float32Array = (0.5 * prior).astype(np.float32)[:, None]
 
     def step(self, image: Image, brightness: Brightness) -> InitialLane | None:
@@ -159,7 +153,7 @@ class LineIntegralSearch:
             apart = round(width * unit / self._step)
             right, left = sigmas[:, :-apart], sigmas[:, apart:]
             offset = (y[:-apart] + 0.5 * width * unit) / unit
-            loss = 0.5 * (offset / self._offset_sigma) ** 2 + 0.5 * (math.log(width) / self._width_sigma) ** 2
+            loss = 0.5 * (offset / self._sigma) ** 2 + 0.5 * (math.log(width) / self._sigma) ** 2
             total = 0.5 * (np.minimum(left, right) + left + right) - loss.astype(np.float32) - self._prior_loss
             total[:, np.abs(offset) > 0.5] = -math.inf
             curve, at = np.unravel_index(int(total.argmax()), total.shape)

@@ -7,6 +7,8 @@ import numpy as np
 from automodel.geometry import GroundCamera
 from automodel.types import Bools, Floats, Ints
 
+GENTLE_LANES = 15.0  # radius of the tightest bend from which on lines are straight enough for `LineIntegralSearch`
+
 
 class RowGroundLookup:
     """Rows evenly spaced in the image between two distances ahead, `between_m` in body x, and the ground they show.

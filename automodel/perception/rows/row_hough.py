@@ -23,7 +23,8 @@ from automodel.geometry import GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig, LineIntegralSearch
-from automodel.perception.rows.row_ridges import LINE, MARGIN, PER_MARKING, RowRidgeFilter
+from automodel.perception.rows.row_ground_lookup import GENTLE_LANES
+from automodel.perception.rows.row_ridges import BLURRED, LINE, MARGIN, PER_MARKING, RowRidgeFilter
 from automodel.types import Bools, Float32Array, Floats, Image, Ints
 
 Votes = NDArray[np.int32]
@@ -51,17 +52,16 @@ def row_peaks(height: Votes, within: Bools, least: Float32Array, reach: int) -> 
 
 
 @compiled
-def row_votes(row: Ints, place: Floats, tolerance: Ints, rows: int, samples: int, near: int) -> Votes:
+def row_votes(row: Ints, place: Floats, tolerance: Ints, rows: int, samples: int) -> Votes:
     """The votes (rows * samples + 1,) of the samples for a line that passes there; the last is for lines out of view.
 
-    1 within the `tolerance` of a row about a ridge's place (n,), `near` within half of it.
+    1 within the `tolerance` of a row about a ridge's place (n,).
     """
     votes = np.zeros(rows * samples + 1, np.int32)
-    for share in range(1, 3):
-        for i in range(len(row)):
-            reach, middle = tolerance[row[i]] // share, int(np.rint(place[i]))
-            for k in range(max(middle - reach, 0), min(middle + reach + 1, samples)):
-                votes[row[i] * samples + k] = 1 if share == 1 else near
+    for i in range(len(row)):
+        reach, middle = tolerance[row[i]], int(np.rint(place[i]))
+        for k in range(max(middle - reach, 0), min(middle + reach + 1, samples)):
+            votes[row[i] * samples + k] = 1
     return votes
 
 
@@ -145,26 +145,25 @@ def best_single(
     return best, at_c, at_h, at_a, side
 
 
+def _grid(most: float, step: float) -> Floats:
+    """Evenly spaced values (n,) from -`most` to `most`, at most a `step` apart, with 0 in the middle."""
+    return np.linspace(-most, most, 2 * math.ceil(most / step) + 1)
+
+
 class RowHough:
     """Searches a lane on some rows of single images of one camera. Raises ValueError where no row shows the ground.
 
     With `both` the markings may be of either polarity: that of the last lane found is tried first.
     """
 
-    TOLERANCE, PER_AHEAD = 0.06, 0.02  # lane widths: distance of a ridge from a lane's line: near, growth with distance
-    HIT = 2  # votes of a row whose ridge lies within half the tolerance; 1 within the whole
-    # One sigma of the prior: heading, curvature (of the tightest bend's); the loss of a lane at one sigma of each.
-    HEADING_RAD, CURVATURE, LOSS = 0.25, 0.44, 2.5
-    SINGLE_LOSS = 4.0  # of a single line
-    THIRD = 0.6  # relative to the weaker line of a pair: a line between the two with so many votes rejects the lane
-    GENTLE_LANES = 15.0  # radius of the tightest bend from which on `LineIntegralSearch` is tried first
-    SHARP, BLURRED = 0.75, 0.5  # quantile of the edges that represents paint, and the share of it below which none is
+    TOLERANCE = 0.06  # lane widths: distance of a ridge from a lane's line
+    SHARP = 0.75  # quantile of the edges that represents paint
 
     def __init__(
         self, camera: GroundCamera, config: LaneSearchConfig, brightness: Brightness, both: bool = False
     ) -> None:
         self.config, self._polarities = config, (brightness, brightness.negative())[: 1 + both]
-        gentle = config.radius_lanes >= self.GENTLE_LANES
+        gentle = config.radius_lanes >= GENTLE_LANES
         self._integrals = LineIntegralSearch(camera, config) if gentle else None
         unit, near = config.lane_width_m, max(camera.first_visible_x_m(), config.reference_x_m)
         self._axis_x_m = near + 0.25 * config.ahead * unit
@@ -175,13 +174,12 @@ class RowHough:
         columns = np.minimum(np.rint(np.arange(samples) * self._steps[:, None]), width - 1.0)
         self._pixels: Ints = (self._rows[:, None] * width + columns).astype(np.intp)
         self._within = np.arange(samples) <= ((width - 1.0) / self._steps)[:, None] - MARGIN
-        tolerance = (self.TOLERANCE + self.PER_AHEAD * (x - near) / unit) * unit
-        self._tolerance: Ints = np.ceil(tolerance / config.marking_m * PER_MARKING).astype(np.intp)
-        grids = [
-            np.linspace(-most, most, count) for most, count in (config.curvatures, config.headings_rad, config.lateral)
-        ]
-        tightest = 1.0 / (config.radius_lanes * unit)
-        self._kappa, self._theta, self._lateral = grids[0] * tightest, grids[1], grids[2] * unit
+        tolerance = math.ceil(self.TOLERANCE * unit / config.marking_m * PER_MARKING)
+        self._tolerance: Ints = np.full(len(x), tolerance, np.intp)
+        # Lines of the table that are next to each other part by twice the tolerance at most, on the farthest row.
+        tightest, arm, apart = 1.0 / config.radius_lanes, 0.75 * config.ahead, 2.0 * self.TOLERANCE
+        kappa, self._theta = _grid(tightest, apart / (0.5 * arm * arm)), _grid(config.heading_rad, apart / arm)
+        self._kappa, self._lateral = kappa / unit, _grid(1.0 / config.narrowest, self.TOLERANCE) * unit
         self._kappa[self._kappa == 0.0] = 1e-6 / unit
         self._table = self._crossings(camera)
         self._edge = 0.0
@@ -191,12 +189,13 @@ class RowHough:
         # The reference point about each axis (c, h): arc length and distance to the left.
         self._s, self._d = (np.ascontiguousarray(part[..., 0]) for part in feet)
         heading = theta[..., 0] + kappa[..., 0] * self._s
-        self._loss = self.LOSS * ((heading / self.HEADING_RAD) ** 2 + (kappa[..., 0] / tightest / self.CURVATURE) ** 2)
-        self._offset_loss = self.LOSS / (config.offset_sigma * unit) ** 2
+        # The prior in nats, as the votes are; of heading and curvature one sigma is the largest of the table.
+        self._loss = 0.5 * ((heading / config.heading_rad) ** 2 + (kappa[..., 0] * unit / tightest) ** 2)
+        self._offset_loss = 0.5 / (config.sigma * unit) ** 2
         step = float(self._lateral[1] - self._lateral[0])
         narrow, wide = (round(width * unit / step) for width in (config.narrowest, 1.0 / config.narrowest))
         self._apart: Ints = np.arange(narrow, wide + 1)
-        self._width_loss = self.LOSS * (np.log(self._apart * step / unit) / config.width_sigma) ** 2
+        self._width_loss = 0.5 * (np.log(self._apart * step / unit) / config.sigma) ** 2
 
     def step(self, image: Image) -> InitialLane | None:
         """The lane with the most votes, less its prior loss; None where no lane has enough."""
@@ -241,12 +240,12 @@ class RowHough:
         line = ridges.flags[LINE]
         edges = ridges.edge[line]
         self._edge = float(np.sort(edges)[int(self.SHARP * len(edges))]) if len(edges) else 0.0
-        line[line] = edges > self.BLURRED * self._edge  # a reflection is blurred
-        return row_votes(row[line], (at + ridges.place)[line], self._tolerance, len(values), values.shape[1], self.HIT)
+        line[line] = edges > BLURRED * self._edge  # a reflection is blurred
+        return row_votes(row[line], (at + ridges.place)[line], self._tolerance, len(values), values.shape[1])
 
     def _pair(self, lines: Votes) -> tuple[float, InitialLane | None]:
         """The score of the best lane whose two lines are seen on enough rows, and the lane."""
-        fewest = self.config.pair_rows * self.HIT
+        fewest = self.config.least_rows
         grid = self._loss, self._d, self._lateral
         score, c, h, a, w = best_pair(lines, fewest, *grid, self._apart, self._width_loss, self._offset_loss)
         if score == -math.inf:
@@ -259,15 +258,15 @@ class RowHough:
         return score, self._lane(c, h, offset, left_m - right_m, True)
 
     def _has_third_line(self, lines: Votes, right: int, left: int) -> bool:
-        """Whether a similarly strong line lies amid the lane between two places of `lines` (a,): joints of tiles."""
+        """Whether a line as strong as the weaker of two places of `lines` (a,) lies amid the lane: joints of tiles."""
         margin = (left - right) // 4
         amid = int(lines[max(right + margin, 0) : max(left - margin, 0)].max(initial=0))
         beside = min(int(lines[place]) for place in (right, left) if 0 <= place < len(lines))
-        return amid >= max(self.THIRD * beside, self.config.pair_rows * self.HIT)
+        return amid >= max(beside, self.config.least_rows)
 
     def _single(self, lines: Votes) -> tuple[float, InitialLane | None]:
         """The score of the best single line within a lane width of the car, and its lane."""
-        unit, fewest = self.config.lane_width_m, self.config.single_rows * self.HIT
+        unit, fewest = self.config.lane_width_m, 2 * self.config.least_rows
         grid = self._loss, self._d, self._lateral
         score, c, h, a, side = best_single(lines, fewest, *grid, 0.5 * unit, 0.45 * unit, self._offset_loss)
         if score == -math.inf:
@@ -275,9 +274,9 @@ class RowHough:
         apart = round(unit / float(self._lateral[1] - self._lateral[0]))
         right = a if side < 0 else a - apart
         if self._has_third_line(lines[c, h], right, right + apart):
-            return score - self.SINGLE_LOSS, None
+            return score, None
         offset = float(self._d[c, h] - self._lateral[a]) + 0.5 * side * unit
-        return score - self.SINGLE_LOSS, self._lane(c, h, offset, unit, False)
+        return score, self._lane(c, h, offset, unit, False)
 
     def _lane(self, c: int, h: int, offset_m: float, width_m: float, pair: bool) -> InitialLane:
         """The lane at the foot of the reference point, for a curvature and a heading of the table."""

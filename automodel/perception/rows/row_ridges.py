@@ -24,12 +24,13 @@ from automodel.types import Bools, Float32Array, Floats, Ints
 Sums = NDArray[np.int32]
 
 PER_MARKING = 6  # samples
-WINDOW = 5  # samples that are averaged: of the marking's middle, and of each side
-SIDE = 6  # samples from the middle of the marking to that of a side; what lies between may be blurred
+WINDOW = PER_MARKING - 1  # samples that are averaged, of the marking's middle and of each side: all but the edges
+SIDE = PER_MARKING  # samples from the middle of the marking to that of a side, which lies next to the marking
 MARGIN = SIDE + WINDOW // 2  # samples that the filter needs on each side of a ridge's middle
-AROUND = 24  # samples on each side by which a ridge is classified
-REACH = 31  # samples on each side of a run's middle
-GATE = 15  # samples on each side of a run's middle among which its ridge is searched, at least
+AROUND = 4 * PER_MARKING  # samples on each side by which a ridge is classified: zebra bars are two to three wide
+GATE = 2 * PER_MARKING  # samples on each side of a run's middle among which its ridge is searched, at least
+REACH = GATE + 2 * MARGIN  # samples on each side of a run's middle; bare ground is measured where the gate's ends are
+BLURRED = 0.5  # of the usual edge of paint: a blurrier ridge is a reflection
 LINE, BAR = range(2)
 LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 

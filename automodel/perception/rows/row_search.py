@@ -19,6 +19,7 @@ from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ridges import (
     BAR,
+    BLURRED,
     GATE,
     LINE,
     MARGIN,
@@ -32,10 +33,7 @@ from automodel.perception.rows.row_ridges import (
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
 
 MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not searched
-MAX_TURN, SLACK = 0.4, 0.5  # of a ridge: turn from the node's direction [rad], and tear between ridges [samples]
-WHOLE_PX = 2.0  # a line that wide in the image fills a pixel at any place; of a thinner one an edge shows a share
-EDGE = 0.05  # of the image's height: nodes nearer to its upper or lower edge are not searched
-BESIDE = 0.1  # of the image's width: how far outside it a node may lie and still be searched
+MAX_TURN = 0.4  # [rad] of a ridge from the node's direction
 
 
 class Nodes(Protocol):
@@ -56,7 +54,7 @@ class NodeMeasurements:
 
     `nodes` (k,) are the indices of the nodes that were searched, of 2 n, the left line's first. Where `found` (2 k,) is
     1, `residual` (2 k,) is the line's offset to the left of the node [m], and then its turn to the left [rad].
-    `edge` (k,): the less sharp edge of a node's two ridges, as in `Ridges`, of a line `WHOLE_PX` wide.
+    `edge` (k,): the less sharp edge of a node's two ridges, as in `Ridges`.
     """
 
     nodes: Ints
@@ -81,12 +79,7 @@ class RowSearch:
     """
 
     HALF_LENGTH = 0.5  # markings: half the distance along the line between a node's two rows; one row at least
-    BLURRED = 0.5  # of the usual edge: a blurrier ridge is no paint
-    LEARN, FADE = 0.1, 0.02  # share a frame
-    MIN_NODES = 3  # from which the usual edge is learnt
-    SIGMAS = 3.0  # of a node's place: how far from it its ridge is searched, where that is more than `GATE`
-    ASIDE = 0.8  # of half the lane: beyond its middle lies the other line
-    WIDER = (1, 2, 4, 8)  # times `GATE`, at most: half a lane width on each side for the thinnest markings
+    LEARN = 0.1  # share of a frame in the usual edge
 
     def __init__(
         self,
@@ -95,14 +88,17 @@ class RowSearch:
         contrast: float,
         nodes_m: Floats,
         marking_m: float,
+        lane_width_m: float,
         size: tuple[int, int],
     ) -> None:
         self._projection, self._brightness, self._contrast = projection, brightness, contrast
         self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
         self._size = size
-        places = [(2 * GATE * times + 1) / FALSE_SAMPLES for times in self.WIDER]
+        most = 0.5 * lane_width_m / (GATE * self._sample_m)  # beyond the lane's middle lies the other line
+        self._wider = 2 ** np.arange(math.ceil(math.log2(max(most, 1.0))) + 1)  # times `GATE`
+        places = [(2 * GATE * times + 1) / FALSE_SAMPLES for times in self._wider.tolist()]
         # A false node is a false ridge in both of its runs, at places that agree by chance.
-        agree = 2.0 * (MAX_TURN * self.HALF_LENGTH * PER_MARKING + SLACK) / FALSE_SAMPLES
+        agree = 2.0 * MAX_TURN * self.HALF_LENGTH * PER_MARKING / FALSE_SAMPLES
         self._noises = [least_ridge(n * math.sqrt(2 * len(nodes_m) * min(agree / n, 1.0))) for n in places]
         tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / self._sample_m)
         tear[-1] = -1.0  # the next node is the other line's
@@ -120,19 +116,19 @@ class RowSearch:
         """Whether it looks for markings that are darker than the ground."""
         return self._brightness.dark
 
-    def look(self, image: Image, shape: Nodes, half_m: Floats, sigma_m: Floats) -> NodeMeasurements:
+    def look(self, image: Image, shape: Nodes, half_m: Floats, reach_m: Floats) -> NodeMeasurements:
         """Measure the pair `shape`, half of whose width at the nodes is `half_m` (n,).
 
-        `sigma_m` (2 n,): standard deviations of the places of the left line's nodes, then of the right line's. A line
-        of which nothing is found close by is searched as far away as it may be.
+        `reach_m` (2 n,): how far from the places of the left line's nodes, then of the right line's, the line may be.
+        A line of which nothing is found close by is searched so far away.
         """
         count = len(half_m)
         seen = self._measure(image, shape, half_m, np.ones(2 * count, np.intp))
         k = len(seen.nodes)
         left = np.arange(2 * count) < count
         missing = [not (seen.found[:k] * (left[seen.nodes] == side)).any() for side in (True, False)]
-        reach_m = np.minimum(self.SIGMAS * sigma_m, self.ASIDE * np.tile(half_m, 2))
-        times = np.ceil(reach_m / (GATE * self._sample_m)).clip(1, self.WIDER[-1]).astype(np.intp)
+        reach_m = np.minimum(reach_m, np.tile(half_m, 2))
+        times = np.ceil(reach_m / (GATE * self._sample_m)).clip(1, self._wider[-1]).astype(np.intp)
         times[~np.where(left, *missing)] = 1
         if times.max() == 1:
             return seen
@@ -145,9 +141,9 @@ class RowSearch:
     def _measure(self, image: Image, shape: Nodes, half_m: Floats, times: Ints) -> NodeMeasurements:
         """Measure within so many `times` (2 n,) `GATE` of each node."""
         gates = times * GATE
-        wider = int(np.searchsorted(self.WIDER, times.max()))
-        reach = REACH + (self.WIDER[wider] - 1) * GATE
-        nodes, pixels, column, step, along_m, whole = _lay(
+        wider = int(np.searchsorted(self._wider, times.max()))
+        reach = REACH + (int(self._wider[wider]) - 1) * GATE
+        nodes, pixels, column, step, along_m = _lay(
             self._projection.view, shape.place, shape.along, half_m, (self._half_m, self._sample_m), reach, self._size
         )
         # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
@@ -156,19 +152,19 @@ class RowSearch:
             least = np.full(len(values), self._contrast * WINDOW, np.float32)
         else:
             least = run_thresholds(values, self._noises[wider])
-        min_edge, tear, width = self.BLURRED * self._usual, self._tear, self._size[1]
+        min_edge, tear, width = BLURRED * self._usual, self._tear, self._size[1]
         found, residual, edge = _agree(
-            values, least, nodes, column, step, along_m, tear, self._sample_m, min_edge, width, gates, whole
+            values, least, nodes, column, step, along_m, tear, self._sample_m, min_edge, width, gates
         )
         return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
 
     def learn(self, measured: NodeMeasurements, inliers: Bools) -> None:
         """Remember how sharp the ridges of the `inliers` (k,) are."""
         edge, count = _mean(measured.edge, inliers)
-        if count >= self.MIN_NODES:
+        if count:
             self._usual += (self.LEARN if self._usual > 0.0 else 1.0) * (edge - self._usual)
         else:
-            self._usual *= 1.0 - self.FADE
+            self._usual *= 1.0 - self.LEARN
 
 
 @compiled
@@ -180,41 +176,37 @@ def _lay(
     lengths_m: tuple[float, float],
     reach: int,
     size: tuple[int, int],
-) -> tuple[Ints, Ints, Floats, Floats, Floats, Floats]:
+) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """The runs about the nodes that can be searched: they lie in the image, and their line is steep enough there.
 
     The lines lie `left_m` (n,) beside the nodes, as in `LineProjection.project`; `lengths_m`: half the distance along
     the line between a node's rows, and a sample; `reach`: samples on each side of a run's middle. Returns the nodes
     (k,), and of their runs: pixels (2 k, s), all upper ones first; the lower one's middle column (k,); the signed
-    distance between samples (k,) [px], to the left; their distance along the line from the node (k,) [m]; the marking's
-    width in the image (k,) as a share of `WHOLE_PX`, up to 1.
+    distance between samples (k,) [px], to the left; and their distance along the line from the node (k,) [m].
     """
     line = project_lines(view, place, along, left_m)
     max_half_m, sample_m = lengths_m
     height, width = size
-    margin = EDGE * height
-    max_u, max_v = (0.5 + BESIDE) * width, 0.5 * (height - 1) - margin
     nodes = np.empty(line.shape[1], np.intp)
     k = 0
     for i in range(line.shape[1]):
         u, v, along_u, along_v, _ = line[:, i]
-        near = abs(u - 0.5 * (width - 1)) <= max_u and abs(v - 0.5 * (height - 1)) <= max_v
-        if near and abs(along_u) < -MAX_SLANT * along_v:
+        inside = 0.0 <= u <= width - 1.0 and 1.0 <= v <= height - 2.0
+        if inside and abs(along_u) < -MAX_SLANT * along_v:
             nodes[k] = i
             k += 1
     pixels, column = np.empty((2 * k, 2 * reach + 1), np.intp), np.empty(k, line.dtype)
-    step, half_m, whole = np.empty(k, line.dtype), np.empty(k, line.dtype), np.empty(k, line.dtype)
+    step, half_m = np.empty(k, line.dtype), np.empty(k, line.dtype)
     for i in range(k):
         u, v, along_u, along_v, area = line[:, nodes[i]]
-        down = max(min(along_v * max_half_m, -1.0), -margin)  # the further ahead, the higher up
+        down = max(min(along_v * max_half_m, -1.0), -min(v, height - 1.0 - v))  # the further ahead, the higher up
         step[i] = -sample_m * area / along_v  # area / along_v is negative: to the left
         for end in range(2):
             row = np.rint(v + (down if end == 0 else -down))
             column[i] = u + (row - v) * along_u / along_v + 0.5
             lay_run(pixels[end * k + i], row * width + column[i], step[i])
         half_m[i] = down / along_v
-        whole[i] = min(-PER_MARKING * sample_m * area / (WHOLE_PX * math.hypot(along_u, along_v)), 1.0)
-    return nodes[:k], pixels, column, step, half_m, whole
+    return nodes[:k], pixels, column, step, half_m
 
 
 @compiled
@@ -230,7 +222,6 @@ def _agree(
     min_edge: float,
     width: int,
     gates: Ints,
-    whole: Floats,
 ) -> tuple[Floats, Floats, Floats]:
     """The fields `found`, `residual` and `edge` of `NodeMeasurements`, from the values (2 k, s) of the runs of `_lay`.
 
@@ -244,10 +235,10 @@ def _agree(
         far, near = place[i], place[k + i]
         means[i], tilt = 0.5 * (far + near), far - near
         residual[i], residual[k + i] = means[i] * sample_m, tilt * sample_m / (2.0 * half_m[i])
-        edges[i] = min(edge[i], edge[k + i]) / whole[i]
+        edges[i] = min(edge[i], edge[k + i])
         margin = -step[i] * MARGIN
         inside = margin < column[i] + step[i] * near < width - margin
-        straight = abs(tilt) <= 2.0 * half_m[i] * MAX_TURN / sample_m + 2.0 * SLACK
+        straight = abs(tilt) <= 2.0 * half_m[i] * MAX_TURN / sample_m
         if inside and straight and edges[i] > min_edge:
             marks[i] = flags[LINE, i] and flags[LINE, k + i]
             found[k + i] = flags[BAR, i] and flags[BAR, k + i]

@@ -185,9 +185,9 @@ def test_peaks_are_the_highest_around_them_and_above_the_least() -> None:
 
 
 def test_ridges_vote_about_their_place_and_nowhere_else() -> None:
-    said = row_votes(np.array([0, 1]), np.array([4.4, 9.0]), np.array([2, 3]), 2, 10, 5)
-    assert said[:10].tolist() == [0, 0, 1, 5, 5, 5, 1, 0, 0, 0]
-    assert said[10:].tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 5, 5, 0]
+    said = row_votes(np.array([0, 1]), np.array([4.4, 9.0]), np.array([2, 3]), 2, 10)
+    assert said[:10].tolist() == [0, 0, 1, 1, 1, 1, 1, 0, 0, 0]
+    assert said[10:].tolist() == [0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 0]
 
 
 def test_lines_sum_what_their_rows_say() -> None:

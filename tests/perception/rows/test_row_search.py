@@ -15,7 +15,7 @@ from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.brightness import Brightness
-from automodel.perception.rows.row_ridges import REACH
+from automodel.perception.rows.row_ridges import BLURRED, REACH
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.types import FloatArray, Image
 
@@ -65,7 +65,7 @@ SURE = np.zeros(2 * COUNT)  # the nodes' standard deviations where nothing is in
 
 def search(lens: str = "none", dark: bool = False) -> RowSearch:
     projection, brightness = LineProjection(camera(lens)), Brightness("grey", dark)
-    return RowSearch(projection, brightness, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
+    return RowSearch(projection, brightness, 20.0, NODES, MARKING, LANE, (HEIGHT, WIDTH))
 
 
 def shaped(road: str, offset: float = 0.0, heading: float = 0.0) -> PairShape:
@@ -143,7 +143,7 @@ def test_a_line_is_searched_as_far_from_its_node_as_the_node_may_be_wrong() -> N
     away = 0.25 * LANE  # the lane is said to be wider: both lines lie further in, several markings from their nodes
     picture, shape, wider = drawn("none", "straight"), shaped("straight"), HALF + away
     assert not seen(search().look(picture, shape, wider, SURE)).any()
-    measured = search().look(picture, shape, wider, SURE + 0.5 * away)
+    measured = search().look(picture, shape, wider, SURE + 1.5 * away)
     found = np.flatnonzero(measured.found[: len(measured.nodes)])
     assert len(found) >= 10
     inwards = np.where(measured.nodes[found] < COUNT, -away, away)
@@ -216,7 +216,7 @@ def test_fainter_markings_are_believed_once_none_was_seen_for_a_while() -> None:
     looking.learn(first, first.found[: len(first.nodes)] > 0.0)
     empty = looking.look(faint, shaped("straight", heading=np.pi), HALF, SURE)
     assert not seen(looking.look(faint, shape, HALF, SURE)).any()
-    frames = math.ceil(math.log(35.0 / (110.0 * looking.BLURRED)) / math.log(1.0 - looking.FADE))
+    frames = math.ceil(math.log(35.0 / (110.0 * BLURRED)) / math.log(1.0 - looking.LEARN))
     for _ in range(frames):
         looking.learn(empty, np.zeros(0, bool))
     assert seen(looking.look(faint, shape, HALF, SURE)).any()
@@ -242,7 +242,7 @@ class Noted(Brightness):
 
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
     noted, shape = Noted("grey", False), shaped("left")
-    looking = RowSearch(LineProjection(camera("none")), noted, 20.0, NODES, MARKING, (HEIGHT, WIDTH))
+    looking = RowSearch(LineProjection(camera("none")), noted, 20.0, NODES, MARKING, LANE, (HEIGHT, WIDTH))
     looking.look(drawn("none", "left"), shape, HALF, SURE)
     assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
