@@ -84,8 +84,8 @@ def test_a_number_is_moved_and_put_back() -> None:
 
 
 def test_what_is_derived_follows() -> None:
-    with moved(one("perception.rows.row_ridges.SIDE"), 9):
-        assert importlib.import_module("automodel.perception.rows.row_ridges").MARGIN == 9 + 2
+    with moved(one("perception.rows.row_ridges.PER_MARKING"), 9):
+        assert importlib.import_module("automodel.perception.rows.row_ridges").MARGIN == 9 + 4
 
 
 def test_a_number_is_put_back_after_an_error() -> None:
