@@ -21,9 +21,10 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
+from automodel.perception.markings.binary_views import MarkingViews, TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.reflections import Reflections
 from automodel.perception.windows.sliding_windows import SlidingWindows
 from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
 from automodel.pipelines.stages import StageClock
@@ -79,6 +80,9 @@ class Windows:
         self._birdseye = BirdsEye(self._camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
         self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
+        self._reflections = Reflections(
+            self._camera, self.view, self._white_areas.mask, marking_m, lane.markings, SlidingWindows.COUNT
+        )
         self._crossings = CrossingSearch(self.view, lane.width_m, marking_m)
         self._windows = SlidingWindows(self.view, marking_m)
         self._initialiser = LaneInitialiser(self._windows, self._tracker)
@@ -114,6 +118,7 @@ class Windows:
         lines = self._paint_check.step(areas)  # temporal paint check
         self.stages.lap("white_areas")
         if self._tracking.lost:
+            lines = self._reflections.step(view, areas.lines, lines)  # without reflections
             start = self._tracking.start(frame.t_ns, self._scan.step(lines))  # lines in view, the lane's pair
             self.stages.lap("start")
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
@@ -122,7 +127,7 @@ class Windows:
                 followed = self._followed(None, *self._begin(gentle))
                 self._tracking.begin(frame.t_ns, True, followed.pose)
             elif start is not None:
-                followed = self._followed(None, *self._restart(start, areas.bright, lines))
+                followed = self._followed(None, *self._restart(start, view, areas, lines))
             elif candidate is not None:
                 followed = self._followed(None, *self._start(candidate))
                 self._tracking.begin(frame.t_ns, candidate.pair)
@@ -131,14 +136,15 @@ class Windows:
         else:
             scan = self._scan_crossing(areas.bright)
             self.stages.lap("crossing")
-            seen = self._observe(lines, scan)  # sliding windows
+            seen = self._observe(view, areas, lines, scan)  # sliding windows
             self.stages.lap("windows")
             followed = self._followed(scan.crossing, seen, *self._tracker.update(seen))  # lane fit
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
+            lines = self._reflections.step(view, areas.lines, lines)
             anew = self._tracking.judge(self._scan.step(lines), followed)
             if anew is not None:
-                followed = self._followed(None, *self._restart(anew, areas.bright, lines))
+                followed = self._followed(None, *self._restart(anew, view, areas, lines))
             self.stages.lap("doubt")
         estimate = self._tracking.follow(frame, followed)
         if self._tracking.lost:
@@ -174,11 +180,11 @@ class Windows:
         seen = Observation(left_m=lane.left_m, right_m=lane.right_m, left_sigma_m=sigmas[0], right_sigma_m=sigmas[1])
         return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(lane.belief.covariance)))
 
-    def _restart(self, belief: LaneBelief, bright: Image, lines: Image) -> Fitted:
+    def _restart(self, belief: LaneBelief, view: Image, areas: MarkingViews, lines: Image) -> Fitted:
         """The lane fitted anew about a belief."""
         arc = self._tracker.fit.start(*belief.mean.tolist())
         self._tracker.place(arc)
-        seen = self._observe(lines, self._scan_crossing(bright))
+        seen = self._observe(view, areas, lines, self._scan_crossing(areas.bright))
         return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.covariance)))
 
     def _scan_crossing(self, bright: Image) -> CrossingScan:
@@ -188,13 +194,16 @@ class Windows:
             self._tracker.add_crossing(scan.crossing.distance_m, scan.crossing.angle_rad - 0.5 * math.pi)
         return scan
 
-    def _observe(self, lines: Image, scan: CrossingScan) -> Observation:
-        """Both lines' points about the predicted lane, without those where paint covers the lane."""
+    def _observe(self, view: Image, areas: MarkingViews, lines: Image, scan: CrossingScan) -> Observation:
+        """Both lines' points about the predicted lane, without reflections and where no paint covers the lane."""
         lane = self._tracker.shape
         widening = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
         left, right = self._windows.expected(lane, +1), self._windows.expected(lane, -1)
         turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
         seen = self._windows.observe(lines, left, right, widening, turn)
+        if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
+            lines = self._reflections.step(view, areas.lines, lines)
+            seen = self._windows.observe(lines, left, right, widening, turn)
         if not scan.covered.any():
             return seen
         keep = [scan.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]

@@ -131,6 +131,7 @@ class SlidingWindows:
         edges = np.linspace(view.height_px, 0, self.COUNT + 1).astype(int)
         self._rows = [(int(far), int(near)) for near, far in itertools.pairwise(edges)]
         self.centre_rows: FloatArray = np.array([0.5 * (far + near - 1) for far, near in self._rows])
+        self._centres: list[float] = self.centre_rows.tolist()
         self.centre_x_m: FloatArray = view.to_body(np.column_stack((np.zeros(self.COUNT), self.centre_rows)))[:, 0]
         self._marking_px = marking_width_m / view.m_per_px
         self._half = int(0.5 * self.WIDTH * self._marking_px)
@@ -144,30 +145,33 @@ class SlidingWindows:
         `widening` multiplies the windows' width, for a line whose place is uncertain. A line whose slope dy/dx differs
         from the expected one by more than `max_turn` is not extrapolated.
         """
-        expected = (self.view.half_width_m - expected_y_m) / self.view.m_per_px - 0.5
-        half = round(self._half * widening)
-        expected_slope = _slopes(expected, self.centre_rows)
+        expected = self.view.columns(expected_y_m)
+        columns, half, width = expected.tolist(), round(self._half * widening), self.view.width_px
+        slopes = _slopes(expected, self.centre_rows).tolist() if max_turn < math.inf else None
         max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
+        spread_px2 = self.SPREAD * self._marking_px**2
         points: list[tuple[float, float]] = []
         last: _Piece | None = None
         for k, (far, near) in enumerate(self._rows):
-            place = self._place(float(expected[k]), float(self.centre_rows[k]), last)
+            place = self._place(columns[k], self._centres[k], last)
             if place is None:
                 continue
-            low, high = max(place - half, 0), min(place + half + 1, self.view.width_px)
+            low, high = max(place - half, 0), min(place + half + 1, width)
             if high - low < half:
                 continue
             m = cv2.moments(lines[far:near, low:high], True)
-            if m["m00"] < self.FILL * self._marking_px * (near - far):
+            count, along = m["m00"], m["mu02"]
+            if count < self.FILL * self._marking_px * (near - far):
                 continue
-            slope = m["mu11"] / m["mu02"] if m["mu02"] > 0 else 0.0
-            if (m["mu20"] - slope * m["mu11"]) / m["m00"] > self.SPREAD * self._marking_px**2:
+            slope = m["mu11"] / along if along > 0 else 0.0
+            if m["mu20"] - slope * m["mu11"] > spread_px2 * count:
                 continue  # more than one line
-            column, row = low + m["m10"] / m["m00"], far + m["m01"] / m["m00"]
-            long = m["mu02"] / m["m00"] > self.LONG * (near - far) ** 2 / 12.0
+            column, row = low + m["m10"] / count, far + m["m01"] / count
+            usable = along > self.LONG * (near - far) ** 2 / 12.0 * count
+            if usable and slopes is not None:
+                usable = not abs(slope - slopes[k]) > max_turn_px  # NaN: nothing is expected there
             points.append((column, row))
-            offset = column - float(expected[k]) if np.isfinite(expected[k]) else 0.0
-            usable = long and not abs(slope - expected_slope[k]) > max_turn_px  # NaN: nothing is expected there
+            offset = column - columns[k] if math.isfinite(columns[k]) else 0.0
             last = _Piece(column, row, slope if usable else None, offset, 2.5 * (near - far))
         return self.view.to_body(np.array(points).reshape(-1, 2))
 
@@ -175,7 +179,7 @@ class SlidingWindows:
         """The next window's middle column: extrapolated from the last piece where it has a slope, else as expected."""
         if last is not None and last.slope is not None and abs(row - last.row) <= last.reach:
             return round(last.column + last.slope * (row - last.row))
-        if not np.isfinite(expected):
+        if not math.isfinite(expected):
             return None
         return round(expected + (last.offset if last is not None else 0.0))
 

@@ -1,0 +1,201 @@
+"""Reflections of lamps and windows in a shiny floor, told from paint in one bird's-eye view.
+
+An uneven floor stretches a reflection in the vertical plane through the camera and the lamp. Seen from above it is a
+streak that points to the ground below the camera, whatever the lamp, the car's motion and an error of the camera's
+height or pitch. Paint does so by chance only. Of what points there, the profile across decides: a marking is as wide as
+markings are, with edges as sharp as the image's blur leaves them, on ground of any light; a streak is a bell of any
+width.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from automodel.geometry import GroundCamera, View
+from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReflectionConfig:
+    """Scales of `Reflections`.
+
+    `pointing_rad`: sigma of the direction of a streak's piece; what is three of them off is paint. A larger one puts
+    more paint to the test. `blur_px`: standard deviations of an image's blur, of a sharp lens, and of a car that turns
+    on the spot; with a larger one wide streaks pass for blurred markings. `reach`: of a profile to both sides, in
+    marking widths; over a shorter one a wide streak looks like curved ground.
+    """
+
+    pointing_rad: float = 0.035
+    blur_px: tuple[float, float] = (0.7, 5.0)
+    reach: float = 2.6
+
+
+class Reflections:
+    """Removes reflections from binary views (h, w), 0 or 255, of the ground that `mask` (h, w) says is visible.
+
+    The view's length is cut into `pieces`; connected pixels in one of them are a piece of paint or of a streak.
+    """
+
+    def __init__(
+        self, camera: GroundCamera, view: View, mask: Image, marking_width_m: float, markings: str, pieces: int
+    ) -> None:
+        self.view, self.config, self._mask, self._pieces = view, ReflectionConfig(), mask, pieces
+        self._foot = camera.centre_m[:2]
+        self._most_rad = 3.0 * self.config.pointing_rad
+        self._marking_px, self._marking_rows = marking_width_m / view.m_per_px, marking_width_m / view.m_per_row
+        self._aspect = view.m_per_row / view.m_per_px
+        reach = math.ceil(self.config.reach * self._marking_px)
+        self._across: FloatArray = np.arange(-reach, reach + 1, dtype=np.float64)  # columns, of a line straight ahead
+        self._rows_a_piece = view.height_px / pieces
+        shapes = [self._shapes(camera, k, marking_width_m) for k in range(pieces)]
+        paint, streaks = (np.stack(every) for every in zip(*shapes, strict=True))
+        self._profiles = _Profiles(paint, streaks, {"light": 1.0, "dark": -1.0, "both": 0.0}[markings])
+
+    def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
+        """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
+        x0, y0 = self._foot
+        for points in lines_m:
+            x1, y1 = math.inf, 0.0
+            for x, y in points.tolist():
+                ahead, left = x - x1, y - y1
+                if abs(ahead * (y - y0) - left * (x - x0)) < self._most_rad * math.hypot(ahead, left) * (x - x0):
+                    return True
+                x1, y1 = x, y
+        return False
+
+    def step(self, view: Image, areas: Image, lines: Image) -> Image:
+        """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).
+
+        A piece of `areas` is whole, while the check over time leaves shreds of a streak that moves along itself.
+        """
+        # Rows that miss a pixel in noise, up to two in a row, are of the same piece.
+        _, labels = cv2.connectedComponents(cv2.dilate(areas, np.ones((3, 1), np.uint8)), connectivity=8)
+        found = cv2.findNonZero(areas)
+        if found is None:
+            return lines
+        column, row = found.reshape(-1, 2).T
+        piece = labels[row, column] * self._pieces + (row / self._rows_a_piece).astype(np.intp)
+        away = self._streaks(view, piece, row, column)[piece]
+        if away.any():
+            lines = lines.copy()
+            lines[row[away], column[away]] = 0
+        return lines
+
+    def _streaks(self, view: Image, piece: Ints, row: Ints, column: Ints) -> Bools:
+        """Which pieces (k,) of the pixels (n,) are of a streak."""
+        size = np.bincount(piece)
+        streaks = np.zeros(len(size), np.bool_)
+        large = np.flatnonzero(size > self._marking_px * self._marking_rows)
+        if not len(large):
+            return streaks
+        n = size[large]
+        r, c, rr, rc = (np.bincount(piece, w)[large] / n for w in (row, column, row * row, row * column))
+        spread = rr - r * r
+        slope = (rc - r * c) / np.maximum(spread, 1e-9)  # columns a row
+        ahead = self.view.x_far_m - (r + 0.5) * self.view.m_per_row - self._foot[0]
+        left = self.view.half_width_m - (c + 0.5) * self.view.m_per_px - self._foot[1]
+        away_rad = np.arctan2(left, ahead) - np.arctan(slope / self._aspect)
+        half = np.sqrt(3.0 * spread)  # of the piece's rows
+        maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & (2.0 * half > self._marking_rows))
+        if len(maybe):
+            paint = self._paint(view, r[maybe], c[maybe], slope[maybe], half[maybe])
+            paint += 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
+            streaks[large[maybe[paint < 0.0]]] = True
+        return streaks
+
+    def _paint(
+        self, view: Image, row: FloatArray, column: FloatArray, slope: FloatArray, half: FloatArray
+    ) -> FloatArray:
+        """Log-odds (n,) [nats] that pieces are markings, by their profiles; infinite at the rim of what is visible."""
+        tilt = slope / self._aspect
+        cos = 1.0 / np.hypot(1.0, tilt)
+        count = 8  # samples along a piece: every other row
+        along = ((2.0 * np.arange(count) + 1.0) / count - 1.0)[:, None] * half[:, None, None]  # rows
+        across = self._across * cos[:, None, None]
+        columns = (column[:, None, None] + slope[:, None, None] * along + across).astype(np.float32)
+        rows = (row[:, None, None] + along - across * (tilt / self._aspect)[:, None, None]).astype(np.float32)
+        shape = (len(row) * count, len(self._across))
+        samples = cv2.remap(view, columns.reshape(shape), rows.reshape(shape), cv2.INTER_LINEAR)
+        values = samples.reshape(len(row), count, -1).mean(axis=1, dtype=np.float64)
+        odds = np.full(len(row), np.inf)
+        seen = self._visible(rows[:, count // 2], columns[:, count // 2])
+        if seen.any():
+            odds[seen] = self._profiles.log_odds(values[seen], (row[seen] / self._rows_a_piece).astype(np.intp))
+        return odds
+
+    def _visible(self, rows: Float32Array, columns: Float32Array) -> Bools:
+        """Whether both ends of profiles (n, k) lie on ground that the camera sees."""
+        height, width = self._mask.shape
+        ends = np.stack((rows[:, :: len(self._across) - 1], columns[:, :: len(self._across) - 1]))
+        r, c = np.rint(ends).astype(np.intp)
+        inside = (r >= 0) & (c >= 0) & (r < height) & (c < width)
+        return np.asarray((inside & (self._mask[r.clip(0, height - 1), c.clip(0, width - 1)] > 0)).all(axis=1))
+
+    def _shapes(self, camera: GroundCamera, piece: int, marking_m: float) -> tuple[FloatArray, FloatArray]:
+        """Profiles (n, k) of markings and of streaks in the middle of a piece of the view's length."""
+        config = self.config
+        x = self.view.x_far_m - (piece + 0.5) * self._rows_a_piece * self.view.m_per_row
+        left, right = camera.ground_to_px(np.array([[x, 0.5 * marking_m], [x, -0.5 * marking_m]]))
+        wide_px = float(np.hypot(*(right - left)))
+        u = self._across / self._marking_px
+        pixel = 0.5 / self._marking_px
+        places = np.linspace(-0.5, 0.5, 5)  # of a piece's middle; finer steps of it, and of what follows, tell no more
+        blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(*config.blur_px, 4)]
+        widths = np.geomspace(1.0 / MarkingWidth.CHANGE, MarkingWidth.CHANGE, 5)  # as wrong as one is used
+        paint = [_blurred_box(u - at, width, blur) for at in places for width in widths for blur in blurs]
+        bells = np.geomspace(pixel, config.reach, 20)
+        streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
+        return np.array(paint), np.array(streaks)
+
+
+class _Profiles:
+    """Likelihoods of profiles (n, k) as those of a marking and of a streak, of unknown height and noise.
+
+    `paint`, `streaks` (m, j, k): the j shapes that each may have in each of m places, all as likely. The ground below
+    has a slope; below paint it may be curved too. The noise is unknown, so that the likelihood of a shape is that of
+    Student's distribution. Half of the samples count, because neighbours share the image's pixels; rounding to grey
+    levels is a noise that is known. `sign` of a marking's height, 0: either.
+    """
+
+    def __init__(self, paint: FloatArray, streaks: FloatArray, sign: float) -> None:
+        self._count, self._sign = paint.shape[-1], sign
+        u = np.linspace(-1.0, 1.0, self._count)
+        slope = np.column_stack((np.ones_like(u), u))
+        curve = np.column_stack((slope, u * u))
+        pairs = ((slope, paint), (curve, paint), (slope, streaks))
+        self._shapes = [_without(ground, shapes) for ground, shapes in pairs]
+
+    def log_odds(self, values: FloatArray, place: Ints) -> FloatArray:
+        """Log-odds (n,) [nats] of a marking against a streak, of profiles (n, k) in places (n,)."""
+        flat, curved, streak = (self._evidence(values, ground, shapes[place]) for ground, shapes in self._shapes)
+        curved -= 0.5 * math.log(self._count)  # what another parameter explains by chance (Schwarz 1978)
+        return np.logaddexp(flat, curved) - math.log(2.0) - streak
+
+    def _evidence(self, values: FloatArray, ground: FloatArray, shapes: FloatArray) -> FloatArray:
+        values = values - values @ ground @ ground.T
+        heights = np.matmul(shapes, values[:, :, None])[:, :, 0]
+        heights = np.abs(heights) if self._sign == 0.0 else np.maximum(self._sign * heights, 0.0)
+        rest = (values**2).sum(axis=1)[:, None] - heights**2 + self._count / 12.0
+        powers = -0.25 * (self._count - ground.shape[1]) * np.log(rest)
+        most = powers.max(axis=1)
+        return np.asarray(most + np.log(np.exp(powers - most[:, None]).mean(axis=1)))
+
+
+def _without(ground: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """An orthonormal basis (k, i) of the ground, and the shapes (..., k) at right angles to it, of unit length."""
+    basis = np.linalg.qr(ground)[0]
+    rest = shapes - shapes @ basis @ basis.T
+    return basis, rest / np.linalg.norm(rest, axis=-1, keepdims=True)
+
+
+def _blurred_box(u: FloatArray, width: float, blur: float) -> FloatArray:
+    """A box of height 1 about 0, blurred with a standard deviation."""
+    scale = 1.0 / (blur * math.sqrt(2.0))
+    return np.array(
+        [0.5 * (math.erf((x + 0.5 * width) * scale) - math.erf((x - 0.5 * width) * scale)) for x in u.tolist()]
+    )

@@ -1,0 +1,134 @@
+"""Reflections against paint, on images of a scene that are drawn by the camera's own projection."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from automodel.config import CameraConfig, CarConfig
+from automodel.geometry import BirdsEye, GroundCamera, View
+from automodel.perception.markings.binary_views import WhiteAreas
+from automodel.perception.markings.reflections import Reflections
+from tests.support.drawn_views import Shape, bar, line_at
+
+MARKING_M = 0.03
+VIEW = View(x_near_m=0.46, x_far_m=1.66, half_width_m=0.64, m_per_px=0.006)
+CAR = CarConfig().camera
+PIECES = 12
+
+
+@functools.lru_cache
+def pixels(camera: CameraConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Body x and y (4, h, w) under four points of each pixel."""
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    parts = np.stack([np.stack((u + a, v + b), axis=-1) for a in (-0.25, 0.25) for b in (-0.25, 0.25)])
+    ground = np.nan_to_num(GroundCamera.from_config(camera).px_to_ground(parts.astype(np.float64)), nan=-9.0)
+    return ground[..., 0], ground[..., 1]
+
+
+def lamp(camera: CameraConfig, azimuth_rad: float, width_rad: float) -> np.ndarray:
+    """The light (h, w), 0 .. 1, of a lamp that is reflected at an azimuth: a bell, whose edges lie 40 cm from the car
+    and 1.2 m behind that."""
+    x, y = (part.mean(axis=0) for part in pixels(camera))
+    ahead = x - camera.extrinsics.x_m
+    bell = np.exp(-(((np.arctan2(y, ahead) - azimuth_rad) / width_rad) ** 2))
+    return np.where((ahead > 0.0) & (ahead < 1.6), bell, 0.0)
+
+
+def filtered(
+    *shapes: Shape, light: np.ndarray | None = None, dark: bool = False, camera: CameraConfig = CAR, noise: float = 2.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The line view (h, w) of painted shapes in a light [grey levels], and what is left of it.
+
+    The pipeline believes the camera to be the default one.
+    """
+    ground = pixels(camera)
+    painted = np.any([shape(*ground) for shape in shapes], axis=0).mean(axis=0) if shapes else 0.0
+    image = 60.0 + 90.0 * painted + (0.0 if light is None else light)
+    image = image + np.random.default_rng(1).normal(0.0, noise, (camera.height_px, camera.width_px))
+    seen = np.clip(255.0 - image if dark else image, 0.0, 255.0).round().astype(np.uint8)
+    eye, markings = GroundCamera.from_config(CAR), "dark" if dark else "light"
+    birdseye = BirdsEye(eye, VIEW)
+    white_areas = WhiteAreas(birdseye, MARKING_M, 0.0, markings)
+    reflections = Reflections(eye, VIEW, white_areas.mask, MARKING_M, markings, PIECES)
+    view = birdseye.warp(seen)
+    lines = white_areas.step(view).lines
+    return lines, reflections.step(view, lines, lines)
+
+
+def kept(lines: np.ndarray, left: np.ndarray) -> float:
+    assert np.count_nonzero(lines) > 300
+    assert not (left & ~lines).any()  # nothing is added
+    return np.count_nonzero(left) / np.count_nonzero(lines)
+
+
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.2, -0.35])
+@pytest.mark.parametrize("width_rad", [0.03, 0.06])
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_streak_is_removed(azimuth_rad: float, width_rad: float, dark: bool) -> None:
+    assert kept(*filtered(light=100.0 * lamp(CAR, azimuth_rad, width_rad), dark=dark)) < 0.15
+
+
+@pytest.mark.parametrize("pitch_rad", [-0.03, 0.03])
+@pytest.mark.parametrize("height", [0.9, 1.1])
+def test_a_streak_points_to_the_camera_that_stands_otherwise_than_believed(pitch_rad: float, height: float) -> None:
+    place = CAR.extrinsics
+    camera = replace(CAR, extrinsics=replace(place, pitch_rad=place.pitch_rad + pitch_rad, z_m=height * place.z_m))
+    assert kept(*filtered(light=100.0 * lamp(camera, 0.2, 0.04), camera=camera)) < 0.15
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.25, -0.4])
+@pytest.mark.parametrize("dark", [False, True])
+def test_paint_that_points_to_the_camera_stays(slope: float, dark: bool) -> None:
+    line = line_at(-slope * CAR.extrinsics.x_m, slope=slope)
+    assert kept(*filtered(line, dark=dark)) == 1.0
+
+
+@pytest.mark.parametrize("line", [line_at(0.2), line_at(-0.2), line_at(0.2, bend_per_m=-0.8), line_at(0.5, slope=-0.6)])
+def test_blurred_paint_stays(line: Shape) -> None:
+    """A line beside the car, as wide as no marking is; it does not point to the camera."""
+    soft = sum(0.1 * line_at_width(line, scale) for scale in np.linspace(0.2, 2.0, 10))
+    assert kept(*filtered(light=90.0 * np.asarray(soft))) == 1.0
+
+
+def line_at_width(line: Shape, scale: float) -> np.ndarray:
+    """The line (h, w) drawn once to each side of its place: the sum of many is a line without edges."""
+    x, y = pixels(CAR)
+    off = 0.5 * (scale - 1.0) * MARKING_M
+    return np.asarray(0.5 * (line(x, y + off).mean(axis=0) + line(x, y - off).mean(axis=0)))
+
+
+def test_paint_in_a_reflection_stays_and_the_streak_beside_it_goes() -> None:
+    light = 80.0 * lamp(CAR, 0.0, 0.08)
+    dash = bar(0.9, 0.2, half_m=0.015)
+    lines, left = filtered(dash, light=light)
+    with_dash = (slice(VIEW.height_px - 122, VIEW.height_px - 80), slice(100, 113))  # x: 0.94 .. 1.19 m, |y| < 4 cm
+    dash_only = filtered(dash)[0]
+    inside = dash_only[with_dash] > 0
+    assert np.count_nonzero(inside) > 100
+    assert (left[with_dash][inside] > 0).mean() > 0.8
+    assert np.count_nonzero(left) - np.count_nonzero(left[with_dash]) < 0.3 * (
+        np.count_nonzero(lines) - np.count_nonzero(lines[with_dash])
+    )
+
+
+def test_an_empty_view_stays_empty() -> None:
+    lines, left = filtered(noise=0.0)
+    assert not lines.any()
+    assert not left.any()
+
+
+@pytest.mark.parametrize(
+    ("slope", "lateral_m", "points"), [(0.0, 0.2, False), (0.3, -0.06, True), (0.3, 0.14, False), (-0.5, 0.1, True)]
+)
+def test_points_on_a_ray_from_below_the_camera_are_told(slope: float, lateral_m: float, points: bool) -> None:
+    eye = GroundCamera.from_config(CAR)
+    reflections = Reflections(eye, VIEW, BirdsEye(eye, VIEW).mask, MARKING_M, "light", PIECES)
+    x = np.linspace(0.5, 1.2, 5)
+    line = np.column_stack((x, lateral_m + slope * x))
+    assert reflections.any_points_to_camera(np.empty((0, 2)), line) == points
+    assert reflections.any_points_to_camera(line, np.empty((0, 2))) == points
+    assert not reflections.any_points_to_camera(line[:1], line[1:2])  # two lines' points are no neighbours
