@@ -13,6 +13,7 @@ import numpy as np
 
 from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.image_motion import ImageMotion
+from automodel.estimation.theta.pose_filter import LEAST_WIDTH
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import GroundCamera
@@ -67,13 +68,8 @@ class Centerline:
     name = "centerline"
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
     SEEN_POINTS = 2  # that make a line seen
-    START_POINTS = 4  # on each line of a pair that starts a lane
-    SINGLE_POINTS = 6  # on a single line that starts a lane
-    REACH_LANES = 0.1  # lateral distance from its expected place in which a line is searched
-    BLIND_REACH = 0.1  # growth of that per distance without a line
-    UNKNOWN_REACH_LANES = 0.25  # that distance while the car's motion is unknown
-    MIN_SPACING_LANES = 0.4  # between the two lines
-    SHORT_POINTS = 6  # a line of fewer is also searched beside the centerline
+    START_POINTS = 4  # on each line that starts a lane
+    REACH_LANES = 0.2  # lateral distance from its expected place in which a line is searched
     END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
@@ -205,7 +201,7 @@ class Centerline:
         for i, start in enumerate(starts):
             if start is not None:
                 followed = self._following.follow(features, start)
-                if len(followed) >= (self.SINGLE_POINTS if None in starts else self.START_POINTS):
+                if len(followed) >= self.START_POINTS:
                     seen[i] = self._seen(followed)
         left, right = seen
         lane = TrackedLane(self._unit, self._reference_x_m)
@@ -239,7 +235,7 @@ class Centerline:
         if not (len(left.points_m) and len(right.points_m)):
             return left, right
         apart = left.points_m[:, None] - right.points_m
-        near = np.einsum("ijk,ijk->ij", apart, apart) < (self.MIN_SPACING_LANES * self._unit) ** 2
+        near = np.einsum("ijk,ijk->ij", apart, apart) < (LEAST_WIDTH * self._unit) ** 2
         if not near.any():
             return left, right
         if len(left.points_m) >= len(right.points_m):
@@ -247,20 +243,10 @@ class Centerline:
         return _cut(left, int(near.any(axis=1).argmax())), right
 
     def _follow_line(self, features: Image, lane: TrackedLane, side: float) -> SeenLine:
-        """A line's points from where its own model expects it; from the centerline's if that gives clearly more."""
-        seen = self._follow_expected(features, lane, side, True)
-        if len(seen.points_m) < self.SHORT_POINTS and lane.on_its_own(side):
-            other = self._follow_expected(features, lane, side, False)
-            if len(other.points_m) > len(seen.points_m) + self.START_POINTS:
-                return other
-        return seen
-
-    def _follow_expected(self, features: Image, lane: TrackedLane, side: float, alone: bool) -> SeenLine:
-        points, heading, known_m = lane.expected(side, self._ahead_m + 0.5 * self._unit, alone)
-        reach = self.REACH_LANES if lane.motion_known else self.UNKNOWN_REACH_LANES
-        reach = reach * self._unit + self.BLIND_REACH * min(lane.blind_m, 2.0 * self._unit)
+        """A line's points from where it is expected."""
+        points, heading, known_m = lane.expected(side, self._ahead_m + 0.5 * self._unit)
         expected = ExpectedLine(points_m=points, heading_rad=heading, known_m=known_m)
-        return self._seen(self._following.follow(features, expected=expected, reach_m=reach))
+        return self._seen(self._following.follow(features, expected=expected, reach_m=self.REACH_LANES * self._unit))
 
     def _seen(self, followed: FollowedLine) -> SeenLine:
         """The line, and whether it ended within the view."""
@@ -309,7 +295,7 @@ class Centerline:
             ),
             left=self._line(lane.left, lines.left, left, lane, +0.5),
             right=self._line(lane.right, lines.right, right, lane, -0.5),
-            centerline=centerline.curve(-lane.REACH_LANES * self._unit, self._ahead_m),
+            centerline=centerline.curve(-lane.left.BEHIND_LANES * self._unit, self._ahead_m),
         )
 
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:

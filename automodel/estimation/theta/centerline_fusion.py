@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import operator
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +25,6 @@ from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.types import FloatArray
 
 SAMPLES = 24  # of each line
-MEMORY = 0.25  # share of the lines' memory: their samples are smoothed over time already
 _GRID = np.linspace(0.0, 1.0, SAMPLES)
 _NOTHING = np.empty(0)
 
@@ -50,12 +48,11 @@ class _Side(NamedTuple):
 class CenterlineFusion:
     """The centerline over time: `rls.line` is its curve, None until a line was seen.
 
-    `config` is that of the lines; the centerline's memory is a quarter of theirs.
+    `config` is that of the lines.
     """
 
     def __init__(self, config: ThetaRlsConfig) -> None:
-        memory_lanes, memory_s = MEMORY * config.memory_lanes, MEMORY * config.memory_s
-        self.rls = ThetaRls(replace(config, memory_lanes=memory_lanes, memory_s=memory_s))
+        self.rls = ThetaRls(config)
 
     def update(self, left: ThetaRls | None, right: ThetaRls | None, width_m: float, width_variance_m2: float) -> None:
         """Update by this frame's lines, either of which may be missing, and the estimate of the lane's width.

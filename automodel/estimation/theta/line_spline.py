@@ -18,15 +18,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from automodel.estimation.theta.heading_polynomial import ORDER
 from automodel.types import FloatArray
 
-MIN_POINTS = 4
-MAX_INTERVALS, MAX_PER_INTERVAL = 16, 32
+MIN_POINTS = ORDER  # as a cubic has coefficients
 FAR_M = 1e4  # coordinates and sigmas beyond are not used
-WIDE = 3  # points on either side that give the direction of a step
-FOLD_RAD = 0.9  # turn between two samples from which on a line has turned back
-OUTLIER_SIGMAS = 4.0  # a point beyond this residual weighs less, by the inverse fourth power of the residual
-ROUNDS = 4  # most iterations of reweighting
 
 # Cubic B-splines on an interval: rows are powers 0 .. 3 of the place 0 .. 1 in it, columns the four splines there
 _PIECES = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0, 0.0], [-1.0, 3.0, -3.0, 1.0]]) / 6.0
@@ -59,9 +55,9 @@ def smooth(
 ) -> SampledLine | None:
     """The line through points (n, 2) [m] of standard deviations (n,) [m], sampled every `step_m` or a little less.
 
-    `knot_m` is the spacing of the spline's knots, `curvature_rate_per_m2` is q. There are at most 16 knots and 512
-    samples: on a long line they lie farther apart. Points that are not finite are ignored, outliers weigh little, and a
-    line that turns back ends there. None with fewer than four distinct points, or without length.
+    `knot_m` is the spacing of the spline's knots, `curvature_rate_per_m2` is q. There are at most as many knots as
+    points: on a line of few they lie farther apart. Points that are not finite are ignored, and a line that turns back
+    ends there. None with fewer than four distinct points, or without length.
     """
     points, sigma = _usable(points_m, sigma_m)
     if len(points) < MIN_POINTS:
@@ -70,25 +66,16 @@ def smooth(
     length = float(t[-1])
     if length < step_m or np.count_nonzero(t[1:] - t[:-1] > 1e-6 * length) < MIN_POINTS - 1:
         return None
-    intervals = min(max(math.ceil(length / knot_m), 1), MAX_INTERVALS)
+    intervals = min(max(math.ceil(length / knot_m), 1), len(points))
     spacing = length / intervals
     basis = _basis(t / spacing, intervals)
     penalty = _third_differences(intervals) / (spacing**6 * curvature_rate_per_m2**2)
-    variance = sigma**2
-    inflated = variance
-    for _ in range(ROUNDS):
-        weighted = (basis / inflated[:, None]).T
-        data = weighted @ basis
-        normal = data + penalty
-        normal.flat[:: len(normal) + 1] += 1e-12 * normal.trace()
-        control = np.linalg.solve(normal, weighted @ points)
-        residual = points - basis @ control
-        excess = np.einsum("ij,ij->i", residual, residual) / (OUTLIER_SIGMAS**2 * variance)
-        if excess.max() <= 1.0:
-            break
-        inflated = variance * np.maximum(excess, 1.0) ** 2
-    per_interval = min(max(math.ceil(spacing / step_m), 1), MAX_PER_INTERVAL)
-    return _sampled(control, normal, data, spacing, per_interval)
+    weighted = (basis / (sigma * sigma)[:, None]).T
+    data = weighted @ basis
+    normal = data + penalty
+    normal.flat[:: len(normal) + 1] += 1e-12 * normal.trace()
+    control = np.linalg.solve(normal, weighted @ points)
+    return _sampled(control, normal, data, spacing, math.ceil(min(spacing, knot_m) / step_m))
 
 
 def _usable(points_m: FloatArray, sigma_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -108,7 +95,7 @@ def _chord_lengths(points: FloatArray, knot_m: float) -> FloatArray:
     t = np.zeros(count + 1)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
     total = float(lengths.sum())
-    wide = min(WIDE, int(0.5 * knot_m * count / total)) if total > 0.0 else 0
+    wide = int(0.5 * knot_m * count / total) if total > 0.0 else 0
     if wide == 0 or count <= 2 * wide:
         t[1:] = lengths
     else:
@@ -129,8 +116,9 @@ def _sampled(
     placed = both @ control
     points, rate = placed[:count], placed[count:] / spacing
     before, after = rate[:-1], rate[1:]
-    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], np.einsum("ij,ij->i", before, after))
-    folds = np.abs(turn) > FOLD_RAD
+    onwards = np.einsum("ij,ij->i", before, after)
+    turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], onwards)
+    folds = onwards <= 0.0
     end = int(folds.argmax()) + 1 if folds.any() else len(points)
     steps = points[1:end] - points[: end - 1]
     turn = turn[: end - 1]
@@ -183,7 +171,7 @@ def _sample_basis(intervals: int, per_interval: int) -> FloatArray:
     return np.vstack((_basis(u, intervals), slopes))
 
 
-@lru_cache(maxsize=MAX_INTERVALS)
+@lru_cache(maxsize=256)
 def _third_differences(intervals: int) -> FloatArray:
     difference = np.diff(np.eye(intervals + 3), 3, axis=0)
     return np.asarray(difference.T @ difference)

@@ -32,6 +32,7 @@ from automodel.types import FloatArray
 
 _LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
 _DIRECTION = slice(4, 5)
+LEAST_WIDTH = 0.4  # lane widths: two lines that are closer are one; the inverse bounds a lane's width from above
 
 
 class State(IntEnum):
@@ -95,9 +96,9 @@ def predicted_state(
 class PoseFilterConfig:
     """Noise of the lane's pose, by distance and by time; offsets and widths in lane widths.
 
-    Heading, offset and width gain these standard deviations over one lane width of distance and over one second;
-    `lost` holds those of heading [rad] and offset over one second of unknown motion. `gate`: share of good measurements
-    that pass. After `patience` rejections of a line in a row the filter is taken to be wrong and its covariance opened.
+    Heading [rad], offset and width gain the standard deviation `walk` over one lane width of distance and over one
+    second; heading and offset gain `lost` over one second of unknown motion. `gate`: share of good measurements that
+    pass.
 
     The lines decide, the noises hardly: moved by half, none of them changes the offset's error by more than 0.05 % of
     the lane's width (`automodel bench sensitivity`).
@@ -105,13 +106,10 @@ class PoseFilterConfig:
 
     lane_width_m: float
     reference_x_m: float
-    heading_rad: float = 0.02  # gained over a lane width, and a second
-    offset_lanes: float = 0.01  # likewise
-    width_lanes: float = 0.03  # likewise
-    lost: tuple[float, float] = (1.0, 0.5)
+    walk: float = 0.02
+    lost: float = 1.0
     gate: float = 0.999
-    patience: int = 15
-    least_width: float = 0.4  # share of the lane width that bounds the estimate from below; its inverse does from above
+    start: float = 0.15  # sigmas of heading [rad], offset and width (lane widths) at the start
 
     def __post_init__(self) -> None:
         if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
@@ -169,10 +167,7 @@ class LanePoseFilter:
     `rejected` counts the measurements that failed their gate since `start`.
     """
 
-    _CURVATURE_LIMIT = 0.9  # share of 1 / half width that bounds the curvature
     _FLOOR = 1e-3  # [lane widths] least standard deviation of a point
-    _UNSURE = 0.05  # [lane widths] a width with a larger standard deviation counts as unknown
-    _OPENED = (0.25, 0.2, 0.15)  # heading [rad], offset and width [lane widths]: sigmas of an opened filter
 
     def __init__(self, config: PoseFilterConfig) -> None:
         from filterpy.kalman import ExtendedKalmanFilter  # imports scipy, which takes most of a second
@@ -191,14 +186,14 @@ class LanePoseFilter:
         offset_m: float,
         heading_rad: float,
         width_m: float,
-        sigma: tuple[float, float, float] = _OPENED,
+        sigma: tuple[float, float, float] | None = None,
     ) -> None:
-        """Start at a pose; `sigma`: of heading [rad], offset and width [lane widths]."""
+        """Start at a pose; `sigma`: of heading [rad], offset and width [lane widths]; None: those of any start."""
         width = self._bounded_width(width_m)
         self._ekf.x = np.array((-heading_rad, 2.0 * offset_m / width, width))
-        self._ekf.P = self._spread(sigma)
+        start = self.config.start
+        self._ekf.P = self._spread(sigma or (start, start, start))
         self.rejected = 0
-        self._rejections = [0, 0, 0]  # times in a row: left, right, direction
 
     @property
     def state(self) -> FloatArray:
@@ -239,15 +234,13 @@ class LanePoseFilter:
         reference = config.reference_x_m
         cos, sin = math.cos(before.yaw_rad), math.sin(before.yaw_rad)
         shift = (before.x_m + reference * (cos - 1.0), before.y_m + reference * sin)
-        limit = self._CURVATURE_LIMIT / (0.5 * width)
+        limit = 2.0 / width
         kappa = min(max(curvature_per_m, -limit), limit)
         self._next, self._ekf.F = predicted_state(self._ekf.x, shift, before.yaw_rad, kappa)
         distance, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
-        heading, offset, width_noise = (
-            (distance + time) * sigma * sigma for sigma in (config.heading_rad, config.offset_lanes, config.width_lanes)
-        )
+        heading = offset = width_noise = (distance + time) * config.walk**2
         if not motion_known:
-            heading, offset = (q + time * lost * lost for q, lost in zip((heading, offset), config.lost, strict=True))
+            heading = offset = heading + time * config.lost**2
         self._ekf.Q = np.diag(
             (heading, offset * (2.0 * config.lane_width_m / width) ** 2, width_noise * config.lane_width_m**2)
         )
@@ -260,12 +253,8 @@ class LanePoseFilter:
         """Update by this frame's measurements; one that is None, not finite or outside its gate is ignored.
 
         `theta`: the centerline's direction [rad], eq. (20), and its variance [rad^2], a measurement beyond the paper's
-        four for one line, or two lines seen in one point each. With one line a known width stays as it is and its
-        variance enters the offset's; an unknown width may learn from the two lines seen one after the other.
+        four for one line, or two lines seen in one point each.
         """
-        if max(self._rejections) >= self.config.patience:
-            self._ekf.P = self._ekf.P + self._spread(self._OPENED)
-            self._rejections = [0, 0, 0]
         h, jacobian = predicted_measurement(self._ekf.x, self.config.reference_x_m)
         measured = [
             (which, rows, point.point_m - h[rows], point.covariance_m2 + self._floor)
@@ -275,21 +264,19 @@ class LanePoseFilter:
         if theta is not None and math.isfinite(theta[0]):
             off = wrap_angle(theta[0] - float(h[_DIRECTION][0]))
             measured.append((2, _DIRECTION, np.array((off,)), np.array(((theta[1],),))))
-        good = [part for part in measured if self._passes(part[0], part[2], jacobian[part[1]], part[3])]
+        good = [part for part in measured if self._passes(part[2], jacobian[part[1]], part[3])]
         used = {which for which, *_ in good}
         if not good:
             return PoseUpdate(left=False, right=False, heading=False, nis=0.0, dimensions=0)
-        unsure = (self._UNSURE * self.config.lane_width_m) ** 2
         _, rows, innovations, noises = zip(*good, strict=True)
         nis = self._correct(
             np.concatenate(innovations),
             np.concatenate([jacobian[block] for block in rows]),
             _diagonal(noises),
-            free=used >= {0, 1} or self._ekf.P[State.WIDTH, State.WIDTH] > unsure,
         )
         return PoseUpdate(left=0 in used, right=1 in used, heading=2 in used, nis=nis, dimensions=sum(map(len, noises)))
 
-    def _passes(self, which: int, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray) -> bool:
+    def _passes(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray) -> bool:
         """Whether a measurement is finite, has a positive definite covariance, and lies within its gate."""
         spread = (jacobian @ self._ekf.P @ jacobian.T + noise).tolist()
         if len(innovation) == 1:
@@ -303,20 +290,14 @@ class LanePoseFilter:
             possible = noise[0, 0] > 0.0 and noise[0, 0] * noise[1, 1] > noise[0, 1] * noise[1, 0]
         good = bool(possible) and math.isfinite(determinant) and 0.0 <= inside <= limit * determinant
         self.rejected += not good
-        self._rejections[which] = 0 if good else self._rejections[which] + 1
         return good
 
-    def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray, free: bool) -> float:
-        """The filter's update, of the width too where it is `free`; returns the normalised innovation squared."""
+    def _correct(self, innovation: FloatArray, jacobian: FloatArray, noise: FloatArray) -> float:
+        """The filter's update; returns the normalised innovation squared."""
         ekf = self._ekf
-        if free:  # filterpy gets the innovation itself, because directions wrap
-            ekf.update(innovation, lambda _: jacobian, lambda _: 0.0, R=noise)
-            nis = float(innovation @ ekf.SI @ innovation)
-        else:
-            nis = float(innovation @ np.linalg.solve(jacobian @ ekf.P @ jacobian.T + noise, innovation))
-            gain = _gain_at_given_width(ekf.P, jacobian, noise)
-            rest = np.eye(len(State)) - gain @ jacobian
-            ekf.x, ekf.P = ekf.x + gain @ innovation, rest @ ekf.P @ rest.T + gain @ noise @ gain.T
+        # filterpy gets the innovation itself, because directions wrap
+        ekf.update(innovation, lambda _: jacobian, lambda _: 0.0, R=noise)
+        nis = float(innovation @ ekf.SI @ innovation)
         ekf.P = 0.5 * (ekf.P + ekf.P.T)
         ekf.x[State.THETA] = wrap_angle(float(ekf.x[State.THETA]))
         width = self._bounded_width(float(ekf.x[State.WIDTH]))
@@ -326,7 +307,7 @@ class LanePoseFilter:
 
     def _bounded_width(self, width_m: float) -> float:
         unit = self.config.lane_width_m
-        return min(max(width_m, self.config.least_width * unit), unit / self.config.least_width)
+        return min(max(width_m, LEAST_WIDTH * unit), unit / LEAST_WIDTH)
 
     def _spread(self, sigma: tuple[float, float, float]) -> FloatArray:
         heading, offset, width = sigma
@@ -335,22 +316,6 @@ class LanePoseFilter:
 
     def _predict_x(self, _: object = None) -> None:
         self._ekf.x = self._next
-
-
-def _gain_at_given_width(covariance: FloatArray, jacobian: FloatArray, noise: FloatArray) -> FloatArray:
-    """Kalman gain (3, m) of heading and offset as if the width were known; the width's row is zero.
-
-    One line cannot distinguish a wider lane from a car farther away: the width is kept, and the offset takes the whole
-    innovation. In Joseph's form the covariance then holds their common error. (Schmidt's consider filter would leave
-    part of the innovation to the width, which it does not correct.)
-    """
-    pose, width = slice(0, State.WIDTH), State.WIDTH
-    mixed = covariance[pose, width]
-    known = covariance[pose, pose] - np.outer(mixed, mixed) / covariance[width, width]
-    rows = jacobian[:, pose]
-    gain = np.zeros((len(State), len(noise)))
-    gain[pose] = np.linalg.solve(rows @ known @ rows.T + noise, rows @ known).T
-    return gain
 
 
 def _diagonal(blocks: Sequence[FloatArray]) -> FloatArray:

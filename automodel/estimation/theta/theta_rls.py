@@ -24,9 +24,6 @@ from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
-NEAR_SAMPLES = 16  # those nearest to the car, of a line that does not reach it
-BEND = 0.25  # [lane widths] standard deviation of a line's place a lane width beyond its last point
-FORGOTTEN = 1e-4  # a line whose information has decayed to this share starts again
 _IDENTITY: FloatArray = np.eye(ORDER)
 
 
@@ -35,24 +32,23 @@ class ThetaRlsConfig:
     """Scales of the filter; lengths in lane widths, so that one set serves scale cars and highways.
 
     The weight of a point falls by e within a distance of `memory_lanes` or a time of `memory_s`. `prior_rad`: standard
-    deviations of the second to fourth coefficient at `scale_lanes`; infinity switches the prior off. The cubic's own
+    deviation of the second to fourth coefficient at `scale_lanes`; infinity switches the prior off. The cubic's own
     error at s is `model_rad` (1 + (s / `sight_lanes`)^2).
     """
 
     lane_width_m: float
     reference_x_m: float
     scale_lanes: float = 2.0
-    memory_lanes: float = 0.55
+    memory_lanes: float = 0.1
     memory_s: float = 0.3
-    prior_rad: tuple[float, float, float] = (2.5, 1.5, 1.0)
+    prior_rad: float = 2.5
     model_rad: float = 0.02
-    sight_lanes: float = 1.0
+    sight_lanes: float = 0.6
     lateral_walk_lanes: float = 0.02  # random walk of the line's distance over a lane width, and a second
-    tightest_lanes: float = 1.2  # radius of the tightest arc beyond the points
 
     def __post_init__(self) -> None:
-        lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes, self.tightest_lanes)
-        if not all(value > 0.0 for value in (*lengths, self.memory_s, self.model_rad, *self.prior_rad)):
+        lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes)
+        if not all(value > 0.0 for value in (*lengths, self.memory_s, self.model_rad, self.prior_rad)):
             raise ValueError("ThetaRlsConfig: lane width, scales, memories and priors must be positive")
 
 
@@ -69,7 +65,7 @@ class ThetaRls:
         self.config = config
         self.scale_m = config.scale_lanes * config.lane_width_m
         self._reference_m = (config.reference_x_m, 0.0)
-        self._prior = np.diag((0.0, *(1.0 / sigma**2 for sigma in config.prior_rad)))
+        self._prior = np.diag((0.0, 1.0, 1.0, 1.0)) / config.prior_rad**2
         self._held = self._prior + self._DAMPING * _IDENTITY
         self._solved: FloatArray | None = None
         self.forget()
@@ -101,7 +97,7 @@ class ThetaRls:
             lateral_m=lateral_m,
             s_min_m=float(s_m.min()),
             s_max_m=float(s_m.max()),
-            max_curvature_per_m=1.0 / (self.config.tightest_lanes * self.config.lane_width_m),
+            max_curvature_per_m=2.0 / self.config.lane_width_m,  # about a point on the lane's other line
         )
         self.update(s_m, theta_rad, weight)
 
@@ -114,7 +110,6 @@ class ThetaRls:
         if self.line is None or not all(map(math.isfinite, motion)):
             return
         config, unit = self.config, self.config.lane_width_m
-        past = max(-self.line.s_max_m, 0.0) / unit
         self.line, advance = self.line.moved(after_from_before)
         keep = math.exp(-abs(distance_m) / (config.memory_lanes * unit) - max(dt_s, 0.0) / config.memory_s)
         back = shift_matrix(-advance / self.scale_m)
@@ -123,8 +118,7 @@ class ThetaRls:
         self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
         self._kept *= keep
         walk = config.lateral_walk_lanes**2 * (abs(distance_m) / unit + max(dt_s, 0.0))
-        strayed = BEND**2 * (max(-self.line.s_max_m, 0.0) ** 4 / unit**4 - past**4)
-        self.lateral_variance_m2 += (walk + max(strayed, 0.0)) * unit * unit
+        self.lateral_variance_m2 += walk * unit * unit
 
     def update(
         self,
@@ -161,10 +155,8 @@ class ThetaRls:
     def take(self, sampled: SampledLine) -> None:
         """Add one frame's line: its directions update the shape, its points near the car the distance.
 
-        Starts with it where there is no line yet, or where its information has decayed.
+        Starts with it where there is no line yet.
         """
-        if self._kept < FORGOTTEN:
-            self.forget()
         place = project_foot(sampled, self._reference_m, self.line)
         model = self._model_error(place.s_m)
         weight = sampled.independence / (sampled.theta_sigma_rad**2 + model * model)
@@ -228,20 +220,19 @@ class ThetaRls:
     def _lateral(self, line: HeadingPolynomial, sampled: SampledLine, s: FloatArray) -> tuple[float, float]:
         """Distance [m] and its variance [m^2] of a line that does not reach the foot.
 
-        They follow through theta(s) from the samples nearest to the foot, with less weight the farther these are.
+        They follow through theta(s) from the samples, with less weight the farther these are.
         """
-        near = slice(0, NEAR_SAMPLES) if s[0] > 0.0 else slice(-NEAR_SAMPLES, None)
-        places, theta = s[near], sampled.theta_rad[near]
-        away = sampled.points_m[near] - line.points(places)
+        theta = sampled.theta_rad
+        away = sampled.points_m - line.points(s)
         residual = away[:, 1] * np.cos(theta) - away[:, 0] * np.sin(theta)
         share = np.cos(theta - line.heading_at(0.0))
         bearing = self.heading_variance_here()
-        weighted = share / (sampled.lateral_sigma_m[near] ** 2 + bearing * places * places)
+        weighted = share / (sampled.lateral_sigma_m**2 + bearing * s * s)
         total = float(weighted @ share)
         if not total > 0.0:
             return math.nan, math.inf
         step = float(weighted @ residual) / total
-        return line.lateral_m + step, 1.0 / (total * max(sampled.independence, 1.0 / NEAR_SAMPLES))
+        return line.lateral_m + step, 1.0 / (total * max(sampled.independence, 1.0 / len(s)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -262,7 +253,7 @@ def project_foot(
 ) -> FootProjection:
     """Project the reference point onto samples of a line.
 
-    Where they start beyond the foot, the known line bridges the gap, or else the arc of the nearest samples.
+    Where they start beyond the foot, the known line bridges the gap, or else the arc of all samples.
     """
     i = int(nearest_samples(sampled.points_m, np.array([reference_m]))[0])
     last = len(sampled.s_m) - 1
@@ -275,8 +266,7 @@ def project_foot(
         start = sampled.points_m[i].tolist()
         foot_m, _ = known.foot((start[0], start[1]), near_s_m=-ahead)
         return FootProjection(s_m=sampled.s_m + (foot_m - s), lateral_m=known.lateral_m, nearest=i, beside=False)
-    reach = 1 if beside else NEAR_SAMPLES
-    low, high = max(i - reach, 0), min(i + reach, last)
+    low, high = (max(i - 1, 0), min(i + 1, last)) if beside else (0, last)
     kappa = float((sampled.theta_rad[high] - sampled.theta_rad[low]) / (sampled.s_m[high] - sampled.s_m[low]))
     step, left = foot_on_circle(ahead, left, kappa, LEAST_STRETCH)
     return FootProjection(s_m=sampled.s_m - (s + step), lateral_m=-left, nearest=i, beside=beside)

@@ -27,14 +27,10 @@ class TrackedLane:
     KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
     NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
     GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
-    FAR_LANES, FAR_POINTS = 0.6, 3  # gap beyond which points must be this many
-    REACH_LANES = 1.6  # of the centerline behind the reference point
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
         self.unit, self.reference_x_m = lane_width_m, reference_x_m
-        config = ThetaRlsConfig(
-            lane_width_m=lane_width_m, reference_x_m=reference_x_m, memory_lanes=0.2, sight_lanes=0.6
-        )
+        config = ThetaRlsConfig(lane_width_m=lane_width_m, reference_x_m=reference_x_m)
         self.left, self.right = TrackedLine(config), TrackedLine(config)
         self._fusion = CenterlineFusion(config)
         self.pose = LanePoseFilter(PoseFilterConfig(lane_width_m=lane_width_m, reference_x_m=reference_x_m))
@@ -101,16 +97,16 @@ class TrackedLane:
         """Take the lines to have ended, because none was seen where they should be: the road goes straight on."""
         for tracked in (self.left, self.right):
             tracked.end(True)
-        self._fusion.rls.line = replace(self.centerline, arc_ahead_m=TrackedLine.ARC_LANES * self.unit)
+        self._fusion.rls.line = replace(self.centerline, arc_ahead_m=0.0)
 
-    def expected(self, side: float, ahead_m: float, alone: bool = True) -> tuple[FloatArray, FloatArray, float]:
+    def expected(self, side: float, ahead_m: float) -> tuple[FloatArray, FloatArray, float]:
         """Predicted line on `side` (+1 left, -1 right) up to arc length `ahead_m`.
 
-        It follows its own model while it was seen lately and `alone` is set, else it lies beside the centerline.
+        It follows its own model while it was seen lately, else it lies beside the centerline.
         Returns points (n, 2) [m], headings (n,) [rad], and the arc length from the first point up to which they are
         supported by measurements.
         """
-        own = self._own(side) if alone else None
+        own = self._own(side)
         model = own or self.centerline
         first = -0.5 * self.unit
         s = np.linspace(first, ahead_m, 30)
@@ -121,16 +117,11 @@ class TrackedLane:
             points[:, 1] += lateral * np.cos(theta)
         return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
 
-    def on_its_own(self, side: float) -> bool:
-        """Whether the line on `side` is predicted by its own model."""
-        return self._own(side) is not None
-
     def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
         return tracked.line if tracked.unseen_m < self.KEPT_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
-        seen = self._before_gap(tracked, seen)
         enough = 1 if tracked.line is not None else self._first_points(seen)
         return len(seen.points_m) >= enough and tracked.update(seen)
 
@@ -140,18 +131,6 @@ class TrackedLane:
             return MIN_POINTS
         away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
         return MIN_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
-
-    def _before_gap(self, tracked: TrackedLine, seen: SeenLine) -> SeenLine:
-        """The points without those beyond a wide gap that are too few to be assigned to the line."""
-        points = seen.points_m
-        if tracked.line is None or not len(points):
-            return seen
-        start = math.hypot(*(points[0] - tracked.line.reference_m)) - max(tracked.line.s_max_m, 0.0)
-        gaps = np.concatenate(([start], np.hypot(*(points[1:] - points[:-1]).T)))
-        far = np.flatnonzero(gaps > self.FAR_LANES * self.unit)
-        if not len(far) or len(points) - far[-1] >= self.FAR_POINTS:
-            return seen
-        return SeenLine(points_m=points[: far[-1]], sigma_m=seen.sigma_m[: far[-1]], ended=seen.ended)
 
     def _correct(self, seen: tuple[bool, bool]) -> None:
         """Update the pose by the points in which the seen lines meet the perpendicular, eq. (22)-(25)."""

@@ -48,14 +48,11 @@ class TrackedLine:
     bend that cannot be seen where no points lie beside the car.
     """
 
-    KEEP_EVERY_LANES = 0.08  # distance between two rounds of remembering
     KEEP_POINTS = 4  # per round: the nearest, which leave the image next
-    BEHIND_LANES, FAR_BEHIND_LANES = 1.2, 5.0  # where they are dropped behind the reference point, and the last few
-    LAST_POINTS = 12  # number of the last few
-    ARC_LANES = 0.15  # length of the arc beyond the end of a line that ended; from there on it is straight
+    BEHIND_LANES = 1.2  # where they are dropped behind the reference point
     HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
     DRIFT = 0.015  # growth of a remembered point's sigma per distance driven
-    STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples and knots
+    STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples, and of remembered points; of its knots
     BEND_LANES = 0.6  # [1 / lane width] usual change of curvature over a lane width
 
     def __init__(self, config: ThetaRlsConfig) -> None:
@@ -88,14 +85,7 @@ class TrackedLine:
         elif len(self._memory):
             self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
             self._memory[:, 2] += self.DRIFT * abs(distance_m)
-            self._prune()
-
-    def _prune(self) -> None:
-        """Drop the points behind the car; the last few stay longer, to bridge a gap in the line."""
-        away = np.hypot(self._memory[:, 0] - self._reference_x_m, self._memory[:, 1])
-        behind = self._memory[:, 0] < self._behind_m
-        behind[-self.LAST_POINTS :] = False
-        self._memory = self._memory[~behind & (away < self.FAR_BEHIND_LANES * self.unit)]
+            self._memory = self._memory[self._memory[:, 0] >= self._behind_m]
 
     def update(self, seen: SeenLine) -> bool:
         """Update by a frame's points; False if they make no line."""
@@ -114,7 +104,7 @@ class TrackedLine:
         self.end(seen.ended, float(s.max()))
         self._set_hidden_bend(s)
         self.unseen_m = 0.0
-        if self._since_kept_m >= self.KEEP_EVERY_LANES * unit:
+        if self._since_kept_m >= self.STEP_LANES * unit:
             kept = slice(0, self.KEEP_POINTS)
             self._memory = np.concatenate((self._memory, np.column_stack((points_m[kept], sigma_m[kept]))))
             self._since_kept_m = 0.0
@@ -124,7 +114,7 @@ class TrackedLine:
         """Set whether the end of the line was seen, and the arc length of its last point."""
         if self.rls.line is None:
             return
-        self.rls.line = self.rls.line.ending(last_m, self.ARC_LANES * self.unit if ended else math.inf)
+        self.rls.line = self.rls.line.ending(last_m, 0.0 if ended else math.inf)
 
     def _set_hidden_bend(self, s_m: FloatArray) -> None:
         """Uncertainty by a bend between the car and the points next to it."""

@@ -20,9 +20,8 @@ from automodel.perception.markings.ridge import ridge_image
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
 from automodel.types import Bools, Image
 
-HIGH, LOW = 160, 70  # of 255: a marking whatever surrounds it; a marking if it exceeds its surroundings
-ABOVE = 34  # by how much it must exceed the mean around it
-AROUND_PX = (21, 7)  # for a mask 512 px wide: lines run up the image, so the box is wider than high
+ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
+AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
 MAX_ROWS = 240  # of a bird's-eye view; a long view is coarser along the road than across
 
 
@@ -45,11 +44,9 @@ def adaptive_threshold(probability: Image) -> Image:
     a wide area.
     """
     scale = probability.shape[1] / 512.0
-    width, height = (2 * round(0.5 * (side * scale - 1.0)) + 1 for side in AROUND_PX)
-    above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (width, height))))
-    marking = ((above > ABOVE) & (probability > LOW)) | (probability > HIGH)
-    raised = np.maximum(probability, 128) * marking.view(np.uint8)
-    return np.maximum(np.minimum(probability, 127), raised)
+    side = 2 * round(0.5 * (AROUND_PX * scale - 1.0)) + 1
+    above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (side, side))))
+    return np.maximum(probability, np.where(above > ABOVE, np.uint8(128), np.uint8(0)))
 
 
 def resized_camera(camera: CameraConfig, width_px: int, height_px: int) -> CameraConfig:

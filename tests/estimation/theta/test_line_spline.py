@@ -136,17 +136,6 @@ def test_noise_across_the_line_does_not_lengthen_it() -> None:
     assert line.length_m == pytest.approx(1.6, abs=0.02)
 
 
-@pytest.mark.parametrize("name", CURVATURES)
-def test_outliers_hardly_count(name: str) -> None:
-    lane, _, points = line_points(name, 50)
-    for i, away in ((9, 0.05), (22, -0.08), (37, 0.06)):
-        points[i] += away * np.array((0.0, 1.0))
-    line = sampled(points)
-    np.testing.assert_allclose(line.theta_rad, lane.theta(line.s_m), atol=0.03)
-    away = line.points_m - lane.beside(line.s_m, 0.0)
-    assert np.hypot(away[:, 0], away[:, 1]).max() < 0.004
-
-
 def test_sure_points_count_more() -> None:
     x = np.linspace(0.0, 1.0, 40)
     points = np.column_stack((x, np.where(np.arange(40) % 2, 0.002, -0.002)))

@@ -13,7 +13,7 @@ from automodel.estimation.theta.theta_rls import ThetaRls
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
 
-FREE = replace(RLS, prior_rad=(math.inf, math.inf, math.inf))  # the paper's: no prior
+FREE = replace(RLS, prior_rad=math.inf)  # the paper's: no prior
 STILL = SE2()
 
 
@@ -140,7 +140,7 @@ def test_with_the_prior_it_is_ridge_regression_on_all_points() -> None:
             rls.update(s, theta, np.full(8, 4.0))
         every_phi.append(np.vander(s / rls.scale_m, 4, increasing=True))
         every_theta.append(theta)
-    prior = np.diag([0.0, *(1.0 / sigma for sigma in RLS.prior_rad)])
+    prior = np.diag([0.0, 1.0, 1.0, 1.0]) / RLS.prior_rad
     rows = np.vstack((2.0 * np.concatenate(every_phi), prior))
     wanted = np.concatenate((2.0 * np.concatenate(every_theta), np.zeros(4)))
     assert rls.line is not None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from automodel.estimation.theta.tracked_lane import TrackedLane
-from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
+from automodel.estimation.theta.tracked_line import SeenLine
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, UNIT
 from tests.support.world_lanes import WorldLane, arc
@@ -176,14 +176,13 @@ def test_end_is_straight_on() -> None:
     on = middle.heading_at(middle.s_max_m + 0.8)
     drive.tracked.end()
     ended = drive.tracked.centerline
-    limit = TrackedLine.ARC_LANES * UNIT
-    assert ended.arc_ahead_m == pytest.approx(limit)
-    straight = ended.heading_at(ended.s_max_m + limit)
+    assert ended.arc_ahead_m == 0.0
+    straight = ended.heading_at(ended.s_max_m)
     assert ended.heading_at(ended.s_max_m + 0.8) == pytest.approx(straight, abs=1e-9)
-    assert on - straight == pytest.approx((0.8 - limit) * 1.0, rel=0.15)
+    assert on - straight == pytest.approx(0.8, rel=0.15)
     for tracked in (drive.tracked.left, drive.tracked.right):
         assert tracked.line is not None
-        assert tracked.line.arc_ahead_m == pytest.approx(limit)
+        assert tracked.line.arc_ahead_m == 0.0
     drive.check()
     drive.go(1)  # seen again, and not to end
     assert drive.tracked.centerline.arc_ahead_m == math.inf

@@ -130,24 +130,13 @@ def test_the_line_is_kept_over_a_gap() -> None:
         assert run.tracked.unseen_m == pytest.approx(k * STEP_M)
     assert run.tracked.line is not None
     places = remembered(run.tracked)
-    assert 0 < len(places) <= TrackedLine.LAST_POINTS + 200
+    assert 0 < len(places) <= 200
     lateral, heading, _ = run.errors
     assert abs(lateral) < 0.02
     assert abs(heading) < math.radians(4.0)
     run.drive(3)
     assert run.tracked.unseen_m == 0.0
     assert abs(run.errors[0]) < 0.01
-
-
-def test_the_last_points_hold_on_over_a_long_gap_and_then_go() -> None:
-    run = Drive(arc(0.0))
-    run.drive(45)
-    for _ in range(50):  # 1.5 m, far beyond where others are dropped
-        run.go()
-    assert 0 < len(remembered(run.tracked)) <= TrackedLine.LAST_POINTS
-    for _ in range(50):
-        run.go()
-    assert len(remembered(run.tracked)) == 0
 
 
 def test_motion_that_is_not_known_forgets_the_points() -> None:
@@ -202,7 +191,7 @@ def test_a_line_that_ended_goes_straight_on() -> None:
     assert run.tracked.update(seen(lane, run.car, run.s_m, ended=True))
     ended = run.tracked.line
     assert ended is not None
-    assert ended.arc_ahead_m == pytest.approx(TrackedLine.ARC_LANES * UNIT)
+    assert ended.arc_ahead_m == 0.0
     far = ended.s_max_m + ended.arc_ahead_m
     assert ended.heading_at(far + 1.0) == pytest.approx(ended.heading_at(far + 0.1), abs=1e-9)
     run.tracked.end(False)

@@ -176,7 +176,7 @@ def test_what_is_sure_counts_however_broad() -> None:
 
 def test_what_is_hardly_seen_never_counts() -> None:
     probability = mask()
-    probability[20:120, 60:63] = 70
+    probability[20:120, 60:63] = 30
     assert adaptive_threshold(probability).max() < 128
 
 
