@@ -36,8 +36,7 @@ class LaneCandidate:
 class LaneInitialiser:
     """Histogram, windows, regression and fit of single frames; reads the tracker and does not change it."""
 
-    START_WINDOWS = 3  # windows on each line of a pair that starts a lane
-    SINGLE_WINDOWS = 4  # windows on a single line that starts a lane
+    START_WINDOWS = 4  # windows on a line that starts a lane, alone or with another one
     LINE_WINDOWS = 2  # windows that make a line seen
 
     def __init__(self, windows: SlidingWindows, tracker: LaneTracker) -> None:
@@ -47,7 +46,7 @@ class LaneInitialiser:
         self._start = HistogramStart(self.view, self._lane_m, windows.marking_m, self._reference_x_m)
 
     def find(self, lines: Image) -> LaneCandidate | None:
-        """A lane from a filtered view (h, w): a pair of lines in `START_WINDOWS` each, or one in `SINGLE_WINDOWS`."""
+        """A lane from a filtered view (h, w): a pair of lines in `START_WINDOWS` each, or one."""
         best: Observation | None = None
         for start in self._start.step(lines):
             along = start.slope * (self._windows.centre_x_m - self._reference_x_m)
@@ -56,7 +55,7 @@ class LaneInitialiser:
             seen = self._windows.observe(lines, left, right)
             pair = start.left_m is not None and start.right_m is not None
             counts = (len(seen.left_m), len(seen.right_m))
-            enough = min(counts) >= self.START_WINDOWS if pair else max(counts) >= self.SINGLE_WINDOWS
+            enough = (min(counts) if pair else max(counts)) >= self.START_WINDOWS
             if enough and (best is None or sum(counts) > len(best.left_m) + len(best.right_m)):
                 best = seen
         if best is None:

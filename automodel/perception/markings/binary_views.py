@@ -207,13 +207,12 @@ class TemporalPaintCheck:
 
     Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
     odometry gives each place in the earlier view. Where that showed less than half of the present contrast, there is no
-    paint. Only what the camera resolved then counts, and where a nodding camera and the odometry's error move a place
-    by less than a marking; other places pass, and so does everything until the car has driven far enough.
+    paint. Only ground counts where a nodding camera and the odometry's error move a place by less than a marking; other
+    places pass, and so does everything until the car has driven far enough.
     """
 
     EVERY_LANES = 0.1  # distance between two remembered views
     BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
-    RESOLVED_PX = 2.0  # width of a marking in the image from which on it keeps its contrast
     NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
 
     def __init__(
@@ -229,17 +228,12 @@ class TemporalPaintCheck:
         self.forget()
 
     def _reliable(self, camera: GroundCamera, marking_m: float) -> Bools:
-        """Where (h, w) in the view a marking keeps its contrast and its place."""
+        """Where (h, w) in the view a marking keeps its place."""
         rows, columns = np.arange(self.view.height_px), np.arange(self.view.width_px)
-        x = self.view.to_body(np.column_stack((np.zeros(len(rows)), rows)))[:, 0]
         y = self.view.to_body(np.column_stack((columns, np.zeros(len(columns)))))[:, 1]
-        left, right = (
-            camera.ground_to_px(np.column_stack((x, np.full(len(x), side * marking_m)))) for side in (0.5, -0.5)
-        )
-        resolved = np.hypot(*(right - left).T) >= self.RESOLVED_PX
-        ahead = x[:, None] - camera.centre_m[0]
+        ahead = self.view.to_body(np.column_stack((np.zeros(len(rows)), rows)))[:, :1] - camera.centre_m[0]
         moved = np.hypot(np.abs(y) * ahead * (self.NOD_RAD / camera.centre_m[2]), self.TURN_RAD * ahead)
-        return np.asarray(resolved[:, None] & (moved < marking_m))
+        return np.asarray(moved < marking_m)
 
     def forget(self) -> None:
         """Forget all views."""

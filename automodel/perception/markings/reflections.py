@@ -25,14 +25,14 @@ class ReflectionConfig:
     """Scales of `Reflections`.
 
     `pointing_rad`: sigma of the direction of a streak's piece; what is three of them off is paint. A larger one puts
-    more paint to the test. `blur_px`: standard deviations of an image's blur, of a sharp lens, and of a car that turns
-    on the spot; with a larger one wide streaks pass for blurred markings. `reach`: of a profile to both sides, in
-    marking widths; over a shorter one a wide streak looks like curved ground.
+    more paint to the test. `blur_px`: largest standard deviation of an image's blur, of a car that turns on the
+    spot; with a larger one wide streaks pass for blurred markings. `reach`: of a profile to both sides, in marking
+    widths; over a shorter one a wide streak looks like curved ground.
     """
 
     pointing_rad: float = 0.035
-    blur_px: tuple[float, float] = (0.7, 5.0)
-    reach: float = 2.6
+    blur_px: float = 5.0
+    reach: float = 2.5
 
 
 class Reflections:
@@ -144,8 +144,9 @@ class Reflections:
         wide_px = float(np.hypot(*(right - left)))
         u = self._across / self._marking_px
         pixel = 0.5 / self._marking_px
+        sharp_px = 1.0 / math.sqrt(12.0)  # a pixel's own
         places = np.linspace(-0.5, 0.5, 5)  # of a piece's middle; finer steps of it, and of what follows, tell no more
-        blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(*config.blur_px, 4)]
+        blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(sharp_px, config.blur_px, 4)]
         widths = np.geomspace(1.0 / MarkingWidth.CHANGE, MarkingWidth.CHANGE, 5)  # as wrong as one is used
         paint = [_blurred_box(u - at, width, blur) for at in places for width in widths for blur in blurs]
         bells = np.geomspace(pixel, config.reach, 20)

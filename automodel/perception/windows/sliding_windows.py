@@ -40,8 +40,7 @@ class HistogramStart:
     NEAR_LANES = 1.5  # depth of the near part
     WIDTH_TOLERANCE = 0.3
     SINGLES = 4
-    FILL = 0.2  # minimum share of the near part's rows that a peak's line fills
-    SINGLE_FILL = 0.15  # and of a single line's: it may be dashed and bent
+    FILL = 0.2  # minimum share of the near part's rows that a peak's line fills: it may be dashed and bent
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
         self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
@@ -74,7 +73,7 @@ class HistogramStart:
         return ranked[: 1 if pairs else self.SINGLES]
 
     def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
-        top = self._tops(peaks, self.FILL)
+        top = self._tops(peaks)
         left = top[self._places[top] > 0.02 * self.lane_m]
         right = top[self._places[top] < -0.02 * self.lane_m]
         width = (self._places[left][:, None] - self._places[right][None, :]) / np.hypot(1.0, slope)
@@ -91,14 +90,14 @@ class HistogramStart:
 
     def _singles(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
         out = []
-        for place, peak in ((float(self._places[i]), float(peaks[i])) for i in self._tops(peaks, self.SINGLE_FILL)):
+        for place, peak in ((float(self._places[i]), float(peaks[i])) for i in self._tops(peaks)):
             if 0.1 * self.lane_m < abs(place) < 0.9 * self.lane_m:
                 left, right = (place, None) if place > 0 else (None, place)
                 out.append((peak - 0.02 * abs(slope), StartCandidate(left_m=left, right_m=right, slope=slope)))
         return out
 
-    def _tops(self, peaks: FloatArray, fill: float) -> Ints:
-        return np.flatnonzero((peaks >= fill) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
+    def _tops(self, peaks: FloatArray) -> Ints:
+        return np.flatnonzero((peaks >= self.FILL) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
 
 
 @dataclass(frozen=True, slots=True)
