@@ -20,35 +20,34 @@ from automodel.geometry import SE2, GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.types import Bools, Float32Array, FloatArray, Image
 
+MAX_GAP_S = 0.5  # a longer gap between frames: a car at 1 m/s has driven more than a scale lane's width
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageMotionConfig:
     """Scales of `ImageMotion`; lengths in lane widths, pixels of an image of at most `width_px`.
 
     `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion, and
-    this `share`; fewer agree by chance. `moving`: so many that move together, most of those that move at all, show that
-    the car does: nothing moves while it stands. `apart_px`: a corner agrees up to here; two of its `sigma_px`, the
-    error of following. `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in
-    them; noise that was followed differs by 1.4. `systematic`: share of a motion by which a wrong camera falsifies it.
-    `acceleration` [1/s^2], `yaw_acceleration_radps2`: what a driver and a steering do, sigma after a second. `speed`
-    [1/s], `yaw_rate_radps`: largest sigmas of a motion that is told: those of the odometry that dead reckoning expects
-    at a few lane widths a second. `most_speed` [1/s], `most_yaw_rate_radps`: sigmas of a car of which nothing is known.
+    this `share`; fewer agree by chance. So many that move together, most of those that move at all, show that the car
+    does: nothing moves while it stands. `sigma_px`: the error of following; a corner agrees up to twice that.
+    `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in them; noise that
+    was followed differs by 1.4. `systematic`: share of a motion by which a wrong camera falsifies it. `acceleration`
+    [1/s^2, rad/s^2]: what a driver and a steering do to speed and yaw rate, sigma after a second. `speed` [1/s],
+    `yaw_rate_radps`: largest sigmas of a motion that is told: those of the odometry that dead reckoning expects at a
+    few lane widths a second. `most_speed` [1/s], `most_yaw_rate_radps`: sigmas of a car of which nothing is known.
     """
 
     width_px: int = 720
     ahead: float = 3.0
     aside: float = 1.5
     corners: int = 80
-    least: int = 8
+    least: int = 6
     share: float = 0.25
-    moving: int = 6
-    apart_px: float = 1.0
     sigma_px: float = 0.5
     window_px: int = 17
     alike: float = 0.9
     systematic: float = 0.05
     acceleration: float = 1.0
-    yaw_acceleration_radps2: float = 1.0
     speed: float = 0.3
     yaw_rate_radps: float = 0.2
     most_speed: float = 4.0
@@ -66,9 +65,7 @@ class ImageMotion:
     """Fills in the motion of frames that come without one."""
 
     ROUNDS = 3  # of the least squares
-    CANDIDATES = 40  # corners whose motion is tried
     QUALITY = 0.02  # of a corner, relative to the best one
-    MAX_GAP_S = 0.5
     MOST_SIGMAS = 10.0  # of a car of which nothing is known: no motion that is told is taken for a larger one
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
@@ -97,10 +94,10 @@ class ImageMotion:
             self._covariance = np.diag(told**2)
             return motion
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
-        if last is None or not 0.0 < dt_s <= self.MAX_GAP_S or not self._fits(last) or not self._fits(frame):
+        if last is None or not 0.0 < dt_s <= MAX_GAP_S or not self._fits(last) or not self._fits(frame):
             self._mean, self._covariance = np.zeros(2), self._nothing()
             return motion
-        walk = np.array((config.acceleration * unit, config.yaw_acceleration_radps2)) ** 2 * dt_s
+        walk = np.array((config.acceleration * unit, config.acceleration)) ** 2 * dt_s
         self._covariance = self._covariance + np.diag(walk)
         seen = self._between(self._small(last.image), self._small(frame.image), self._mean * dt_s)
         if seen is not None:
@@ -137,13 +134,13 @@ class ImageMotion:
         """The motion from one small image to the next; None where too few corners agree on one."""
         start, end = self._follow(before, after, expected)
         config = self.config
-        still = np.hypot(*(end - start).T) < 0.5 * config.apart_px
+        still = np.hypot(*(end - start).T) < config.sigma_px
         moving = np.count_nonzero(~still)
         moved, least = np.zeros(2), max(config.least, round(config.share * len(start)))
-        if moving >= config.moving:
+        if moving >= config.least:
             moved = self._consensus(start[~still], end[~still])
             together = np.count_nonzero(self._near(start[~still], end[~still], moved))
-            if together < max(config.moving, moving // 2):
+            if together < max(config.least, moving // 2):
                 return None
             least = min(least, int(together))
         for _ in range(self.ROUNDS):
@@ -194,7 +191,7 @@ class ImageMotion:
     def _near(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
         """Which corners (n,) agree with a motion."""
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.hypot(*(self._image_of(start, moved) - end).T) < self.config.apart_px)
+            return np.asarray(np.hypot(*(self._image_of(start, moved) - end).T) < 2.0 * self.config.sigma_px)
 
     def _linearised(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (2 n,) [px] and their Jacobian (2 n, 2) for distance and turn, by differences."""
@@ -212,7 +209,7 @@ class ImageMotion:
         turn = (before[:, 1] - after[:, 1]) / np.maximum(0.5 * (before[:, 0] + after[:, 0]), 1e-3)
         distance = before[:, 0] - after[:, 0] + 0.5 * turn * (before[:, 1] + after[:, 1])
         motions = np.stack((distance, turn), axis=1)
-        motions = motions[np.isfinite(motions).all(axis=1) & (np.abs(turn) < 0.5)][: self.CANDIDATES]
+        motions = motions[np.isfinite(motions).all(axis=1) & (np.abs(turn) < 0.5)]
         if not len(motions):
             return np.zeros(2)
         votes = [np.count_nonzero(self._near(start, end, moved)) for moved in motions]

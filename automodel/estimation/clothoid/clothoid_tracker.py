@@ -26,6 +26,8 @@ from automodel.estimation.clothoid.clothoid_pair import (
     PairShape,
 )
 from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
+from automodel.estimation.road import TAPER as ROAD_TAPER
+from automodel.estimation.road import TAPER_LANES
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -42,8 +44,6 @@ class TrackerConfig:
     offset_walk: float = 0.01
     heading_walk_rad: float = 0.012
     width_walk: float = 0.002
-    taper: float = 0.03  # sigma of the width's change along the road: by a third within three lane widths at most
-    taper_lanes: float = 3.0  # for which such a change lasts
     curvature_walk: float = 0.03  # of a station's value: what was measured gets out of date
     curvature_step: float = 0.4  # from station to station, per root lane width of road
     straighten: float = 0.95  # share of a curvature that is expected to remain half a lane width further on
@@ -138,7 +138,7 @@ class ClothoidTracker:
         self._lever_m = float(pair.nodes_m[pair.count // 2])
         walk = np.full(size, config.curvature_walk * bend)
         walk[:TAPER] = config.offset_walk * unit, config.heading_walk_rad, config.width_walk * unit
-        walk[TAPER] = config.taper * math.sqrt(2.0 / config.taper_lanes)
+        walk[TAPER] = ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES)
         self._walk: Floats = (walk**2).astype(dtype)
         floor = np.full(size, 1e-4 * bend)
         floor[:CURVATURE] = 0.0005 * unit, 0.0003, 0.0001 * unit, 0.0001
@@ -167,7 +167,7 @@ class ClothoidTracker:
         guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m, 0.0
         mean, covariance = guess.copy(), np.zeros_like(self._one)
         mean[CURVATURE:] = 0.0
-        for parameter, sigma in enumerate((unit, 1.0, config.start * unit, config.taper)):
+        for parameter, sigma in enumerate((unit, 1.0, config.start * unit, ROAD_TAPER)):
             covariance[parameter, parameter] = sigma**2
         covariance[CURVATURE:, CURVATURE:] = self._road
         node = self._node(lane.measured_at_m)
@@ -185,7 +185,7 @@ class ClothoidTracker:
         guess[:CURVATURE] = *mean[[0, 1, 3]], 0.0
         spread = np.zeros_like(self._one)
         spread[:TAPER, :TAPER] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
-        spread[TAPER, TAPER] = self.config.taper**2
+        spread[TAPER, TAPER] = ROAD_TAPER**2
         spread[CURVATURE:, CURVATURE:] = self._road
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
@@ -217,7 +217,7 @@ class ClothoidTracker:
         dy = chord * math.sin(half) + reference * math.sin(turn_rad)
         distance = advance(x, p, dx, dy, self.phase_m, h)
         self.advance_m = abs(distance)
-        kept = math.exp(-self.advance_m / (self.config.taper_lanes * self.config.lane_width_m))
+        kept = math.exp(-self.advance_m / (TAPER_LANES * self.config.lane_width_m))
         x[TAPER] *= kept
         p[TAPER, :] *= kept
         p[:, TAPER] *= kept

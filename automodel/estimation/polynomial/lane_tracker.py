@@ -17,6 +17,7 @@ from automodel.estimation.polynomial.lane_fit import (
     LaneSolution,
     LineSamples,
 )
+from automodel.estimation.road import TAPER, TAPER_LANES
 from automodel.geometry import SE2
 from automodel.signals import Observation
 from automodel.types import FloatArray
@@ -41,18 +42,15 @@ class LaneTracker:
 
     KEEP_EVERY_LANES = 0.06  # distance between two rounds of remembering
     KEEP_DEPTH_LANES = 0.7  # length of the near zone whose points are remembered
-    CAPACITY = 60  # remembered points
     ROUNDS = 3  # iterations of the fit in a frame
     STEP_LANES = 0.04
     # Process noise over STEP_LANES of distance while the motion is known; near the car the curvature was seen before.
     OFFSET = 0.005
     HEADING_RAD = 0.006
-    BLIND_OFFSET, BLIND_HEADING = 0.06, 0.03  # growth per distance without a line: per metre, radians per lane width
     KAPPA_NEAR, KAPPA_FAR = 0.06, 0.3  # [1 / lane width] of the curvature: where the prior is trusted, and far ahead
     CROSSING_LANES = 3.3  # length of a crossing along the lane
     CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
     CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
-    TAPER, TAPER_LANES = 0.03, 3.0  # of the width along the road: sigma of its change, and how long that lasts
     DRIFT = 0.012  # growth of a remembered point's sigma per distance driven
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
@@ -69,11 +67,11 @@ class LaneTracker:
             (
                 [self.OFFSET * u, self.HEADING_RAD],
                 kappa,
-                [0.004 * u, self.TAPER * math.sqrt(2.0 * self.STEP_LANES / self.TAPER_LANES)],
+                [0.004 * u, TAPER * math.sqrt(2.0 * self.STEP_LANES / TAPER_LANES)],
             )
         )
-        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * self.TAPER]))
-        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u, self.TAPER]))
+        self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * TAPER]))
+        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u, TAPER]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
@@ -138,7 +136,7 @@ class LaneTracker:
         """Start near an arc (m,) that is known up to `sigma` (4,): of offset, heading, curvature, width."""
         samples = _samples(seen)
         offset, heading, curvature, width = sigma.tolist()
-        spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width, self.TAPER]))
+        spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width, TAPER]))
         solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, self._sigma)), rounds=6)
         self._take(solution.parameters)
         self._keep(samples, solution.inliers)
@@ -196,11 +194,9 @@ class LaneTracker:
         mean, sigma = parameters.copy(), self._loose_sigma.copy()
         if self._motion_known:  # a random walk over the distance
             sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
-        sigma[0] += self.BLIND_OFFSET * self.blind_m
-        sigma[1] += self.BLIND_HEADING * self.blind_m / self.unit
         nodes, start = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > start - 0.15 * self.unit) & (nodes < start + self.CROSSING_LANES * self.unit)
-        mean[-1] *= math.exp(-self._step_m / (self.TAPER_LANES * self.unit))
+        mean[-1] *= math.exp(-self._step_m / (TAPER_LANES * self.unit))
         mean[2:-2][straight] = 0.0
         sigma[2:-2][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
@@ -216,7 +212,7 @@ class LaneTracker:
         if not near.any():
             return
         new = np.column_stack((samples.points_m[near], samples.side[near], samples.sigma_m[near]))
-        self._memory = np.concatenate((self._memory, new))[-self.CAPACITY :]
+        self._memory = np.concatenate((self._memory, new))
         self._since_kept = 0.0
 
 
