@@ -1,4 +1,4 @@
-"""Functions compiled to machine code by numba: the loops of `contour`, where numpy's cost per call would dominate.
+"""Functions compiled to machine code by numba: the loops of `contour` and of the tracking, too small for numpy's calls.
 
 They are compiled when they are first called and kept for the next run in the user's cache folder: $NUMBA_CACHE_DIR
 where set, otherwise `automodel/` in $XDG_CACHE_HOME or ~/.cache. Where nothing can be written there, they are compiled

@@ -15,12 +15,12 @@ from automodel.types import Floats, Ints
 class OdometryMonitor:
     """Rejects the odometry while lines contradict it.
 
-    `sigma_m` (n,): standard deviation of each node's place [m]. A frame in which fewer than `least` nodes were found
-    says nothing.
+    `sigma_m` (n,): standard deviation of each node's measured place [m]. A frame in which fewer than `least` nodes were
+    found says nothing.
     """
 
     SHARE = 0.3  # of a frame in the running mean
-    REJECTED = 2.5  # [sigmas] running mean from which on the odometry is rejected; a frame counts twice that at most
+    REJECTED = 1.7  # [sigmas] running mean from which on the odometry is rejected; a frame counts twice that at most
     RETRY_NS = 5_000_000_000  # after this time the odometry is used again
 
     def __init__(self, sigma_m: Floats, least: int) -> None:
@@ -38,13 +38,15 @@ class OdometryMonitor:
             self.reset()
         return self._rejected_ns is None
 
-    def rejects(self, t_ns: int, nodes: Ints, residual: Floats, found: Floats) -> bool:
+    def rejects(self, t_ns: int, predicted_m: Floats, nodes: Ints, residual: Floats, found: Floats) -> bool:
         """Whether the odometry is rejected with this frame, whose lane it predicted.
 
-        `nodes` (k,) were searched for. `residual` (k or more,) [m] is their distance from the predicted place where
-        `found` is above 0. The frame counts with the median of their residuals in sigmas.
+        `predicted_m` (n,): standard deviation of the nodes' predicted places [m]. `nodes` (k,) were searched for.
+        `residual` (k or more,) [m] is their distance from the predicted place where `found` is above 0. The frame
+        counts with the median of their residuals in sigmas: of an even number the smaller middle one, because half of
+        the nodes may lie on a thing that is no line.
         """
-        median, count = _median(self._sigma, nodes, residual, found)
+        median, count = _median(np.hypot(self._sigma, predicted_m), nodes, residual, found)
         if count >= self._least:
             self._mean += self.SHARE * (min(median, 2.0 * self.REJECTED) - self._mean)
         if self._mean < self.REJECTED:
@@ -65,4 +67,4 @@ def _median(sigma: Floats, nodes: Ints, residual: Floats, found: Floats) -> tupl
                 at -= 1
             sizes[at] = size
             count += 1
-    return (0.5 * (sizes[count // 2] + sizes[(count - 1) // 2]) if count else 0.0), count
+    return (sizes[(count - 1) // 2] if count else 0.0), count

@@ -225,7 +225,7 @@ class Centerline:
         if not (len(left.points_m) or len(right.points_m)):
             return None
         lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.restart(left, right, belief.mean, belief.covariance):
+        if not lane.restart(left, right, belief.mean, belief.spread):
             return None
         return lane, Lines(left, right, (lane.left.line is not None, lane.right.line is not None))
 

@@ -206,10 +206,10 @@ class Contour:
         self._t_ns = t_ns
         moved = self._tracking.predict(t_ns, motion)
         if self._odometry_rejected:
-            self._tracking.forget()
+            self._tracking.mistrust()
+            self._odometry_rejected = False
         if self._tracking.lost or moved is None:
             self._tracker.forget()
-            self._odometry_rejected = False
             return
         self._odometry_used = moved.known and motion.source is not MotionSource.IMAGES
         self._tracker.move(moved.distance_m, moved.turn_rad, moved.known)
@@ -228,7 +228,7 @@ class Contour:
 
     def _restart(self, image: Image, belief: LaneBelief) -> Tracked:
         """The pair measured anew about a belief."""
-        self._tracker.restart(belief.mean, belief.covariance)
+        self._tracker.restart(belief.mean, belief.spread)
         self._search.forget()
         return self._track(image, self.START_ROUNDS)
 
@@ -263,9 +263,12 @@ class Contour:
         for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
-            seen = self._search.look(image, shape, tracker.half_m(), tracker.reach_m(shape))
+            sigma_m = tracker.sigma_m(shape)
+            seen = self._search.look(image, shape, tracker.half_m(), tracker.config.gate * sigma_m)
             if predicted and k == 0:
-                self._odometry_rejected = self._odometry.rejects(self._t_ns, seen.nodes, seen.residual, seen.found)
+                self._odometry_rejected = self._odometry.rejects(
+                    self._t_ns, sigma_m, seen.nodes, seen.residual, seen.found
+                )
             stages.lap("search")
             inliers = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")

@@ -178,14 +178,14 @@ class Windows:
         self._tracker.place(arc)
         sigmas = [np.full(len(points), lane.sigma_m) for points in (lane.left_m, lane.right_m)]
         seen = Observation(left_m=lane.left_m, right_m=lane.right_m, left_sigma_m=sigmas[0], right_sigma_m=sigmas[1])
-        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(lane.belief.covariance)))
+        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(lane.belief.spread)))
 
     def _restart(self, belief: LaneBelief, view: Image, areas: MarkingViews, lines: Image) -> Fitted:
         """The lane fitted anew about a belief."""
         arc = self._tracker.fit.start(*belief.mean.tolist())
         self._tracker.place(arc)
         seen = self._observe(view, areas, lines, self._scan_crossing(areas.bright))
-        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.covariance)))
+        return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.spread)))
 
     def _scan_crossing(self, bright: Image) -> CrossingScan:
         """Search for a crossing; its angle gives the tracker the lane's direction there."""

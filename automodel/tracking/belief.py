@@ -1,36 +1,36 @@
-"""What is believed of the lane: an arc beside the car with its covariance, moved by odometry, tested on sighted lines.
+"""What is believed of the lane: where it lies beside the car, and how its road bends ahead; tested on sighted lines.
 
-The lane at the reference point: the car's offset d (left positive) [m], the lane's heading theta in the body frame
-[rad], its curvature kappa [1/m] and its width w [m]. Away from the car the curvature is a random walk along the road,
-so that the centerline's lateral deviation from the arc is a Gaussian process, the random walk integrated twice:
-
-    cov(g(s), g(s')) = q / 4 int_0^m (s - u)^2 (s' - u)^2 du = q / 4 (m^5 / 5 + D m^4 / 2 + D^2 m^3 / 3)
-
-with m the smaller of s and s', and D their distance (Rasmussen and Williams 2006, section 6.3, one order higher). All
-lines of a road are parallel: they share g, so that two lines far ahead still measure the width. The points of a line
-share one error besides their own, because a whole line can be one wrong thing.
+The car's offset d from the centerline (left positive) [m], the lane's heading theta in the body frame [rad], its
+width w [m], and the centerline's curvature [1/m] at stations of the road ahead: linear between them, a random walk from
+one to the next. The stations stay where they are while the car drives past them, so that what was seen of a bend is
+known when the car comes to it. All lines of a road are parallel: two lines far ahead still measure the width. The
+points of a line share one error besides their own, because a whole line can be one wrong thing.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, overload
 
 import numpy as np
 
 from automodel.curves.foot import foot_on_circle
 from automodel.perception.line_scan import SightedLine
+from automodel.tracking.evidence import Equations, Prior, log_likelihood, posterior, settled, whitened
+from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row
 from automodel.types import FloatArray
 
-# A road's bends do not grow everywhere: most of it goes on as it is, and some places are where a bend begins or ends.
-BEND_SHARE, BEND_CALM, BEND_SUDDEN = 0.2, 0.25, 4.0  # of such places; factors of `bend_walk` elsewhere, and there
+STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later
+BEND_RATE = 0.2  # per lane width of road: places where a bend begins or ends at once
+STATIONS = 13  # from behind the car to six lane widths ahead, beyond which the road goes on as it does there
 
 
 class Part(IntEnum):
-    """Indices of the belief's mean."""
+    """What lies beside the car: indices of the belief's mean."""
 
     OFFSET = 0
     THETA = 1
@@ -42,15 +42,17 @@ class Part(IntEnum):
 class RoadModel:
     """What roads, cars and line-like things are like; lengths in lane widths.
 
-    `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch, by which
-    what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the curvature gains
-    per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's tightest has 2.5)
-    that begins or ends every five or six; `Bends` learns the real one. `line_sigma`: error common to a line's points.
-    `point_markings`: error of a single point, in marking widths. `step`, `turn_rad`: sigmas gained over a lane width of
-    driving by odometry. `lost_step`, `lost_turn_rad`: over a second of unknown motion. `width_walk`: of the width, over
-    a lane width of driving. `news`: way after which a frame is a new witness: shorter, and its errors are those of the
-    frame before. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing that is no line of this lane:
-    lateral place, direction, curvature.
+    `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch and of its
+    nod, by which what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the
+    curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's
+    tightest has 2.5) that begins or ends every five or six; `Bends` learns the real one. `line_sigma`: error common to
+    a line's points. `point_markings`: error of a single point, in marking widths. `step`, `turn_rad`: sigmas gained
+    over a lane width of driving by odometry; `pace`: share by which its speed may be wrong. `lost_step`,
+    `lost_turn_rad`: over a second of unknown motion, at a speed of at most `lost_pace` [lane widths / s].
+    `width_sigma`: of the lane's width about the one that is configured; `width_walk`: what it changes by over a lane
+    width of driving. `news`: way after which a frame is a new witness: shorter, and its errors are those of the frame
+    before. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing that is no line of this lane: lateral place,
+    direction, curvature; the last is a road's too.
     """
 
     lane_width_m: float
@@ -62,13 +64,26 @@ class RoadModel:
     point_markings: float = 0.1
     step: float = 0.01
     turn_rad: float = 0.02
+    pace: float = 0.1
     lost_step: float = 0.5
     lost_turn_rad: float = 1.0
+    lost_pace: float = 3.0
+    width_sigma: float = 0.12
     width_walk: float = 0.03
     news: float = 0.25
     anywhere: float = 1.2
     any_turn_rad: float = 0.4
     any_bend: float = 0.3
+
+    @overload
+    def same_bend(self, lanes: float) -> float: ...
+
+    @overload
+    def same_bend(self, lanes: FloatArray) -> FloatArray: ...
+
+    def same_bend(self, lanes: float | FloatArray) -> float | FloatArray:
+        """How much of a curvature is left so many lane widths farther on: all roads turn straight again."""
+        return np.exp(-lanes * self.bend_walk / (2.0 * self.any_bend**2))
 
 
 class Bends:
@@ -117,167 +132,257 @@ class Assigned(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaneBelief:
-    """Mean (4,) in the order of `Part`, and covariance (4, 4)."""
+    """A lane: `state` (4 + stations,): offset, theta, width, the camera's pitch in sigmas, and the curvature at each
+    station, with its `covariance`.
 
-    mean: FloatArray
+    The stations lie `STATION` lane widths apart on the centerline, the first `start_m` behind the reference point's
+    foot.
+    """
+
+    state: FloatArray
     covariance: FloatArray
+    start_m: float
     road: RoadModel
     reference_x_m: float
+
+    @classmethod
+    def arc(cls, mean: FloatArray, covariance: FloatArray, road: RoadModel, reference_x_m: float) -> LaneBelief:
+        """A lane of which only what lies beside the car is known: mean (4,) in the order of `Part`, covariance (4, 4).
+
+        The farther ahead, the less is known of its curvature.
+        """
+        spread = np.zeros((ROAD + STATIONS, len(Part)))
+        spread[OFFSET, Part.OFFSET] = spread[THETA, Part.THETA] = spread[WIDTH, Part.WIDTH] = 1.0
+        spread[ROAD:, Part.KAPPA] = 1.0
+        grown = spread @ covariance @ spread.T
+        grown[PITCH, PITCH] = 1.0
+        ahead = STATION * np.arange(STATIONS)
+        grown[ROAD:, ROAD:] += road.bend_walk / road.lane_width_m**2 * np.minimum(ahead[:, None], ahead)
+        return cls(spread @ mean, grown, 0.0, road, reference_x_m)
 
     @property
     def offset_m(self) -> float:
         """The car's distance to the left of the centerline [m]."""
-        return float(self.mean[Part.OFFSET])
+        return float(self.state[OFFSET])
 
     @property
     def heading_rad(self) -> float:
         """The car's direction relative to the centerline, left positive [rad]."""
-        return -float(self.mean[Part.THETA])
+        return -float(self.state[THETA])
 
     @property
     def curvature_per_m(self) -> float:
         """The centerline's curvature beside the car [1/m]."""
-        return float(self.mean[Part.KAPPA])
+        return float(self.weights(np.zeros(1))[0] @ self.state[ROAD:])
 
     @property
     def width_m(self) -> float:
         """The lane's width [m]."""
-        return float(self.mean[Part.WIDTH])
+        return float(self.state[WIDTH])
+
+    @property
+    def mean(self) -> FloatArray:
+        """What lies beside the car (4,), in the order of `Part`."""
+        return self._beside_car() @ self.state
+
+    @property
+    def spread(self) -> FloatArray:
+        """Covariance (4, 4) of `mean`."""
+        beside = self._beside_car()
+        return beside @ self.covariance @ beside.T
+
+    def without_road(self) -> LaneBelief:
+        """What is believed of the lane beside the car alone."""
+        return LaneBelief.arc(self.mean, self.spread, self.road, self.reference_x_m)
 
     def sigma(self, part: Part) -> float:
         """Standard deviation of one part of the mean."""
-        return math.sqrt(max(float(self.covariance[part, part]), 0.0))
+        beside = self._beside_car()[part]
+        return math.sqrt(max(float(beside @ self.covariance @ beside), 0.0))
+
+    def lateral_variance(self, ahead_m: float) -> float:
+        """Of the centerline's place so far ahead of the reference point's foot [m^2]."""
+        return float(self.beside(np.array((ahead_m,)), 0.0)[2][0]) ** 2
 
     def beside(self, s_m: FloatArray, role: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where a line runs at arc lengths (n,) of the arc: points (n, 2) [m], headings (n,) [rad], sigmas (n,) [m]."""
-        d, theta, kappa, width = self.mean.tolist()
-        heading, half = theta + kappa * s_m, 0.5 * kappa * s_m
-        chord = s_m * np.sinc(half / math.pi)
-        left = role * width
-        x = self.reference_x_m + d * math.sin(theta) + chord * np.cos(theta + half) - left * np.sin(heading)
-        y = -d * math.cos(theta) + chord * np.sin(theta + half) + left * np.cos(heading)
-        rows = _rows(s_m, np.full(len(s_m), role))
-        return np.column_stack((x, y)), heading, np.sqrt(np.einsum("ni,ij,nj->n", rows, self.covariance, rows))
+        """Where a line runs at arc lengths (n,): points (n, 2) [m], headings (n,) [rad], sigmas (n,) [m]."""
+        spacing = STATION * self.road.lane_width_m
+        path = lane_path(self.state, self.start_m, spacing, self.reference_x_m)
+        rows, foot = np.empty((len(s_m), len(self.state))), np.empty((len(s_m), 3))
+        for i, s in enumerate(s_m.tolist()):
+            foot[i] = path_row(rows[i], path, self.start_m, spacing, self.reference_x_m, s)
+        rows[:, WIDTH] = role
+        x, y, heading = foot.T
+        left = role * self.width_m
+        points = np.column_stack((x - left * np.sin(heading), y + left * np.cos(heading)))
+        return points, heading, np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", rows, self.covariance, rows), 0.0))
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""
         road, unit = self.road, self.road.lane_width_m
-        d, theta, kappa, width = self.mean.tolist()
+        state, along = self.state.copy(), 0.0
         step = abs(distance_m) / unit
+        f = np.eye(len(state))
         if known:
             half = 0.5 * turn_rad
             chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
             x = chord * math.cos(half) + self.reference_x_m * (math.cos(turn_rad) - 1.0)
             y = chord * math.sin(half) + self.reference_x_m * math.sin(turn_rad)
+            d, theta = state[:2].tolist()
             cos, sin = math.cos(theta), math.sin(theta)
+            between = self.weights(np.array((0.5 * distance_m,)))[0]
+            kappa = float(between @ state[ROAD:])
             along, d = foot_on_circle(x * cos + y * sin, y * cos - x * sin + d, kappa, 0.05)
-            theta += kappa * along - turn_rad
-        else:
-            along = 0.0
-        f = np.eye(4)
-        f[Part.OFFSET, Part.THETA], f[Part.OFFSET, Part.KAPPA] = -along, -0.5 * along * along
-        f[Part.THETA, Part.KAPPA] = along
+            state[OFFSET], state[THETA] = d, math.remainder(theta + kappa * along - turn_rad, math.tau)
+            f[OFFSET, THETA], f[OFFSET, ROAD:] = -along, -0.5 * along * along * between
+            f[THETA, ROAD:] = along * between
+        kept = math.exp(-step * road.width_walk**2 / (2.0 * road.width_sigma**2))
+        f[WIDTH, WIDTH] = kept
+        state[WIDTH] += (1.0 - kept) * (unit - state[WIDTH])
         covariance = f @ self.covariance @ f.T
-        covariance[Part.KAPPA, Part.KAPPA] += road.bend_walk * step / unit**2
-        covariance[Part.OFFSET, Part.OFFSET] += (road.step * unit) ** 2 * step
-        covariance[Part.THETA, Part.THETA] += road.turn_rad**2 * step
-        covariance[Part.WIDTH, Part.WIDTH] += (road.width_walk * unit) ** 2 * step
+        covariance[OFFSET, OFFSET] += (road.step * unit) ** 2 * step
+        covariance[THETA, THETA] += road.turn_rad**2 * step
+        covariance[WIDTH, WIDTH] += (road.width_sigma * unit) ** 2 * (1.0 - kept * kept)
         if not known:
-            covariance[Part.OFFSET, Part.OFFSET] += (road.lost_step * unit) ** 2 * dt_s
-            covariance[Part.THETA, Part.THETA] += road.lost_turn_rad**2 * dt_s
-        mean = np.array((d, math.remainder(theta, math.tau), kappa, width))
-        return replace(self, mean=mean, covariance=covariance)
+            covariance[OFFSET, OFFSET] += (road.lost_step * unit) ** 2 * dt_s
+            covariance[THETA, THETA] += road.lost_turn_rad**2 * dt_s
+        # By so many lane widths the road may lie elsewhere; what lay there before is known as well as that allows.
+        same = road.same_bend(road.pace * step if known else road.lost_pace * dt_s)
+        state[ROAD:] *= same
+        covariance[ROAD:] *= same
+        covariance[:, ROAD:] *= same
+        covariance.flat[ROAD * (len(state) + 1) :: len(state) + 1] += (road.any_bend / unit) ** 2 * (1.0 - same * same)
+        return replace(self, state=state, covariance=covariance, start_m=self.start_m + along)._rolled()
 
-    def update(self, assigned: Sequence[Assigned], way: float = math.inf, rounds: int = 3) -> tuple[LaneBelief, float]:
+    def _rolled(self) -> LaneBelief:
+        """The belief with its first station behind the foot by less than a station: the last ones are new, or gone."""
+        spacing = STATION * self.road.lane_width_m
+        passed = math.floor(self.start_m / spacing)
+        if passed == 0:
+            return self
+        at = np.arange(STATIONS) + passed
+        order = np.clip(at, 0, STATIONS - 1)
+        beyond = STATION * (at - order)  # lane widths from the known road, where it ends
+        turn = np.zeros((len(self.state), len(self.state)))
+        turn[:ROAD, :ROAD] = np.eye(ROAD)
+        turn[ROAD + np.arange(STATIONS), ROAD + order] = same = self.road.same_bend(np.abs(beyond))
+        covariance = turn @ self.covariance @ turn.T
+        between = self.road.same_bend(np.abs(beyond[:, None] - beyond))
+        new = np.where(beyond[:, None] * beyond > 0.0, between - np.outer(same, same), 0.0)
+        covariance[ROAD:, ROAD:] += (self.road.any_bend / self.road.lane_width_m) ** 2 * new
+        start = self.start_m - passed * spacing
+        return replace(self, state=turn @ self.state, covariance=covariance, start_m=start)
+
+    def update(self, assigned: Sequence[Assigned], way: float = math.inf) -> tuple[LaneBelief, float]:
         """The belief after a frame's lines, and the logarithm of how likely they are [nats].
 
-        `way`: lane widths driven since the last frame; of one that shows what the last one showed, little is news. A
-        point is a new witness after the way to it: until then the same bends lie between. The road is a mixture of two,
-        one that goes on as it is and one on which a bend begins or ends; the result has the mixture's moments.
+        `way`: lane widths driven since the last frame; of one that shows what the last one showed, little is news.
         """
         if not assigned:
             return self, 0.0
-        afters, odds = [], []
-        for chance, factor in ((1.0 - BEND_SHARE, BEND_CALM), (BEND_SHARE, BEND_SUDDEN)):
-            belief = replace(self, road=replace(self.road, bend_walk=factor * self.road.bend_walk))
-            after, log_likelihood = belief._updated(assigned, way, rounds)
-            afters.append(after)
-            odds.append(log_likelihood + math.log(chance))
-        total = float(np.logaddexp(odds[0], odds[1]))
-        calm, sudden = afters
-        sudden_share = math.exp(odds[1] - total)
-        away = sudden.mean - calm.mean
-        covariance = (1.0 - sudden_share) * calm.covariance + sudden_share * sudden.covariance
-        covariance += sudden_share * (1.0 - sudden_share) * np.outer(away, away)
-        return replace(self, mean=calm.mean + sudden_share * away, covariance=covariance), total
+        evidence = Evidence(self)
+        looks = [look for line, role in assigned for look in evidence.looks(line, (role,))]
+        return evidence.update(assigned, way), evidence.log_likelihood(looks)
 
-    def _updated(self, assigned: Sequence[Assigned], way: float, rounds: int) -> tuple[LaneBelief, float]:
-        """`update` on a road whose bends are as likely everywhere."""
-        after, log_likelihood = self, 0.0
-        for turn in range(rounds):
-            s, left = after._along(np.concatenate([line.points_m for line, _ in assigned]))
-            roles = np.repeat([role for _, role in assigned], [len(line.points_m) for line, _ in assigned])
-            rows = _rows(s, roles)
-            residual = left - roles * after.mean[Part.WIDTH] + rows @ (after.mean - self.mean)
-            noise, known = self._noise(s, assigned), rows @ self.covariance @ rows.T
-            if turn == 0:
-                log_likelihood = _log_density(residual, np.linalg.cholesky(known + noise))
-            looks = np.sqrt(np.maximum(np.maximum(s / self.road.lane_width_m, self.road.news) / max(way, 1e-6), 1.0))
-            factor = np.linalg.cholesky(known + noise * np.outer(looks, looks))
-            gain = np.linalg.solve(factor, rows @ self.covariance)
-            change = gain.T @ np.linalg.solve(factor, residual)
-            mean, covariance = self.mean + change, self.covariance - gain.T @ gain
-            after = replace(self, mean=mean, covariance=0.5 * (covariance + covariance.T))
-        return after, log_likelihood
-
-    def explains(self, assigned: Assigned) -> bool:
-        """Whether a line is likelier in its role than as a thing of its own."""
-        return self.update((assigned,), rounds=1)[1] > self.clutter(assigned.line)
-
-    def clutter(self, line: SightedLine) -> float:
-        """The logarithm of how likely a line is that is a thing of its own [nats], anywhere in the view."""
+    def anything(self) -> Evidence:
+        """What weighs lines that are things of their own, anywhere in the view; their role is 0."""
         road, unit = self.road, self.road.lane_width_m
-        s, left = line.points_m[:, 0] - self.reference_x_m, line.points_m[:, 1]
-        rows = _rows(s, np.zeros(len(s)))[:, :3]
-        prior = np.diag(((road.anywhere * unit) ** 2, road.any_turn_rad**2, (road.any_bend / unit) ** 2))
-        return _log_density(left, np.linalg.cholesky(rows @ prior @ rows.T + self._noise(s, [Assigned(line, 0.0)])))
+        prior = np.square((road.anywhere * unit, road.any_turn_rad, road.any_bend / unit, 0.0))
+        return Evidence(LaneBelief.arc(np.zeros(4), np.diag(prior), road, self.reference_x_m))
 
-    def _noise(self, s: FloatArray, assigned: Sequence[Assigned]) -> FloatArray:
-        """Covariance (n, n) [m^2] of the points' places: the road's bends, each line's error, each point's."""
-        road, unit = self.road, self.road.lane_width_m
-        ahead = np.maximum(s, 0.0)
-        low, high = np.minimum(ahead[:, None], ahead), np.maximum(ahead[:, None], ahead)
-        apart = high - low
-        bends = low**5 / 5.0 + apart * low**4 / 2.0 + apart * apart * low**3 / 3.0
-        noise = (0.25 * road.bend_walk / unit**3) * bends
-        x, y = np.concatenate([line.points_m for line, _ in assigned]).T
-        wedge = (road.pitch_rad / road.eye_m[1]) * y * (x - road.eye_m[0])
-        noise += np.outer(wedge, wedge)
-        start = 0
-        for line, _ in assigned:
-            stop = start + len(line.points_m)
-            noise[start:stop, start:stop] += (road.line_sigma * unit) ** 2
-            start = stop
-        noise.flat[:: len(s) + 1] += (road.point_markings * road.marking_width_m) ** 2
-        return noise
+    def merged(self, other: LaneBelief, others: float) -> LaneBelief:
+        """The moments of two beliefs of the same lane, `others` being the other's share."""
+        turn = np.eye(len(self.state))
+        spacing = STATION * self.road.lane_width_m
+        turn[ROAD:, ROAD:] = other.weights(spacing * np.arange(STATIONS, dtype=np.float64) - self.start_m)
+        state, covariance = turn @ other.state, turn @ other.covariance @ turn.T
+        away = state - self.state
+        mixed = (1.0 - others) * self.covariance + others * covariance + others * (1.0 - others) * np.outer(away, away)
+        return replace(self, state=self.state + others * away, covariance=mixed)
 
-    def _along(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Arc length from the reference point's foot and distance to the left of the arc (n,) [m] of body points."""
-        d, theta, kappa, _ = self.mean.tolist()
-        cos, sin = math.cos(theta), math.sin(theta)
-        x, y = points_m[:, 0] - self.reference_x_m, points_m[:, 1]
-        ahead, left = x * cos + y * sin, y * cos - x * sin + d
-        if abs(kappa) < 1e-9:
-            return ahead, left
-        a, b = kappa * ahead, np.maximum(1.0 - kappa * left, 0.05)
-        return np.arctan2(a, b) / kappa, (2.0 * left - kappa * (left * left + ahead * ahead)) / (1.0 + np.hypot(a, b))
+    def _beside_car(self) -> FloatArray:
+        """Of the state (n,), what lies beside the car: (4, n)."""
+        beside = np.zeros((len(Part), len(self.state)))
+        beside[Part.OFFSET, OFFSET] = beside[Part.THETA, THETA] = beside[Part.WIDTH, WIDTH] = 1.0
+        beside[Part.KAPPA, ROAD:] = self.weights(np.zeros(1))[0]
+        return beside
+
+    def weights(self, s_m: FloatArray) -> FloatArray:
+        """Shares (n, stations) of the stations' curvatures in that at arc lengths (n,): linear in between."""
+        at = np.clip((s_m + self.start_m) / (STATION * self.road.lane_width_m), 0.0, STATIONS - 1.0)
+        return np.maximum(1.0 - np.abs(at[:, None] - np.arange(STATIONS)), 0.0)
 
 
-def _rows(s: FloatArray, roles: FloatArray) -> FloatArray:
-    """Jacobian (n, 4) of points' distances to the left of the believed arc for the belief's parts."""
-    return np.column_stack((-np.ones_like(s), s, 0.5 * s * s, roles))
+class Look(NamedTuple):
+    """A line in a role, and what it says about a belief."""
+
+    line: SightedLine
+    role: float
+    equations: Equations
 
 
-def _log_density(residual: FloatArray, factor: FloatArray) -> float:
-    white = np.linalg.solve(factor, residual)
-    return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum()) - 0.5 * len(white) * math.log(math.tau)
+class Evidence:
+    """What lines say about a `belief`.
+
+    The points of a line share an error, which is taken out of each line's normal equations, and all lines share the
+    camera's nod, its pitch in this frame alone, which is one more unknown. Each line's equations are linearised where
+    the line alone puts the lane, so that bends count that the belief did not know.
+    """
+
+    def __init__(self, belief: LaneBelief) -> None:
+        self.belief = belief
+        road, unit = belief.road, belief.road.lane_width_m
+        root, jumps = whitened(np.ascontiguousarray(belief.covariance))
+        point_variance = (road.point_markings * road.marking_width_m) ** 2
+        self._prior = Prior(
+            state=belief.state,
+            start_m=belief.start_m,
+            spacing_m=STATION * unit,
+            reference_x_m=belief.reference_x_m,
+            root=root,
+            jumps=jumps,
+            jump_variance=road.bend_walk / unit**2 / BEND_RATE,
+            jump_odds=BEND_RATE * STATION,
+            point_variance=point_variance,
+            line_share=(road.line_sigma * unit) ** 2 / point_variance,
+            eye_m=road.eye_m,
+            pitch_rad=road.pitch_rad,
+        )
+
+    def looks(self, line: SightedLine, roles: Sequence[float]) -> list[Look]:
+        """A line in each of several roles."""
+        return [Look(line, role, self._settled(((line, role),), 1.0)[0]) for role in roles]
+
+    def log_likelihood(self, looks: Sequence[Look]) -> float:
+        """The logarithm of how likely lines are [nats]."""
+        equations = zip(*(look.equations for look in looks), strict=True)
+        return log_likelihood(self._prior, Equations(*(np.concatenate(parts) for parts in equations)))
+
+    def explained(self, lines: Sequence[Assigned]) -> list[Assigned]:
+        """The lines that are likelier in their role than as a thing of their own."""
+        anything = self.belief.anything()
+        return [one for one in lines if self.of_line(*one) > anything.of_line(one.line)]
+
+    def of_line(self, line: SightedLine, role: float = 0.0) -> float:
+        """The logarithm of how likely a line is in a role [nats]."""
+        return self.log_likelihood(self.looks(line, (role,)))
+
+    def update(self, lines: Sequence[tuple[SightedLine, float]], way: float = math.inf) -> LaneBelief:
+        """The belief after lines in their roles; `way` as in `LaneBelief.update`."""
+        share = min(way / self.belief.road.news, 1.0)
+        state, covariance = posterior(self._prior, *self._settled(lines, share), share)
+        return replace(self.belief, state=state, covariance=covariance)
+
+    def _settled(self, lines: Sequence[tuple[SightedLine, float]], share: float) -> tuple[Equations, FloatArray]:
+        points = [line.points_m for line, _ in lines]
+        ends = np.cumsum([len(part) for part in points])
+        return settled(self._prior, np.concatenate(points), ends, np.array([role for _, role in lines]), share)
+
+
+@functools.cache
+def warm_up() -> None:
+    """Compile what is compiled, or load it, before the first frame: a car that drives cannot wait for it."""
+    road = RoadModel(lane_width_m=1.0, marking_width_m=0.05)
+    belief = LaneBelief.arc(np.array((0.0, 0.0, 0.0, 1.0)), 0.01 * np.eye(len(Part)), road, 0.0)
+    points, _, _ = belief.beside(np.linspace(0.0, 3.0, 4), 0.5)
+    belief.update((Assigned(SightedLine(points_m=points, painted_m=3.0, span_m=3.0), 0.5),))

@@ -73,7 +73,7 @@ class GentleStart:
             sigma_m = self.SIGMA * self._unit
             mean = np.array((lane.offset_m, lane.heading_rad, lane.curvature_per_m, lane.width_m))
             spread = np.square((sigma_m, self.SIGMA, 1.0 / (self._radius * self._unit), sigma_m))
-            belief = LaneBelief(mean, np.diag(spread), self._road, self._reference_x_m)
+            belief = LaneBelief.arc(mean, np.diag(spread), self._road, self._reference_x_m)
             left, right = (belief.beside(self._s, side)[0] for side in (+0.5, -0.5))
             return GentleLane(belief, left, right, sigma_m)
         return None

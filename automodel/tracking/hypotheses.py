@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import Assigned, LaneBelief, Part
+from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
+from automodel.tracking.lane_path import OFFSET, THETA
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
 STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new
@@ -57,11 +58,7 @@ class Hypothesis:
         """
         ahead = self.log_odds - other.log_odds + (1.0 - share) * (self.news - other.news)
         others = 1.0 / (1.0 + math.exp(min(ahead, 50.0)))
-        away = other.belief.mean - self.belief.mean
-        covariance = (1.0 - others) * self.belief.covariance + others * other.belief.covariance
-        covariance += others * (1.0 - others) * np.outer(away, away)
-        belief = replace(self.belief, mean=self.belief.mean + others * away, covariance=covariance)
-        return replace(self, belief=belief)
+        return replace(self, belief=self.belief.merged(other.belief, others))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,7 +111,8 @@ class Hypotheses:
         share = min(way / belief.road.news, 1.0)
         self._since_lanes = 0.0
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
-        priced = [(line, belief.clutter(line)) for line in longest]
+        anything = belief.anything()
+        priced = [(line, anything.of_line(line)) for line in longest]
         grown = [child for one in self.all for child in self._children(one, priced, kinds, way)]
         self._keep(grown, share)
         return share
@@ -133,31 +131,32 @@ class Hypotheses:
 
         Each line comes with the logarithm of how likely it is as clutter.
         """
-        beam = [(Hypothesis(parent.belief, 0.0), 0.0)]
+        evidence = Evidence(parent.belief)
+        beam: list[tuple[tuple[Look, ...], float, float]] = [((), 0.0, 0.0)]
         for line, clutter in lines:
             grown = list(beam)
-            for one, others in beam:
-                for role in ROLES:
-                    if not _possible(one, line, role):
+            roles = [role for role in ROLES if _possible(parent.belief, line, role)]
+            for look in evidence.looks(line, roles):
+                for looks, log_odds, others in beam:
+                    if any(_beside(look, other) for other in looks):
                         continue
-                    assigned = (*one.assigned, Assigned(line, role))
-                    belief, likelihood = parent.belief.update(assigned, rounds=1)
-                    odds = likelihood - others - clutter
-                    odds += sum(_kind(each.line, kinds.of(each.role)) for each in assigned)
-                    odds -= self._price(assigned)
-                    if odds > one.log_odds - 1.0:
-                        grown.append((Hypothesis(belief, odds, assigned), others + clutter))
-            grown.sort(key=lambda each: -each[0].log_odds)
+                    both = (*looks, look)
+                    odds = evidence.log_likelihood(both) - others - clutter - self._price(both)
+                    odds += sum(_kind(each.line, kinds.of(each.role)) for each in both)
+                    if odds > log_odds - 1.0:
+                        grown.append((both, odds, others + clutter))
+            grown.sort(key=lambda each: -each[1])
             beam = grown[: self.config.most]
         children, share = [], min(way / parent.belief.road.news, 1.0)
-        for one, _ in beam:
-            belief, _ = parent.belief.update(one.assigned, way)
-            children.append(Hypothesis(belief, parent.log_odds + share * one.log_odds, one.assigned, one.log_odds))
+        for looks, odds, _ in beam:
+            assigned = tuple(Assigned(look.line, look.role) for look in looks)
+            belief = evidence.update(assigned, way) if assigned else parent.belief
+            children.append(Hypothesis(belief, parent.log_odds + share * odds, assigned, odds))
         return children
 
-    def _price(self, assigned: Sequence[Assigned]) -> float:
+    def _price(self, looks: Sequence[Look]) -> float:
         """What it costs [nats] to believe in neighbouring lanes."""
-        return self.config.neighbour_price * sum(abs(role) > 1.0 for _, role in assigned)
+        return self.config.neighbour_price * sum(abs(look.role) > 1.0 for look in looks)
 
     def _keep(self, grown: list[Hypothesis], share: float) -> None:
         grown.sort(key=lambda each: -each.log_odds)
@@ -173,28 +172,28 @@ class Hypotheses:
         self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)
 
     def _same(self, one: Hypothesis, other: Hypothesis) -> bool:
-        a, b = one.belief.mean, other.belief.mean
-        unit = one.belief.road.lane_width_m
-        lateral = abs(float(a[Part.OFFSET] - b[Part.OFFSET])) / unit
-        turned = abs(float(a[Part.THETA] - b[Part.THETA]))
+        lateral = abs(one.belief.offset_m - other.belief.offset_m) / one.belief.road.lane_width_m
+        turned = abs(one.belief.heading_rad - other.belief.heading_rad)
         return lateral < self.config.same_lanes and turned < self.config.same_rad
 
 
-def _possible(one: Hypothesis, line: SightedLine, role: float) -> bool:
-    """Whether the line may play the role beside those that have one: roles that are taken lie elsewhere along it."""
-    for other, its in one.assigned:
-        low = max(line.points_m[0, 0], other.points_m[0, 0])
-        high = min(line.points_m[-1, 0], other.points_m[-1, 0])
-        if its == role and high > low:
-            return False
-    mean = one.belief.mean
-    away = line.points_m[0] - np.array((one.belief.reference_x_m, 0.0))
-    reach = 4.0 * one.belief.sigma(Part.OFFSET) + 4.0 * one.belief.sigma(Part.THETA) * abs(float(away[0]))
-    reach += 0.5 * one.belief.road.lane_width_m
-    theta = float(mean[Part.THETA])
-    left = away[1] * math.cos(theta) - away[0] * math.sin(theta) + float(mean[Part.OFFSET])
-    bend = 0.5 * abs(float(mean[Part.KAPPA])) * float(away @ away)
-    return abs(left - role * float(mean[Part.WIDTH])) < reach + bend
+def _beside(one: Look, other: Look) -> bool:
+    """Whether two lines lie next to each other in the same role."""
+    low = max(one.line.points_m[0, 0], other.line.points_m[0, 0])
+    high = min(one.line.points_m[-1, 0], other.line.points_m[-1, 0])
+    return one.role == other.role and bool(high > low)
+
+
+def _possible(belief: LaneBelief, line: SightedLine, role: float) -> bool:
+    """Whether the line may play the role: what lies too far aside need not be weighed."""
+    away = line.points_m[0] - np.array((belief.reference_x_m, 0.0))
+    sigma = np.sqrt(belief.covariance.diagonal()[[OFFSET, THETA]])
+    reach = 4.0 * float(sigma[0]) + 4.0 * float(sigma[1]) * abs(float(away[0]))
+    reach += 0.5 * belief.road.lane_width_m
+    theta = -belief.heading_rad
+    left = away[1] * math.cos(theta) - away[0] * math.sin(theta) + belief.offset_m
+    bend = 0.5 * abs(belief.curvature_per_m) * float(away @ away)
+    return bool(abs(left - role * belief.width_m) < reach + bend)
 
 
 def _kind(line: SightedLine, dashed: float) -> float:

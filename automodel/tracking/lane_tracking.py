@@ -18,7 +18,7 @@ from automodel.curves import Curve
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
-from automodel.tracking.belief import Assigned, Bends, LaneBelief, Part, RoadModel
+from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, Part, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
 from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, bound
@@ -33,19 +33,18 @@ DASH_ODDS = {"any": 0.0, "dashed": 4.0, "solid": -4.0}  # [nats] what car.toml s
 class TrackingConfig:
     """`coast_s`, `coast_lanes`: time, and distance in lane widths, for which a lane lives without any line.
 
-    `width_sigma`: share by which the real lane may be wider or narrower than car.toml says. `bend`: sigma of the
-    curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the nearest lines from which
-    on another line may be taken for the lane's: four of them reach halfway to the next. `gate`: squared innovation
-    of offset and heading that happens once in a million frames (chi-square, two degrees of freedom); `differs`: one
-    that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is followed.
+    `bend`: sigma of the curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the
+    nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next.
+    `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
+    freedom); `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
+    followed.
     `exists`: log-odds [nats] that it must have against clutter. `confirm_s`: for so long must a lane of one line be
     seen before it is told. `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend
-    [1 / lane width] where nothing is known. `unknown_lanes`: speed [lane widths / s] of a car whose speed is not known.
+    [1 / lane width] where nothing is known.
     """
 
     coast_s: float
     coast_lanes: float
-    width_sigma: float = 0.12
     bend: float = 0.1
     confusable: float = 0.125
     gate: float = 27.6
@@ -56,7 +55,6 @@ class TrackingConfig:
     start_lanes: float = 0.25
     start_rad: float = 0.25
     start_bend: float = 0.2
-    unknown_lanes: float = 3.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +76,8 @@ class LaneTracking:
     `follow`.
     """
 
+    MISTRUSTED_S = 0.3  # for which the motion may have been wrong when that is noticed
+
     def __init__(self, car: CarConfig, config: TrackingConfig) -> None:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
         camera = GroundCamera.from_config(car.camera)
@@ -94,6 +94,7 @@ class LaneTracking:
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
         self._hypotheses = Hypotheses()
+        warm_up()
         self.reset()
 
     def reset(self) -> None:
@@ -142,12 +143,17 @@ class LaneTracking:
                 self._belief = self._belief.moved(*step)
             if self._reckoned is not None:
                 self._reckoned = self._reckoned.moved(*step)
-            driven = abs(moved.distance_m) if moved.known else self.config.unknown_lanes * self._unit * moved.dt_s
+            driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
             self._news_m += max(driven, STILL_LANES * self._unit * moved.dt_s)
             self._around_m += driven
             self._bends.move(driven)
         return moved
+
+    def mistrust(self) -> None:
+        """The motion of late was wrong: the lane may have been moved away from its lines."""
+        if self._belief is not None:
+            self._doubt(self._belief.without_road().moved(0.0, 0.0, self.MISTRUSTED_S, False))
 
     def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
@@ -183,9 +189,14 @@ class LaneTracking:
 
     def _anywhere(self) -> LaneBelief:
         config, unit = self.config, self._unit
-        sigma = (config.start_lanes * unit, config.start_rad, config.start_bend / unit, config.width_sigma * unit)
+        sigma = (
+            config.start_lanes * unit,
+            config.start_rad,
+            config.start_bend / unit,
+            self._bends.road.width_sigma * unit,
+        )
         mean = np.array((0.0, 0.0, 0.0, unit))
-        return LaneBelief(mean, np.diag(np.square(sigma)), self._bends.road, self._reference_x_m)
+        return LaneBelief.arc(mean, np.diag(np.square(sigma)), self._bends.road, self._reference_x_m)
 
     def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Weigh all lines in view, and where the estimator must start anew; None where it may go on or nothing is sure.
@@ -210,7 +221,7 @@ class LaneTracking:
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
         told = told and (clear or len({role for _, role in best.assigned}) > 1)
-        better = self._lateral_variance(best.belief) < self._lateral_variance(measured) and apart > self.config.differs
+        better = self._place_variance(best.belief) < self._place_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
             self._believe(best.belief)
@@ -234,7 +245,7 @@ class LaneTracking:
         """
         alone = self._hypotheses.posterior()[0] > self.config.sure and best.news > self.config.exists
         own = bool(best.line(LEFT) or best.line(RIGHT)) and len({role for _, role in best.assigned}) > 1
-        wide = abs(best.belief.width_m / self._unit - 1.0) > 3.0 * self.config.width_sigma
+        wide = abs(best.belief.width_m / self._unit - 1.0) > 3.0 * self._bends.road.width_sigma
         return alone and own and not wide and not self._confusable(best.belief)
 
     def _beats(self, best: Hypothesis, said: float, news: float) -> bool:
@@ -276,18 +287,15 @@ class LaneTracking:
         assert belief is not None
         if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-            assigned = [one for one in own if belief.explains(one)]
+            evidence = Evidence(replace(belief, road=self._bends.road))
+            assigned = evidence.explained(own)
             if own and not assigned:
-                self._doubt(belief)
-            elif assigned:
-                after, _ = replace(belief, road=self._bends.road).update(assigned, self._news_m / self._unit)
-                self._learn(after, measured, len(assigned) == len((LEFT, RIGHT)))
-                belief = after
+                self._doubt(belief.without_road())
+            elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
+                belief = evidence.update(assigned, self._news_m / self._unit)
+                self._learn(belief, measured, True)
         if not self.in_doubt and self._confusable(belief):
-            mean, covariance = measured.mean.copy(), belief.covariance.copy()
-            mean[Part.KAPPA] = self._bend_ahead(followed.centerline)
-            covariance[Part.KAPPA, Part.KAPPA] += (mean[Part.KAPPA] - belief.curvature_per_m) ** 2
-            self._doubt(replace(belief, mean=mean, covariance=covariance))
+            self._doubt(belief)
 
     def _watch(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Learn from all lines in view, which may fit in more than one way.
@@ -303,7 +311,7 @@ class LaneTracking:
         around.update((*lines, *own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
-            self._doubt(belief)
+            self._doubt(belief.without_road())
         elif best.assigned:
             self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
             if self._misses(followed, measured, best):
@@ -312,13 +320,20 @@ class LaneTracking:
         return None
 
     def _misses(self, followed: Followed, measured: LaneBelief, best: Hypothesis) -> bool:
-        """Whether the estimator misses a line of its lane that is in view, and knows far less than that line says."""
+        """Whether the estimator misses a line of its lane that is in view, which says otherwise, or far more."""
         missed = any(best.line(role) and not line.seen for line, role in _sides(followed))
-        return missed and not self._confusable(best.belief) and self._vaguer(measured, best.belief)
+        if not missed or self._confusable(best.belief):
+            return False
+        return self._vaguer(measured, best.belief) or self._apart(measured, best.belief) > self.config.differs
 
     def _vaguer(self, one: LaneBelief, other: LaneBelief) -> bool:
         """Whether one is so much less certain than the other that it says nothing against it."""
-        return self._lateral_variance(one) > self.config.differs * self._lateral_variance(other)
+        return self._place_variance(one) > self.config.differs * self._place_variance(other)
+
+    def _place_variance(self, belief: LaneBelief) -> float:
+        """Of where the lane comes into view by the car's place in it alone [m^2]: a pose says no more."""
+        row = np.array((-1.0, self._near_m))
+        return float(row @ belief.covariance[:2, :2] @ row)
 
     def _learn(self, belief: LaneBelief, measured: LaneBelief, pair: bool) -> None:
         """Take a belief that has learnt from a frame, and doubt the estimator where it contradicts that."""
@@ -328,7 +343,7 @@ class LaneTracking:
         normalised = self._apart(measured, belief)
         self._innovations.add(0.5 * normalised)
         if normalised > self.config.gate:
-            self._doubt(belief)
+            self._doubt(belief.without_road())
 
     def _doubt(self, belief: LaneBelief) -> None:
         """From now on the estimator is not believed without a look at everything else."""
@@ -343,7 +358,7 @@ class LaneTracking:
 
     def _apart(self, one: LaneBelief, other: LaneBelief) -> float:
         """Squared difference of offset and heading over its covariance: chi-square with two degrees of freedom."""
-        off = (one.mean - other.mean)[:2]
+        off = (one.state - other.state)[:2]
         systematic = np.diag((self._errors.offset_m**2, self._errors.heading_rad**2))
         return float(off @ np.linalg.solve((one.covariance + other.covariance)[:2, :2] + systematic, off))
 
@@ -360,7 +375,7 @@ class LaneTracking:
         covariance[order] = pose.covariance * np.outer(sign, sign)
         covariance[Part.KAPPA, Part.KAPPA] = (self.config.bend / self._unit) ** 2
         mean = np.array((pose.offset_m, -pose.heading_rad, pose.curvature_per_m, pose.width_m))
-        return LaneBelief(mean, covariance, self._bends.road, self._reference_x_m)
+        return LaneBelief.arc(mean, covariance, self._bends.road, self._reference_x_m)
 
     def _confusable(self, belief: LaneBelief) -> bool:
         """Whether another line may be taken for the lane's."""
@@ -368,8 +383,7 @@ class LaneTracking:
 
     def _lateral_variance(self, belief: LaneBelief) -> float:
         """Of the lane's place at the nearest ground that is seen [m^2]."""
-        row = np.array((-1.0, self._near_m, 0.5 * self._near_m**2, 0.0))
-        return float(row @ belief.covariance @ row)
+        return belief.lateral_variance(self._near_m)
 
     def _possible(self, pose: LanePose) -> bool:
         """Whether a car may stand so in a lane, and the lane be so wide."""
@@ -377,7 +391,7 @@ class LaneTracking:
         return bool(
             math.isfinite(pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m)
             and np.isfinite(pose.covariance).all()
-            and abs(pose.width_m / unit - 1.0) < 4.0 * self.config.width_sigma
+            and abs(pose.width_m / unit - 1.0) < 4.0 * self._bends.road.width_sigma
             and abs(pose.offset_m) < 0.9 * unit
             and abs(pose.heading_rad) < math.radians(60.0)
         )
@@ -414,21 +428,13 @@ class LaneTracking:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m
             side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
             if not self.paired:
-                side = math.hypot(side, 0.5 * self.config.width_sigma * self._unit)
+                side = math.hypot(side, 0.5 * self._bends.road.width_sigma * self._unit)
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))
         if not self.paired:  # a lone line may be anything, and either line of the lane
             offset = max(offset, pose.width_m)
         return offset, heading
-
-    def _bend_ahead(self, centerline: Curve) -> float:
-        """Mean curvature [1/m] of the centerline from beside the car to the nearest ground that is seen."""
-        s = np.linspace(0.0, centerline.length_m, 60)
-        away = centerline.position(s) - np.array((self._reference_x_m, 0.0))
-        here = float(s[int(np.argmin(np.einsum("ij,ij->i", away, away)))])
-        turn = centerline.heading(here + self._near_m) - centerline.heading(here)
-        return float(turn) / self._near_m
 
 
 def _sides(followed: Followed) -> tuple[tuple[LaneLine, float], tuple[LaneLine, float]]:

@@ -102,11 +102,8 @@ def test_both_lines_hidden_for_half_a_second(ahead: str, from_m: float) -> None:
 
 @pytest.mark.parametrize("ahead", [name for name in BENDS if name != "tight left"])  # there it is lost
 @pytest.mark.parametrize("from_m", rest_slow((2.8, 3.4), 3.4))
-def test_both_lines_gone_on_half_a_metre(request: pytest.FixtureRequest, ahead: str, from_m: float) -> None:
+def test_both_lines_gone_on_half_a_metre(ahead: str, from_m: float) -> None:
     """Half a second at 1 m/s over which nothing is painted."""
-    if (ahead, from_m) == ("tight right", 2.8):
-        reason = "the lane starts anew in a wrong direction, for a second"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     drive = MaskedDrive(track=road(BENDS[ahead], gap(from_m, from_m + 0.5, "left", "right")))
     found = errors(drive.run(1.0, 5.2), skip=10)
     assert found.available == 1.0

@@ -255,7 +255,7 @@ def optioned(car: CarConfig, **options: Any) -> CarConfig:
 @pytest.mark.parametrize("name", ["scale", "highway"])
 def test_single_floats_give_the_same_lane(name: str) -> None:
     if name == "scale":
-        car, bound_m = CAR, 0.001
+        car, bound_m = CAR, 0.002
         seen = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 3.5)
     else:
         car, bound_m = optioned(HIGHWAY_CAR, radius_lanes=50.0), 0.005
@@ -267,7 +267,7 @@ def test_single_floats_give_the_same_lane(name: str) -> None:
     places = apart[:, :2].max(axis=1)
     assert np.mean(places < bound_m) >= 0.9
     assert places.max() < 2.0 * bound_m
-    assert np.quantile(apart[:, 2], 0.9) < 0.003
+    assert np.quantile(apart[:, 2], 0.9) < 0.005
     assert apart.max() > 0.0  # they are two ways of computing
     for one, other in zip(double[8::7], single[8::7], strict=True):
         assert one.centerline is not None

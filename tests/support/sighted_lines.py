@@ -38,4 +38,4 @@ def belief(
     offset, along = float(road.beside(x, y)[0]), float(road.along(x, y)[0])
     theta = road.heading_rad + road.curvature_per_m * along
     mean = np.array((offset, theta, road.curvature_per_m, LANE_M))
-    return LaneBelief(mean, np.diag(np.square(sigmas)), model, reference_x_m)
+    return LaneBelief.arc(mean, np.diag(np.square(sigmas)), model, reference_x_m)

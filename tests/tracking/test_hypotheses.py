@@ -11,6 +11,7 @@ import pytest
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Part
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR, Hypotheses, Hypothesis, LineKinds
+from automodel.tracking.lane_path import OFFSET
 from tests.support.drawn_roads import LANE_M, STRAIGHT, Road
 from tests.support.sighted_lines import DASHED, belief, line_of
 
@@ -176,8 +177,9 @@ def test_without_a_start_there_are_no_hypotheses() -> None:
 @pytest.mark.parametrize(("ahead", "others"), [(0.0, 0.5), (2.0, 1.0 / (1.0 + math.exp(2.0))), (40.0, 0.0)])
 def test_of_two_that_say_about_the_same_the_moments_remain(ahead: float, others: float) -> None:
     first = Hypothesis(belief(STRAIGHT, (0.01, 0.02, 0.1, 0.01)), ahead)
-    mean = first.belief.mean + np.array((0.02, 0.0, 0.0, 0.0))
-    second = Hypothesis(replace(first.belief, mean=mean, covariance=4.0 * first.belief.covariance), 0.0)
+    state = first.belief.state.copy()
+    state[OFFSET] += 0.02
+    second = Hypothesis(replace(first.belief, state=state, covariance=4.0 * first.belief.covariance), 0.0)
     merged = first.merged(second, 1.0)
     assert merged.log_odds == ahead
     assert merged.belief.offset_m - first.belief.offset_m == pytest.approx(0.02 * others)

@@ -25,7 +25,7 @@ from automodel.estimation.clothoid.clothoid_pair import (
     ClothoidPair,
     PairShape,
 )
-from automodel.estimation.clothoid.solvers import SOLVERS, correct, gradient_descent, posterior
+from automodel.estimation.clothoid.solvers import SOLVERS, State, correct, gradient_descent, posterior
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.estimation.road import TAPER_LANES
 from automodel.types import Bools, FloatArray, Floats, Ints
@@ -115,6 +115,24 @@ def _pose_covariance(p: Floats) -> FloatArray:
         for j in range(TAPER):
             turned[i, j] = p[i, j] if (i == HEADING) == (j == HEADING) else -p[i, j]
     return turned
+
+
+def _of_known_width(p: Floats, side: float) -> tuple[Floats, Floats]:
+    """The covariance (m, m) of a lane whose width and taper are known, and how the lane moves with these (m, 2).
+
+    A lone line, on the left (`side` +1) or right (-1), says nothing of width and taper, only the model's errors would:
+    they are not estimated from it, and offset and heading err with them so that the line stays where it is (Schmidt
+    1966, a filter with parameters that it considers).
+    """
+    width, exact = slice(WIDTH, CURVATURE), p.astype(np.float64)
+    alone = exact - exact[:, width] @ np.linalg.solve(exact[width, width], exact[width])
+    alone[width] = alone[:, width] = 0.0
+    alone[width, width] = np.diag(1e-6 * exact.diagonal()[width])  # known, but not singular
+    alone = alone.astype(p.dtype)
+    moved = np.zeros((len(p), 2), p.dtype)
+    moved[OFFSET, 0], moved[HEADING, 1] = 0.5 * side, -0.5 * side
+    moved[WIDTH, 0] = moved[TAPER, 1] = 1.0
+    return alone, moved
 
 
 class ClothoidTracker:
@@ -277,9 +295,9 @@ class ClothoidTracker:
         x = self.known()
         return np.maximum(0.5 * (x[WIDTH] + x[TAPER] * self.pair.nodes_m), 0.0)
 
-    def reach_m(self, shape: PairShape) -> Floats:
-        """How far (2 n,) [m] from their places both lines' nodes may be: the gate in standard deviations."""
-        return self.config.gate * _sigma(shape.jacobian, self.covariance)
+    def sigma_m(self, shape: PairShape) -> Floats:
+        """Standard deviations (2 n,) [m] of the places of both lines' nodes."""
+        return _sigma(shape.jacobian, self.covariance)
 
     def curvature(self) -> float:
         """The centerline's curvature [1/m] at the reference point's foot."""
@@ -309,10 +327,20 @@ class ClothoidTracker:
         of `shape` at which lines were found [m], then their angles to the left of it [rad]; valid where `found` (2 k,)
         is 1, not 0.
         """
-        before, (prior, p) = self.known(), self._prior
+        before, after, (prior, p) = self.known(), self.covariance, self._prior
+        carrying = self._correct((before, after, prior, p), shape, nodes, residual, found)
+        left = nodes < self.pair.count
+        sides = bool((carrying & left).any()), bool((carrying & ~left).any())
+        if sides[0] != sides[1]:
+            alone, moved = _of_known_width(p, 1.0 if sides[0] else -1.0)
+            carrying = self._correct((before, after, prior, alone), shape, nodes, residual, found)
+            self.covariance += moved @ p[WIDTH:CURVATURE, WIDTH:CURVATURE] @ moved.T
+        return carrying
+
+    def _correct(self, state: State, shape: PairShape, nodes: Ints, residual: Floats, found: Floats) -> Bools:
         self.parameters, self.covariance, count, carrying, self.moved_m = correct(
             self._descend,
-            (before, self.covariance, prior, p),
+            state,
             (shape.jacobian, self._noise, nodes, residual, found),
             (self.config.gate, self._bend, self._lever_m),
         )

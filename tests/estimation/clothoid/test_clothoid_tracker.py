@@ -213,9 +213,28 @@ def test_a_line_out_of_sight_may_lie_anywhere_that_a_lane_widens_to() -> None:
         found = np.zeros(4 * COUNT)
         found[left] = found[2 * COUNT + left] = 1.0
         made.update(made.shape(), EVERY, residuals(made, truth), found)
-    near, far = made.reach_m(made.shape())[[5, COUNT + 5]]
+    near, far = made.sigma_m(made.shape())[[5, COUNT + 5]]
     assert far > 4.0 * near
     assert far > 2.0 * at_first
+
+
+@pytest.mark.parametrize(("side", "wider"), [(0, 1.0), (1, -1.0)])
+def test_a_lone_line_is_followed_and_says_nothing_of_the_width(side: int, wider: float) -> None:
+    made = tracker(lane=(0.0, 0.0, 0.0))
+    see(made, made.known().copy(), 3)
+    width, taper = made.known()[[LANE, TAPER]]
+    truth = made.known().copy()
+    truth[OFFSET] -= 0.006  # the car has moved to the right, by which the line is off at every node
+    lone = np.arange(COUNT) + side * COUNT
+    found = np.zeros(4 * COUNT)
+    found[lone] = found[2 * COUNT + lone] = 1.0
+    for _ in range(40):
+        made.move(0.02, 0.0, known=True)
+        made.update(made.shape(), EVERY, residuals(made, truth), found)
+    assert made.width_m == pytest.approx(width + 0.8 * taper, abs=0.003)
+    assert made.known()[OFFSET] == pytest.approx(truth[OFFSET], abs=0.002)
+    offset, lane = made.covariance[OFFSET, LANE], made.covariance[LANE, LANE]
+    assert offset == pytest.approx(0.5 * wider * lane)  # a wider lane's middle lies farther from the line that is seen
 
 
 def test_both_solvers_come_to_the_same_lane() -> None:

@@ -1,0 +1,330 @@
+"""What a frame's lines say about a believed lane: normal equations, likelihoods and the belief after them.
+
+With x the state, P = L L' its covariance, R that of the points' errors, r the lines' residuals and H their rows:
+
+    log p = -1/2 (r' R^-1 r - v' (1 + A)^-1 v + log |R| + log |1 + A| + n log 2 pi)
+    A = L' H' R^-1 H L,    v = L' H' R^-1 r
+
+in the coordinates z of x = x0 + L z, in which the belief is a unit normal. A and v are sums over the lines, so that
+every set of lines is weighed by one small factorisation (Bar-Shalom, Li, Kirubarajan 2001, section 3.2).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from automodel.compiled import compiled
+from automodel.tracking.lane_path import PITCH, ROAD, WIDTH, foot_on, lane_path, path_row
+from automodel.types import FloatArray, Ints
+
+ROUNDS = 6  # of linearisation, and halvings of a step, at most
+LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
+MOST_NATS = 500.0  # an exponential that does not overflow
+CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
+
+
+class Prior(NamedTuple):
+    """A belief as lines are weighed against it; the last coordinate is the camera's nod, its pitch in this frame alone.
+
+    `root` (n + 1, n + 1): square root of the covariance, in the order of the state and the nod. `jumps`
+    (stations - 1, n + 1): what a bend that begins at once at one of the stations but the first changes in the whitened
+    coordinates, per curvature; `jump_variance` [1/m^2], `jump_odds`: how sharp and how likely each is. `point_variance`
+    [m^2]: of a point's error, `line_share`: of the error that a line's points have in common, in units of it. `eye_m`:
+    the camera's place ahead and above; `pitch_rad`: sigma of its pitch.
+    """
+
+    state: FloatArray
+    start_m: float
+    spacing_m: float
+    reference_x_m: float
+    root: FloatArray
+    jumps: FloatArray
+    jump_variance: float
+    jump_odds: float
+    point_variance: float
+    line_share: float
+    eye_m: tuple[float, float]
+    pitch_rad: float
+
+
+class Equations(NamedTuple):
+    """Normal equations of lines (m,) in the whitened coordinates: `information` (m, n + 1, n + 1), `vector` (m, n + 1).
+
+    `misfit` (m,): squared residuals over the points' errors. `log_volume` (m,): of these errors, with their 2 pi.
+    """
+
+    information: FloatArray
+    vector: FloatArray
+    misfit: FloatArray
+    log_volume: FloatArray
+
+
+@compiled
+def factor(matrix: FloatArray) -> FloatArray:
+    """Lower triangular square root of a positive definite matrix (Cholesky)."""
+    size = len(matrix)
+    root = np.zeros((size, size))
+    for i in range(size):
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            root[i, j] = math.sqrt(max(rest, 1e-300)) if i == j else rest / root[j, j]
+    return root
+
+
+@compiled
+def forward(root: FloatArray, right: FloatArray) -> FloatArray:
+    """Solves root x = right for a lower triangular root."""
+    x = right.copy()
+    for i in range(len(x)):
+        for k in range(i):
+            x[i] -= root[i, k] * x[k]
+        x[i] /= root[i, i]
+    return x
+
+
+@compiled
+def backward(root: FloatArray, right: FloatArray) -> FloatArray:
+    """Solves root' x = right for a lower triangular root."""
+    x = right.copy()
+    for i in range(len(x) - 1, -1, -1):
+        for k in range(i + 1, len(x)):
+            x[i] -= root[k, i] * x[k]
+        x[i] /= root[i, i]
+    return x
+
+
+@compiled
+def dot(one: FloatArray, other: FloatArray) -> float:
+    """The scalar product of two vectors."""
+    total = 0.0
+    for i in range(len(one)):
+        total += one[i] * other[i]
+    return total
+
+
+@compiled
+def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """A matrix times a vector."""
+    result = np.empty(len(matrix))
+    for i in range(len(matrix)):
+        result[i] = dot(matrix[i], vector)
+    return result
+
+
+@compiled
+def whitened(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Square root of a covariance (n, n) with the nod (n + 1, n + 1), and the jumps of a `Prior` for it."""
+    size = len(covariance)
+    full = np.zeros((size + 1, size + 1))
+    full[:size, :size] = covariance
+    full[size, size] = 1.0  # the nod, in sigmas of the pitch
+    for i in range(size + 1):
+        full[i, i] += CERTAIN * full[i, i] + CERTAIN**2
+    root = factor(full)
+    jumps = np.zeros((size - ROAD - 1, size + 1))
+    for i in range(len(jumps)):
+        jumps[i, ROAD + 1 + i : size] = 1.0
+        jumps[i] = forward(root, jumps[i])
+    return root, jumps
+
+
+@compiled
+def _tilt(prior: Prior, x: float, y: float, heading: float) -> float:
+    """How far a sigma of pitch moves a point across a lane of that heading [m]."""
+    ahead, up = x - prior.eye_m[0], prior.eye_m[1]
+    return prior.pitch_rad / up * (y * ahead * math.cos(heading) - (ahead * ahead + up * up) * math.sin(heading))
+
+
+@compiled
+def _misfit(prior: Prior, path: FloatArray, state: FloatArray, nod: float, points: FloatArray, role: float) -> float:
+    """Squared residuals of a line's points (n, 2) [m] over their errors, where a state and a nod put the line."""
+    squares, total = 0.0, 0.0
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        s, left = foot_on(path, x, y)
+        arc = min(max(int(s / path[1, 0]), 0), len(path) - 1)
+        heading = path[arc, 3] + path[arc, 4] * (s - path[arc, 0])
+        rest = left - role * state[WIDTH] - (state[PITCH] + nod) * _tilt(prior, x, y, heading)
+        squares, total = squares + rest * rest, total + rest
+    shared = prior.line_share / (1.0 + len(points) * prior.line_share)
+    return (squares - shared * total * total) / prior.point_variance
+
+
+@compiled
+def _equations(
+    prior: Prior, path: FloatArray, state: FloatArray, points: FloatArray, role: float
+) -> tuple[FloatArray, FloatArray, float]:
+    """Information, vector and misfit of a line, linearised about a state with its path."""
+    size = len(state)
+    columns = np.empty((len(points), size + 2))
+    sums = np.zeros(size + 2)
+    away = state - prior.state
+    for i in range(len(points)):
+        x, y = points[i, 0], points[i, 1]
+        s, left = foot_on(path, x, y)
+        row = columns[i]
+        heading = path_row(row[:size], path, prior.start_m, prior.spacing_m, prior.reference_x_m, s)[2]
+        tilt = _tilt(prior, x, y, heading)
+        row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
+        rest = left - role * state[WIDTH] - state[PITCH] * tilt
+        for k in range(size):
+            rest += row[k] * away[k]
+        row[size + 1] = rest
+        sums += row
+    shared = prior.line_share / (1.0 + len(points) * prior.line_share)
+    gram = np.empty((size + 2, size + 2))
+    for i in range(size + 2):
+        for j in range(i + 1):
+            total = -shared * sums[i] * sums[j]
+            for k in range(len(points)):
+                total += columns[k, i] * columns[k, j]
+            gram[i, j] = gram[j, i] = total / prior.point_variance
+    full = size + 1
+    half = np.zeros((full, full))  # gram times root, which is triangular
+    for i in range(full):
+        for j in range(full):
+            for k in range(j, full):
+                half[i, j] += gram[i, k] * prior.root[k, j]
+    information, vector = np.zeros((full, full)), np.zeros(full)
+    for i in range(full):
+        for k in range(i, full):
+            vector[i] += prior.root[k, i] * gram[k, full]
+            for j in range(i + 1):
+                information[i, j] += prior.root[k, i] * half[k, j]
+        for j in range(i):
+            information[j, i] = information[i, j]
+    return information, vector, gram[full, full]
+
+
+@compiled
+def _together(equations: Equations, share: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The lines' information and vector, and the square root of the information with the belief's own."""
+    information, vector = share * equations.information.sum(axis=0), share * equations.vector.sum(axis=0)
+    return information, vector, factor(np.eye(len(vector)) + information)
+
+
+@compiled
+def settled(
+    prior: Prior, points: FloatArray, ends: Ints, roles: FloatArray, share: float
+) -> tuple[Equations, FloatArray]:
+    """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
+
+    The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
+    the lines count by a `share`; each step is halved until it is one uphill.
+    """
+    count, full = len(roles), len(prior.root)
+    information, vector = np.empty((count, full, full)), np.empty((count, full))
+    misfit, log_volume, actual = np.empty(count), np.empty(count), np.empty(count)
+    z, state = np.zeros(full), prior.state.copy()
+    path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
+    for i in range(count):
+        n = ends[i] - (ends[i - 1] if i else 0)
+        log_volume[i] = n * math.log(math.tau * prior.point_variance) + math.log1p(n * prior.line_share)
+        actual[i] = np.inf
+    best = np.inf
+    for _ in range(ROUNDS):
+        for i in range(count):
+            line = points[ends[i - 1] if i else 0 : ends[i]]
+            information[i], vector[i], misfit[i] = _equations(prior, path, state, line, roles[i])
+        equations = Equations(information, vector, misfit, log_volume)
+        if best == np.inf:
+            best = share * misfit.sum()
+        _, right, root = _together(equations, share)
+        step = backward(root, forward(root, right)) - z
+        tried, uphill = 1.0, False
+        for _ in range(ROUNDS):
+            at = z + tried * step
+            moved = times(prior.root, at)
+            there = prior.state + moved[:-1]
+            trial = lane_path(there, prior.start_m, prior.spacing_m, prior.reference_x_m)
+            for i in range(count):
+                line = points[ends[i - 1] if i else 0 : ends[i]]
+                actual[i] = _misfit(prior, trial, there, moved[full - 1], line, roles[i])
+            cost = share * actual.sum() + dot(at, at)
+            if cost < best:
+                uphill = True
+                break
+            tried *= 0.5
+        if not uphill:
+            break
+        z, state, path, best = at, there, trial, cost
+        told = misfit.sum()
+        for i in range(count):
+            told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
+        if tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR:
+            break
+    return Equations(information, vector, misfit, log_volume), z
+
+
+@compiled
+def _bends(
+    prior: Prior, information: FloatArray, vector: FloatArray, root: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """A bend that begins or ends at once at each station but the first: odds to none, curvature [1/m], its variance.
+
+    The walk of the curvature has what such bends do on average: one counts by how much more than likely it is. Last,
+    the directions (stations - 1, n + 1) in which each moves the whitened state, per curvature.
+    """
+    count = len(prior.jumps)
+    odds, means, variances = np.empty(count), np.empty(count), np.empty(count)
+    directions, white = np.empty(prior.jumps.shape), forward(root, vector)
+    for i in range(count):
+        jump = prior.jumps[i]
+        seen = times(information, jump)
+        across = forward(root, seen)
+        known = 1.0 / prior.jump_variance + dot(jump, seen) - dot(across, across)
+        pull = dot(vector, jump) - dot(white, across)
+        gain = 0.5 * (pull * pull / known - math.log(prior.jump_variance * known))
+        odds[i] = prior.jump_odds * max(math.expm1(min(gain, MOST_NATS)), 0.0)
+        means[i], variances[i] = pull / known, 1.0 / known
+        directions[i] = jump - backward(root, across)
+    return odds, means, variances, directions
+
+
+@compiled
+def log_likelihood(prior: Prior, equations: Equations) -> float:
+    """The logarithm of how likely lines are [nats]."""
+    information, vector, root = _together(equations, 1.0)
+    white = forward(root, vector)
+    volume = equations.log_volume.sum()
+    for i in range(len(root)):
+        volume += 2.0 * math.log(root[i, i])
+    sudden = math.log1p(_bends(prior, information, vector, root)[0].sum())
+    return sudden - 0.5 * (equations.misfit.sum() - dot(white, white) + volume)
+
+
+@compiled
+def posterior(prior: Prior, equations: Equations, z: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
+    """State (n,) and covariance (n, n), the moments of a mixture, after lines that count by a `share` and put it at z.
+
+    The mixture: no bend begins at once, or one at one of the stations.
+    """
+    information, vector, root = _together(equations, share)
+    odds, means, variances, directions = _bends(prior, information, vector, root)
+    shares = odds / (1.0 + odds.sum())
+    full = len(root)
+    away, spread = np.zeros(full), np.empty((full, full))
+    for i in range(full):
+        unit = np.zeros(full)
+        unit[i] = 1.0
+        spread[i] = backward(root, forward(root, unit))
+    for i in range(len(odds)):
+        away += shares[i] * means[i] * directions[i]
+        spread += shares[i] * (variances[i] + means[i] ** 2) * np.outer(directions[i], directions[i])
+    spread -= np.outer(away, away)
+    size = full - 1
+    half, covariance = np.empty((full, full)), np.empty((size, size))
+    for i in range(full):
+        half[i] = times(prior.root, spread[i])
+    for i in range(size):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i + 1):
+                total += prior.root[i, k] * half[k, j]
+            covariance[i, j] = covariance[j, i] = total
+    return prior.state + times(prior.root, z + away)[:size], covariance

@@ -1,0 +1,123 @@
+"""The centerline whose curvature is linear between stations, as short arcs, and how it moves with what is believed.
+
+A path (arcs, 5) has, of each arc, its start's arc length [m] from the reference point's foot, x, y [m] and heading
+[rad] in the body frame, and its curvature [1/m]. The state (4 + stations,) is that of `belief.LaneBelief`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from automodel.compiled import compiled
+from automodel.types import FloatArray
+
+OFFSET, THETA, WIDTH, PITCH, ROAD = range(5)  # indices of the state; from the last one on, the stations
+ARCS = 2  # between two stations
+
+
+@compiled
+def station(at_m: float, spacing_m: float, stations: int) -> tuple[int, float]:
+    """The station before a place so far from the first one, and the share of the next one's curvature there."""
+    at = min(max(at_m / spacing_m, 0.0), stations - 1.0)
+    first = min(int(at), stations - 2)
+    return first, at - first
+
+
+@compiled
+def curvature(state: FloatArray, at_m: float, spacing_m: float) -> float:
+    """The curvature [1/m] at a place so far from the first station."""
+    first, share = station(at_m, spacing_m, len(state) - ROAD)
+    return (1.0 - share) * state[ROAD + first] + share * state[ROAD + first + 1]
+
+
+@compiled
+def lane_path(state: FloatArray, start_m: float, spacing_m: float, reference_x_m: float) -> FloatArray:
+    """The centerline of a state, whose first station lies `start_m` behind the reference point's foot."""
+    arcs = ARCS * (len(state) - ROAD - 1)
+    path, step = np.empty((arcs, 5)), spacing_m / ARCS
+    heading = state[THETA]
+    x, y = reference_x_m + state[OFFSET] * math.sin(heading), -state[OFFSET] * math.cos(heading)
+    for i in range(arcs):
+        kappa = curvature(state, (i + 0.5) * step + start_m, spacing_m)
+        path[i, 0], path[i, 1], path[i, 2], path[i, 3], path[i, 4] = i * step, x, y, heading, kappa
+        along, aside = _on_arc(kappa, step)
+        cos, sin = math.cos(heading), math.sin(heading)
+        x, y = x + along * cos - aside * sin, y + along * sin + aside * cos
+        heading += kappa * step
+    return path
+
+
+@compiled
+def _on_arc(kappa: float, s_m: float) -> tuple[float, float]:
+    """Where an arc is after a length, along and to the left of its first direction [m]."""
+    half = 0.5 * kappa * s_m
+    chord = s_m if abs(half) < 1e-9 else s_m * math.sin(half) / half
+    return chord * math.cos(half), chord * math.sin(half)
+
+
+@compiled
+def place_on(path: FloatArray, s_m: float) -> tuple[float, float, float]:
+    """x, y [m] and heading [rad] of a path at an arc length; before and beyond it its first and last arc go on."""
+    arc = min(max(int(s_m / path[1, 0]), 0), len(path) - 1)
+    beyond = s_m - path[arc, 0]
+    along, aside = _on_arc(path[arc, 4], beyond)
+    cos, sin = math.cos(path[arc, 3]), math.sin(path[arc, 3])
+    return (
+        path[arc, 1] + along * cos - aside * sin,
+        path[arc, 2] + along * sin + aside * cos,
+        path[arc, 3] + path[arc, 4] * beyond,
+    )
+
+
+@compiled
+def foot_on(path: FloatArray, x_m: float, y_m: float) -> tuple[float, float]:
+    """Arc length of the foot of a point, and the point's distance to the left of the path [m]."""
+    nearest, arc, half = np.inf, 0, 0.5 * path[1, 0]
+    for i in range(len(path)):
+        middle = path[i, 3] + 0.5 * path[i, 4] * half
+        away_x = x_m - path[i, 1] - half * math.cos(middle)
+        away_y = y_m - path[i, 2] - half * math.sin(middle)
+        square = away_x * away_x + away_y * away_y
+        if square < nearest:
+            nearest, arc = square, i
+    cos, sin, kappa = math.cos(path[arc, 3]), math.sin(path[arc, 3]), path[arc, 4]
+    x, y = x_m - path[arc, 1], y_m - path[arc, 2]
+    ahead, left = x * cos + y * sin, y * cos - x * sin
+    if abs(kappa) < 1e-9:
+        return path[arc, 0] + ahead, left
+    a, b = kappa * ahead, max(1.0 - kappa * left, 0.05)
+    s = math.atan2(a, b) / kappa
+    return path[arc, 0] + s, (2.0 * left - kappa * (left * left + ahead * ahead)) / (1.0 + math.hypot(a, b))
+
+
+@compiled
+def path_row(
+    row: FloatArray, path: FloatArray, start_m: float, spacing_m: float, reference_x_m: float, s_m: float
+) -> tuple[float, float, float]:
+    """Fill a row with the derivatives of the path's place, to its left, at an arc length; returns that place.
+
+    The row (4 + stations,) is that of the state; width and pitch do not move the path.
+    """
+    x, y, heading = place_on(path, s_m)
+    cos, sin = math.cos(heading), math.sin(heading)
+    row[:] = 0.0
+    row[OFFSET] = -math.cos(heading - path[0, 3])
+    row[THETA] = (x - reference_x_m) * cos + y * sin
+    step, last = path[1, 0], len(path) - 1
+    for i in range(last + 1):
+        passed = s_m - path[i, 0]
+        if passed <= 0.0:
+            break
+        if i < last:
+            passed = min(passed, step)
+        along, aside = _on_arc(path[i, 4], 0.5 * passed)
+        first_cos, first_sin = math.cos(path[i, 3]), math.sin(path[i, 3])
+        turns_x = path[i, 1] + along * first_cos - aside * first_sin
+        turns_y = path[i, 2] + along * first_sin + aside * first_cos
+        moved = passed * ((x - turns_x) * cos + (y - turns_y) * sin)
+        first, share = station(path[i, 0] + 0.5 * step + start_m, spacing_m, len(row) - ROAD)
+        row[ROAD + first] += (1.0 - share) * moved
+        row[ROAD + first + 1] += share * moved
+    return x, y, heading
