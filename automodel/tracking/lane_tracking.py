@@ -17,7 +17,16 @@ from automodel.config import CarConfig
 from automodel.curves import Curve
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import SightedLine
-from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion
+from automodel.signals import (
+    Crossing,
+    Frame,
+    LaneEstimate,
+    LaneLine,
+    LanePose,
+    LaneStatus,
+    Motion,
+    MotionSource,
+)
 from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, Part, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
@@ -111,6 +120,7 @@ class LaneTracking:
         self._hypotheses.start(())
         self._innovations.reset()
         self.in_doubt = False
+        self._reckons = False  # whether the last frame's motion is the odometry's
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
@@ -148,6 +158,7 @@ class LaneTracking:
             self._news_m += max(driven, STILL_LANES * self._unit * moved.dt_s)
             self._around_m += driven
             self._bends.move(driven)
+        self._reckons = moved.known and motion.source is not MotionSource.IMAGES
         return moved
 
     def mistrust(self) -> None:
@@ -320,11 +331,17 @@ class LaneTracking:
         return None
 
     def _misses(self, followed: Followed, measured: LaneBelief, best: Hypothesis) -> bool:
-        """Whether the estimator misses a line of its lane that is in view, which says otherwise, or far more."""
+        """Whether the estimator misses a line of its lane that is in view.
+
+        It does where it knows far less than that line says, or where both lines are in view and say otherwise; without
+        odometry the belief has no more of a past than the estimator, and does not know better.
+        """
         missed = any(best.line(role) and not line.seen for line, role in _sides(followed))
         if not missed or self._confusable(best.belief):
             return False
-        return self._vaguer(measured, best.belief) or self._apart(measured, best.belief) > self.config.differs
+        pair = self._reckons and best.line(LEFT) and best.line(RIGHT)
+        otherwise = bool(pair) and self._apart(measured, best.belief) > self.config.differs
+        return otherwise or self._vaguer(measured, best.belief)
 
     def _vaguer(self, one: LaneBelief, other: LaneBelief) -> bool:
         """Whether one is so much less certain than the other that it says nothing against it."""

@@ -17,7 +17,7 @@ def one(path: str) -> TunedNumber:
 
 
 def test_fields_attributes_and_parts_of_tuples_are_found() -> None:
-    assert one("tracking.lane_tracking.TrackingConfig.width_sigma").value == 0.12
+    assert one("tracking.belief.RoadModel.width_sigma").value == 0.12
     assert one("perception.markings.binary_views.WhiteAreas.NARROW").value == 0.45  # NARROW, WIDE = 0.45, 2.4
     assert one("estimation.image_motion.MAX_GAP_S").value == 0.5
     assert one("perception.line_scan.ScanConfig.bar_lanes[1]").value == 0.4
