@@ -325,23 +325,32 @@ class LaneTracking:
             self._doubt(belief.without_road())
         elif best.assigned:
             self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
-            if self._misses(followed, measured, best):
+            if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)
                 return best.belief
         return None
 
-    def _misses(self, followed: Followed, measured: LaneBelief, best: Hypothesis) -> bool:
+    def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.
 
         It does where it knows far less than that line says, or where both lines are in view and say otherwise; without
         odometry the belief has no more of a past than the estimator, and does not know better.
         """
-        missed = any(best.line(role) and not line.seen for line, role in _sides(followed))
-        if not missed or self._confusable(best.belief):
+        missed = [role for line, role in _sides(followed) if best.line(role) and not line.seen]
+        if not missed or self._confusable(best.belief) or not self._stands_out(belief, best, missed):
             return False
         pair = self._reckons and best.line(LEFT) and best.line(RIGHT)
         otherwise = bool(pair) and self._apart(measured, best.belief) > self.config.differs
         return otherwise or self._vaguer(measured, best.belief)
+
+    def _stands_out(self, belief: LaneBelief, best: Hypothesis, roles: list[float]) -> bool:
+        """Whether the lines of these roles are more than specks that lie where a line would, as was believed."""
+        evidence, anything = Evidence(belief), belief.anything()
+        looks = [look for line, role in best.assigned for look in evidence.looks(line, (role,))]
+        others = [look for look in looks if look.role not in roles]
+        alone = sum(anything.of_line(look.line) for look in looks if look.role in roles)
+        odds = evidence.log_likelihood(looks) - alone - (evidence.log_likelihood(others) if others else 0.0)
+        return odds > self.config.exists
 
     def _vaguer(self, one: LaneBelief, other: LaneBelief) -> bool:
         """Whether one is so much less certain than the other that it says nothing against it."""
