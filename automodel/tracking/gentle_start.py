@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch
 from automodel.perception.rows.row_ground_lookup import GENTLE_LANES
 from automodel.tracking.belief import LaneBelief, RoadModel
 from automodel.types import FloatArray, Image
-
-if TYPE_CHECKING:
-    from automodel.perception.rows.lane_pair_search import LineIntegralSearch
 
 
 class GentleLane(NamedTuple):
@@ -51,9 +49,6 @@ class GentleStart:
         self._road = RoadModel(lane_width_m=self._unit, marking_width_m=marking_m)
         if self._radius < GENTLE_LANES:
             return
-        # Here, not above: it loads the compiler, which takes time and is for nothing on other roads.
-        from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch
-
         searched = LaneSearchConfig(
             lane_width_m=self._unit,
             marking_m=marking_m,

@@ -17,6 +17,7 @@ from automodel.tracking import evidence, lane_path
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.frame_motion import MAX_GAP_S
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT
+from automodel.tracking.lane_path import ROAD
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from tests.support.drawn_roads import Road
 from tests.support.sighted_lines import line_of
@@ -252,6 +253,39 @@ def test_an_estimator_of_one_line_is_sent_to_the_lane_where_the_other_is_in_view
     assert found
     assert found[0].offset_m == pytest.approx(0.0, abs=0.01)
     assert found[0].width_m == pytest.approx(LANE_M, abs=0.02)
+
+
+def test_a_speck_where_the_other_line_may_be_starts_nothing_anew() -> None:
+    drive = driving()
+    for aside in (0.03, 0.05, 0.03, 0.05, 0.03, 0.05):  # ever again farther out than the right line is
+        speck = line_of(Road(aside_m=-aside), RIGHT, 1.2, 1.21, count=1)
+        drive.follow(unsure(said(0.0, (LEFT,))), (*sights(0.0, (LEFT,)), speck))
+        assert drive.anew is None
+
+
+def test_a_lone_line_teaches_nothing_until_it_is_weighed_with_all_in_view() -> None:
+    drive = driving()
+    drive.follow(said(0.0, (LEFT,)), sights(0.0))  # a look at all of them
+    before = drive.tracking._belief
+    drive.predict()
+    followed = replace(said(0.0, (LEFT,)), left=said(0.015, (LEFT,)).left)  # it follows something beside its line
+    assert not drive.tracking.looks_around(followed)
+    drive.tracking.follow(drive.frame, followed)
+    after = drive.tracking._belief
+    assert before is not None
+    assert after is not None
+    assert after.state[:ROAD] == pytest.approx(before.state[:ROAD], abs=1e-3)
+    assert not drive.doubted
+
+
+def test_the_road_that_was_seen_is_forgotten_where_its_lines_contradict_the_estimator() -> None:
+    drive = driving()
+    assert drive.tracking._belief is not None
+    known = drive.tracking._belief.covariance.diagonal()[ROAD + 4]  # two lane widths ahead
+    drive.follow(said(0.15))
+    assert drive.doubted
+    assert drive.tracking._reckoned is not None
+    assert drive.tracking._reckoned.covariance.diagonal()[ROAD + 4] > 2.0 * known
 
 
 def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen() -> None:

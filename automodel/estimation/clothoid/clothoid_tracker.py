@@ -327,13 +327,13 @@ class ClothoidTracker:
         of `shape` at which lines were found [m], then their angles to the left of it [rad]; valid where `found` (2 k,)
         is 1, not 0.
         """
-        before, after, (prior, p) = self.known(), self.covariance, self._prior
-        carrying = self._correct((before, after, prior, p), shape, nodes, residual, found)
+        before, covariance, (prior, p) = self.known(), self.covariance, self._prior
+        carrying = self._correct((before, covariance, prior, p), shape, nodes, residual, found)
         left = nodes < self.pair.count
         sides = bool((carrying & left).any()), bool((carrying & ~left).any())
         if sides[0] != sides[1]:
             alone, moved = _of_known_width(p, 1.0 if sides[0] else -1.0)
-            carrying = self._correct((before, after, prior, alone), shape, nodes, residual, found)
+            carrying = self._correct((before, covariance, prior, alone), shape, nodes, residual, found)
             self.covariance += moved @ p[WIDTH:CURVATURE, WIDTH:CURVATURE] @ moved.T
         return carrying
 
