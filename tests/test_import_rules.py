@@ -119,7 +119,7 @@ def other_pipelines(module: str, imported: set[str]) -> set[str]:
     if not module.startswith("automodel.pipelines."):
         return set()
     pipelines = {name for name in imported if name.startswith("automodel.pipelines")}
-    return pipelines - {"automodel.pipelines.stages", "automodel.pipelines.lane_initialiser", module}
+    return pipelines - {"automodel.pipelines.stages", module}
 
 
 def circle(graph: dict[str, set[str]]) -> list[str]:

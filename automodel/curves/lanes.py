@@ -1,4 +1,4 @@
-"""Lanes as values: what estimation expects perception to look for, and what it may start with."""
+"""Lanes as values: what estimation expects perception to look for."""
 
 from __future__ import annotations
 
@@ -45,18 +45,3 @@ class LaneShape:
     def nearest_s(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""
         return self.s_m[nearest_samples(self.points_m, points_m)]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ArcLane:
-    """A lane that is an arc, to start a tracker with: offset [m] and the lane's heading [rad] at the reference point.
-
-    It was measured at the distance `measured_at_m` ahead; `share` scales the start sigmas of place and heading there.
-    """
-
-    offset_m: float
-    heading_rad: float
-    width_m: float
-    curvature_per_m: float
-    measured_at_m: float
-    share: float = 1.0

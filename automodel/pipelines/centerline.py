@@ -23,7 +23,6 @@ from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing
-from automodel.perception.windows.line_initialisation import LineInitialisation
 from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
@@ -68,7 +67,6 @@ class Centerline:
     name = "centerline"
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
     SEEN_POINTS = 2  # that make a line seen
-    START_POINTS = 4  # on each line that starts a lane
     REACH_LANES = 0.2  # lateral distance from its expected place in which a line is searched
     END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
 
@@ -102,7 +100,6 @@ class Centerline:
         if isinstance(self._markings, RidgeFilter):
             self._markings = RidgeFilter.of_camera(self._camera, marking_m, markings=self._car.lane.markings)
         self._features = FeaturePoints(self._car.camera, self.view, marking_m, options.threshold)
-        self._initialisation = LineInitialisation(self.view, unit, shown_m, self._reference_x_m)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
         self._scan = LineScan(self.view, unit, shown_m)
         self._gentle.look_for(marking_m)
@@ -138,7 +135,7 @@ class Centerline:
         if self._lane is None:
             start = self._tracking.start(frame.t_ns, self._scan.step(features))  # lines in view, the lane's pair
             gentle = self._begin(frame.image)  # line integrals, where all bends are wide
-            started = gentle or (self._find(features) if start is None else self._restart(features, start))
+            started = gentle or (self._restart(features, start) if start is not None else None)
             self.stages.lap("start")
             if started is None:
                 if start is not None:
@@ -146,9 +143,7 @@ class Centerline:
                 return self._tracking.lost_estimate(frame)
             self._lane, lines = started
             if gentle is not None:
-                self._tracking.begin(frame.t_ns, True, self._followed(self._lane, lines).pose)
-            elif start is None:
-                self._tracking.begin(frame.t_ns, all(lines.used))
+                self._tracking.begin(frame.t_ns, self._followed(self._lane, lines).pose)
         else:
             both = self._follow_lines(features, self._lane)  # window line following
             self.stages.lap("following")
@@ -189,25 +184,10 @@ class Centerline:
         found = self._gentle.step(image)
         if found is None:
             return None
-        sigma = np.full(len(found.left_m), found.sigma_m)
-        left, right = (SeenLine(points_m=points, sigma_m=sigma) for points in (found.left_m, found.right_m))
+        left = SeenLine(points_m=found.left_m, sigma_m=found.left_sigma_m)
+        right = SeenLine(points_m=found.right_m, sigma_m=found.right_sigma_m)
         lane = TrackedLane(self._unit, self._reference_x_m)
         return (lane, Lines(left, right, (True, True))) if lane.start(left, right) else None
-
-    def _find(self, features: Image) -> tuple[TrackedLane, Lines] | None:
-        """A lane from this frame alone: from a pair of lines, or from one."""
-        starts = self._initialisation.step(features)
-        seen = [SeenLine(points_m=NO_POINTS, sigma_m=np.empty(0)) for _ in starts]
-        for i, start in enumerate(starts):
-            if start is not None:
-                followed = self._following.follow(features, start)
-                if len(followed) >= self.START_POINTS:
-                    seen[i] = self._seen(followed)
-        left, right = seen
-        lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.start(left, right):
-            return None
-        return lane, Lines(left, right, (len(left.points_m) > 0, len(right.points_m) > 0))
 
     def _restart(self, features: Image, belief: LaneBelief) -> tuple[TrackedLane, Lines] | None:
         """A lane from the lines about a belief; None where there is no line."""

@@ -8,6 +8,7 @@ is followed, or another one may be, the whole view is searched for lines.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -16,7 +17,6 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import DeferredCurve
-from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
 from automodel.estimation.image_motion import ImageMotion
@@ -27,12 +27,11 @@ from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import WhiteAreas, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.rows.brightness import CHANNELS, Brightness
-from automodel.perception.rows.lane_pair_search import InitialLane, LaneSearchConfig
-from automodel.perception.rows.row_hough import RowHough
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, MotionSource
 from automodel.tracking.belief import LaneBelief
+from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Floats, Image
 
@@ -57,7 +56,7 @@ class Contour:
     name = "contour"
     ROUNDS, START_ROUNDS = 3, 4  # iterations of measurement and correction, at most
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
-    LINE_NODES = 2  # that make a line seen; twice as many start one
+    LINE_NODES = 2  # that make a line seen
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     PIECES = 7  # maximum number of the pair's stations ahead
@@ -75,6 +74,7 @@ class Contour:
         self._pair = self._tracker.pair
         self._projection = LineProjection(camera, dtype)
         self._image_motion = ImageMotion(camera, unit)
+        self._gentle = GentleStart(car, camera, options.look_ahead_lanes)
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
@@ -89,15 +89,7 @@ class Contour:
         self._search = RowSearch(
             self._projection, brightness, options.contrast, self._nodes_m, marking_m, unit, self._size
         )
-        searched = LaneSearchConfig(
-            lane_width_m=unit,
-            marking_m=marking_m,
-            reference_x_m=self._car.vehicle.reference_x_m,
-            contrast=options.contrast,
-            radius_lanes=options.radius_lanes,
-            ahead=min(options.look_ahead_lanes, 2.0),
-        )
-        self._lane_search = RowHough(self._camera, searched, brightness, self._car.lane.markings == "both")
+        self._gentle.look_for(marking_m)
         ahead_m, half_m = options.look_ahead_lanes * unit, self.VIEW_HALF * unit
         view = road_view(self._camera, ahead_m, half_m, marking_m / self.MARKING_PX)
         self._birdseye = BirdsEye(self._camera, view)
@@ -148,14 +140,14 @@ class Contour:
         if self._width.step(frame.image):
             self._look_for(self._width.width_m, self._search.dark)
         self.stages.lap("width")
-        both = False
+        gentle, both = None, False
         if self._tracking.lost:
             start = self._tracking.start(frame.t_ns, self._scan.step(self._lines_in_view(frame.image)))
-            found = self._start(frame)  # line integrals, row Hough transform
+            gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             self.stages.lap("start")
-            if found is not None and (found[1] or start is None):
-                tracked, both = found
-                self._tracking.begin(frame.t_ns, both, self._followed(tracked, self._seen(tracked)).pose)
+            if gentle is not None:
+                tracked, both = self._restart(frame.image, gentle.belief), True
+                self._tracking.begin(frame.t_ns, self._followed(tracked, self._seen(tracked)).pose)
             elif start is not None:
                 tracked, both = self._restart(frame.image, start), self._tracking.paired
             else:
@@ -164,8 +156,11 @@ class Contour:
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
             tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
-        nodes = 1 if both else self.LINE_NODES  # a start looks at more rows than there are nodes
-        followed = self._followed(tracked, self._seen(tracked, nodes))
+        followed = self._followed(tracked, self._seen(tracked))
+        if gentle is not None:  # which looks at more rows than there are nodes
+            left = replace(followed.left, points_m=gentle.left_m, seen=True)
+            right = replace(followed.right, points_m=gentle.right_m, seen=True)
+            followed = replace(followed, left=left, right=right)
         if not both and self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             anew = self._tracking.judge(self._scan.step(self._lines_in_view(frame.image)), followed)
             if anew is not None:
@@ -182,11 +177,8 @@ class Contour:
     def _warm_up(self) -> None:
         """Compile everything that a step calls, so that no step waits for it."""
         nothing = np.zeros(self._size, np.uint8)
-        self._lane_search.step(nothing)
-        straight = ArcLane(
-            offset_m=0.0, heading_rad=0.0, width_m=self._unit, curvature_per_m=0.0, measured_at_m=self._unit
-        )
-        self._tracker.start(straight)
+        self._gentle.step(nothing)
+        self._tracker.start(np.array((0.0, 0.0, 0.0, self._unit)), np.diag(np.full(4, self._settled_m**2)))
         self._tracker.move(0.0, 0.0, True)
         self._tracker.pose()
         tracked = self._track(nothing, 1, True)
@@ -214,27 +206,22 @@ class Contour:
         self._odometry_used = moved.known and motion.source is not MotionSource.IMAGES
         self._tracker.move(moved.distance_m, moved.turn_rad, moved.known)
 
-    def _start(self, frame: Frame) -> tuple[Tracked, bool] | None:
-        """A lane from this frame alone, and whether both its lines were seen; None where there is no lane."""
-        lane = self._search_lane(frame.image)
-        if lane is None:
-            return None
-        self._tracker.start(lane)
-        self._search.forget(lane.edge, lane.dark)
-        tracked = self._track(frame.image, self.START_ROUNDS)
-        if (max(tracked.counts()) < 2 * self.LINE_NODES and not lane.fitted) or not self._within():
-            return None
-        return tracked, lane.fitted or self._sure(tracked.counts())  # fitted: on more rows than there are nodes
-
     def _restart(self, image: Image, belief: LaneBelief) -> Tracked:
-        """The pair measured anew about a belief."""
-        self._tracker.restart(belief.mean, belief.spread)
-        self._search.forget()
+        """The pair measured anew about a belief; of either polarity, if it may be both, that which shows more of it."""
+        dark = self._search.dark
+        if self._car.lane.markings == "both":
+            counts = {each: sum(self._measured_anew(image, belief, each).counts()) for each in (dark, not dark)}
+            dark = max(counts, key=lambda each: counts[each])
+        return self._measured_anew(image, belief, dark)
+
+    def _measured_anew(self, image: Image, belief: LaneBelief, dark: bool) -> Tracked:
+        self._tracker.start(belief.mean, belief.spread)
+        self._search.forget(dark=dark)
         return self._track(image, self.START_ROUNDS)
 
-    def _seen(self, tracked: Tracked, nodes: int = LINE_NODES) -> tuple[bool, bool]:
+    def _seen(self, tracked: Tracked) -> tuple[bool, bool]:
         left, right = tracked.counts()
-        return left >= nodes, right >= nodes
+        return left >= self.LINE_NODES, right >= self.LINE_NODES
 
     def _lines_in_view(self, image: Image) -> Image:
         pixels, colour = np.asarray(image), self._options.colour
@@ -245,17 +232,6 @@ class Contour:
         else:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         return self._white_areas.step(self._birdseye.warp(np.asarray(grey, dtype=np.uint8))).lines
-
-    def _search_lane(self, image: Image) -> InitialLane | None:
-        """A lane on whole rows, without prediction."""
-        lane = self._lane_search.step(image)
-        self.stages.lap("start")
-        return lane
-
-    def _within(self) -> bool:
-        """Whether the car is in the lane; else it is the neighbouring lane, or none."""
-        offset, _, width, _ = self._tracker.pose()
-        return abs(offset) < 0.5 * width
 
     def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""
@@ -275,9 +251,6 @@ class Contour:
             if tracker.moved_m < self._settled_m:
                 break
         return Tracked(shape, seen, inliers)
-
-    def _sure(self, counts: tuple[int, int]) -> bool:
-        return min(counts) >= 2 * self.LINE_NODES
 
     def _followed(self, tracked: Tracked, seen: tuple[bool, bool]) -> Followed:
         offset, theta, width, covariance = self._tracker.pose()

@@ -1,6 +1,6 @@
 """`windows`: the lane lines of Balbuena Palma et al. 2020, for the AutoModelCar, in metres and over time.
 
-Bird's-eye view -> binarisation, white-areas filter -> crossing search -> histogram start or prediction -> sliding
+Bird's-eye view -> binarisation, white-areas filter -> crossing search -> prediction, or histogram start -> sliding
 windows -> regression -> lane fit (width, offset, heading, curvature). The paper treats every frame alone. Here the lane
 is carried from frame to frame by odometry, because the nearest ground that the camera sees lies ahead of the car, and
 because no line is visible at a crossing.
@@ -25,8 +25,7 @@ from automodel.perception.markings.binary_views import MarkingViews, TemporalPai
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
-from automodel.perception.windows.sliding_windows import SlidingWindows
-from automodel.pipelines.lane_initialiser import LaneCandidate, LaneInitialiser
+from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
 from automodel.pipelines.stages import StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
 from automodel.tracking.belief import LaneBelief
@@ -42,6 +41,7 @@ class Windows:
     """The pipeline of Balbuena Palma et al. 2020."""
 
     name = "windows"
+    SEEN_WINDOWS = 2  # that make a line seen
     CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
 
@@ -85,7 +85,7 @@ class Windows:
         )
         self._crossings = CrossingSearch(self.view, lane.width_m, marking_m)
         self._windows = SlidingWindows(self.view, marking_m)
-        self._initialiser = LaneInitialiser(self._windows, self._tracker)
+        self._histogram = HistogramStart(self.view, marking_m)
         self._scan = LineScan(self.view, lane.width_m, marking_m)
         self._gentle.look_for(marking_m)
 
@@ -122,15 +122,11 @@ class Windows:
             start = self._tracking.start(frame.t_ns, self._scan.step(lines))  # lines in view, the lane's pair
             self.stages.lap("start")
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
-            candidate = self._initialiser.find(lines) if start is None else None  # histogram start, windows, fit
             if gentle is not None:
                 followed = self._followed(None, *self._begin(gentle))
-                self._tracking.begin(frame.t_ns, True, followed.pose)
+                self._tracking.begin(frame.t_ns, followed.pose)
             elif start is not None:
                 followed = self._followed(None, *self._restart(start, view, areas, lines))
-            elif candidate is not None:
-                followed = self._followed(None, *self._start(candidate))
-                self._tracking.begin(frame.t_ns, candidate.pair)
             else:
                 return self._tracking.lost_estimate(frame)
         else:
@@ -168,23 +164,20 @@ class Windows:
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         return self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
 
-    def _start(self, candidate: LaneCandidate) -> Fitted:
-        self._tracker.start(candidate.seen, candidate.solution)
-        return candidate.seen, candidate.solution, candidate.support
-
     def _begin(self, lane: GentleLane) -> Fitted:
         """The lane fitted to the lines of a start from the whole image."""
         arc = self._tracker.fit.start(*lane.belief.mean.tolist())
         self._tracker.place(arc)
-        sigmas = [np.full(len(points), lane.sigma_m) for points in (lane.left_m, lane.right_m)]
-        seen = Observation(left_m=lane.left_m, right_m=lane.right_m, left_sigma_m=sigmas[0], right_sigma_m=sigmas[1])
+        _, left, right, left_sigma, right_sigma = lane
+        seen = Observation(left_m=left, right_m=right, left_sigma_m=left_sigma, right_sigma_m=right_sigma)
         return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(lane.belief.spread)))
 
     def _restart(self, belief: LaneBelief, view: Image, areas: MarkingViews, lines: Image) -> Fitted:
         """The lane fitted anew about a belief."""
         arc = self._tracker.fit.start(*belief.mean.tolist())
         self._tracker.place(arc)
-        seen = self._observe(view, areas, lines, self._scan_crossing(areas.bright))
+        beside_m = self._lines_beside(belief, lines)
+        seen = self._observe(view, areas, lines, self._scan_crossing(areas.bright), beside_m)
         return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.spread)))
 
     def _scan_crossing(self, bright: Image) -> CrossingScan:
@@ -194,11 +187,35 @@ class Windows:
             self._tracker.add_crossing(scan.crossing.distance_m, scan.crossing.angle_rad - 0.5 * math.pi)
         return scan
 
-    def _observe(self, view: Image, areas: MarkingViews, lines: Image, scan: CrossingScan) -> Observation:
-        """Both lines' points about the predicted lane, without reflections and where no paint covers the lane."""
+    def _lines_beside(self, belief: LaneBelief, lines: Image) -> tuple[float, float]:
+        """How far [m] the left and the right line lie to the left of a belief, up to its uncertainty: the histogram."""
+        x = self._windows.centre_x_m
+        left, right = (
+            self._histogram.step(
+                lines,
+                x,
+                self._windows.expected(self._tracker.shape, side),
+                2.0 * float(belief.beside(x[:1] - self._reference_x_m, 0.5 * side)[2][0]),
+            )
+            for side in (+1, -1)
+        )
+        return left, right
+
+    def _observe(
+        self,
+        view: Image,
+        areas: MarkingViews,
+        lines: Image,
+        scan: CrossingScan,
+        beside_m: tuple[float, float] = (0.0, 0.0),
+    ) -> Observation:
+        """Both lines' points about the predicted lane, without reflections and where no paint covers the lane.
+
+        `beside_m`: how far the left and the right line start to the left of that.
+        """
         lane = self._tracker.shape
         widening = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
-        left, right = self._windows.expected(lane, +1), self._windows.expected(lane, -1)
+        left, right = self._windows.expected(lane, +1) + beside_m[0], self._windows.expected(lane, -1) + beside_m[1]
         turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
         seen = self._windows.observe(lines, left, right, widening, turn)
         if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
@@ -217,7 +234,7 @@ class Windows:
     def _followed(
         self, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> Followed:
-        left_seen, right_seen = (n >= LaneInitialiser.LINE_WINDOWS for n in (support.left, support.right))
+        left_seen, right_seen = (n >= self.SEEN_WINDOWS for n in (support.left, support.right))
         fit, p = self._tracker.fit, solution.parameters
         count = len(seen.left_m)
         left_m = seen.left_m[solution.inliers[:count]]

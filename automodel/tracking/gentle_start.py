@@ -16,12 +16,13 @@ from automodel.types import FloatArray, Image
 
 
 class GentleLane(NamedTuple):
-    """A lane, and points (n, 2) [m] on its left and right line, near to far, with their sigma [m]."""
+    """A lane, and points (n, 2) [m] on its left and right line, near to far, with their sigmas (n,) [m]."""
 
     belief: LaneBelief
     left_m: FloatArray
     right_m: FloatArray
-    sigma_m: float
+    left_sigma_m: FloatArray
+    right_sigma_m: FloatArray
 
 
 class GentleStart:
@@ -30,7 +31,6 @@ class GentleStart:
     How tight they may be is what car.toml's `[pipeline.contour] radius_lanes` says of the road.
     """
 
-    SIGMA = 0.03  # lane widths, and radians: error of what the search finds, some hundredths of a lane width
     SPACING = 0.3  # lane widths between two points
 
     def __init__(self, car: CarConfig, camera: GroundCamera, ahead_lanes: float) -> None:
@@ -63,12 +63,9 @@ class GentleStart:
             return None
         for brightness in self._polarities:
             lane = self._search.step(image, brightness)
-            if lane is None or not lane.fitted:
+            if lane is None:
                 continue
-            sigma_m = self.SIGMA * self._unit
-            mean = np.array((lane.offset_m, lane.heading_rad, lane.curvature_per_m, lane.width_m))
-            spread = np.square((sigma_m, self.SIGMA, 1.0 / (self._radius * self._unit), sigma_m))
-            belief = LaneBelief.arc(mean, np.diag(spread), self._road, self._reference_x_m)
-            left, right = (belief.beside(self._s, side)[0] for side in (+0.5, -0.5))
-            return GentleLane(belief, left, right, sigma_m)
+            belief = LaneBelief.arc(lane.mean, lane.covariance, self._road, self._reference_x_m)
+            (left, _, left_sigma), (right, _, right_sigma) = (belief.beside(self._s, side) for side in (+0.5, -0.5))
+            return GentleLane(belief, left, right, left_sigma, right_sigma)
         return None

@@ -47,9 +47,8 @@ class TrackingConfig:
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
     followed.
-    `exists`: log-odds [nats] that it must have against clutter. `confirm_s`: for so long must a lane of one line be
-    seen before it is told. `start_lanes`, `start_rad`, `start_bend`: sigmas of a car's offset, heading and bend
-    [1 / lane width] where nothing is known.
+    `exists`: log-odds [nats] that it must have against clutter. `start_lanes`, `start_rad`, `start_bend`: sigmas of a
+    car's offset, heading and bend [1 / lane width] where nothing is known.
     """
 
     coast_s: float
@@ -60,7 +59,6 @@ class TrackingConfig:
     differs: float = 9.2
     sure: float = 0.99
     exists: float = 5.0
-    confirm_s: float = 0.1
     start_lanes: float = 0.25
     start_rad: float = 0.25
     start_bend: float = 0.2
@@ -80,8 +78,8 @@ class Followed:
 class LaneTracking:
     """One lane from frame to frame, for one pipeline.
 
-    In each frame: `predict`; while `lost`, `start` with the lines of the whole view, or `begin` with what the
-    pipeline's own detection found; while `in_doubt`, `judge`, which may say where the estimator must start anew; then
+    In each frame: `predict`; while `lost`, `start` with the lines of the whole view, or `begin` with what another
+    search found; while `in_doubt`, `judge`, which may say where the estimator must start anew; then
     `follow`.
     """
 
@@ -124,7 +122,6 @@ class LaneTracking:
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
-        self._confirmed_ns = 0
         self._pair_m = 0.0  # driven with both lines seen
 
     @property
@@ -169,30 +166,33 @@ class LaneTracking:
     def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
 
-        The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across.
+        The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across. Where
+        one of its lines is all that is in view, it is in doubt.
         """
         if not self._hypotheses.all:
             self._hypotheses.start(((self._anywhere(), 0.0),))
         self._hypotheses.update(lines, self._kinds)
         best = self._hypotheses.all[0]
-        if not self._sure(best) or abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
+        if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
+            self._hypotheses.start(())
             return None
-        pair = bool(best.line(LEFT) and best.line(RIGHT))
-        self._seen_ns = t_ns
-        self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
-        self._pair_m = self._unit if pair else 0.0
-        self._believe(best.belief)
+        roles = {role for _, role in best.assigned}
+        if self._sure(best):
+            self._believe(best.belief)
+        elif roles in ({LEFT}, {RIGHT}) and self._alone(best):
+            self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
+        else:
+            return None
+        self._seen_ns, self._pair_m = t_ns, self._unit if roles >= {LEFT, RIGHT} else 0.0
         return best.belief
 
-    def begin(self, t_ns: int, pair: bool, pose: LanePose | None = None) -> None:
-        """Begin with a lane that the pipeline's own detection found; `pair`: of both its lines.
+    def begin(self, t_ns: int, pose: LanePose) -> None:
+        """Begin with a lane that another search found.
 
         It is in doubt, unless its `pose` may be that of the lane that `start` returned for the same frame.
         """
-        self._seen_ns = t_ns
-        self._confirmed_ns = t_ns if pair else t_ns + round(self.config.confirm_s * 1e9)
-        known = self._belief
-        if pose is not None and known is not None and self._apart(self._measured(pose), known) < self.config.gate:
+        self._seen_ns, known = t_ns, self._belief
+        if known is not None and self._apart(self._measured(pose), known) < self.config.gate:
             return
         self._pair_m, self._belief = 0.0, None
         self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
@@ -254,10 +254,14 @@ class LaneTracking:
 
         A single piece of a line can be anything; two at the distance of a lane's lines seldom are.
         """
-        alone = self._hypotheses.posterior()[0] > self.config.sure and best.news > self.config.exists
         own = bool(best.line(LEFT) or best.line(RIGHT)) and len({role for _, role in best.assigned}) > 1
-        wide = abs(best.belief.width_m / self._unit - 1.0) > 3.0 * self._bends.road.width_sigma
-        return alone and own and not wide and not self._confusable(best.belief)
+        width = best.belief.width_m / self._unit
+        lane = max(width, 1.0 / width) < math.exp(3.0 * self._bends.road.width_sigma) if width > 0.0 else False
+        return self._alone(best) and own and lane and not self._confusable(best.belief)
+
+    def _alone(self, best: Hypothesis) -> bool:
+        """Whether one hypothesis is left, and the last frame speaks for it."""
+        return self._hypotheses.posterior()[0] > self.config.sure and best.news > self.config.exists
 
     def _beats(self, best: Hypothesis, said: float, news: float) -> bool:
         """Whether a hypothesis is far likelier than the estimator's, by all frames and by this one."""
@@ -287,8 +291,6 @@ class LaneTracking:
             self._seen_ns, self._blind_m = frame.t_ns, 0.0
         if self._too_long(frame.t_ns, count):
             self.forget()
-            return self.lost_estimate(frame)
-        if frame.t_ns < self._confirmed_ns:
             return self.lost_estimate(frame)
         return self._estimate(frame, STATUS[count], followed)
 
@@ -424,7 +426,7 @@ class LaneTracking:
 
     def _too_long(self, t_ns: int, count: int) -> bool:
         blind_s = (t_ns - self._seen_ns) * 1e-9
-        if count == 0 and t_ns < self._confirmed_ns:
+        if blind_s == 0.0 and count == 0:  # the estimator does not see what the lane was to start with
             return True
         return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
 

@@ -144,7 +144,7 @@ def test_lanes_whose_lines_are_not_parallel(change: str, bend: bool) -> None:
 
 def test_a_lane_that_swells_and_shrinks() -> None:
     widths = tuple((1.0 + 1.0 * k, 0.4 + 0.06 * (-1) ** k) for k in range(8))
-    seen = MaskedDrive(track=road(STRAIGHT, widths=widths)).run(1.5, 6.5)[15:]
+    seen = MaskedDrive(track=road(STRAIGHT, widths=widths)).run(1.5, 6.5)[20:]
     assert errors(seen).available == 1.0
     assert np.ptp([s.truth.width_m for s in seen]) > 0.3 * 0.4 - 0.001
     assert np.abs(width_errors(seen)).max() < 0.05

@@ -15,7 +15,6 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
-from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import (
     CURVATURE,
     HEADING,
@@ -25,7 +24,7 @@ from automodel.estimation.clothoid.clothoid_pair import (
     ClothoidPair,
     PairShape,
 )
-from automodel.estimation.clothoid.solvers import SOLVERS, State, correct, gradient_descent, posterior
+from automodel.estimation.clothoid.solvers import SOLVERS, State, correct, gradient_descent
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.estimation.road import TAPER_LANES
 from automodel.types import Bools, FloatArray, Floats, Ints
@@ -47,7 +46,6 @@ class TrackerConfig:
     curvature_walk: float = 0.03  # of a station's value: what was measured gets out of date
     curvature_step: float = 0.4  # from station to station, per root lane width of road
     straighten: float = 0.95  # share of a curvature that is expected to remain half a lane width further on
-    start: float = 0.08  # sigma of a lane's offset, heading [rad] and width at the start
     unknown: float = 0.05  # added to the offset, and to the heading [rad], in a frame without odometry
     unknown_curvature: float = 0.8  # share that is kept then of a curvature out of sight: the car may have passed it
     unknown_share: float = 0.1  # share of the variance of roads' curvature that is added in its place
@@ -177,34 +175,19 @@ class ClothoidTracker:
         self.phase_m = self.advance_m = self.moved_m = 0.0
         self.iterations = 0
 
-    def start(self, lane: ArcLane) -> None:
-        """Start with a lane that was measured at `lane.measured_at_m`; little is known up to there."""
-        self.forget()
-        config, unit, n = self.config, self.config.lane_width_m, self.pair.count
-        guess = np.full(len(self._one), lane.curvature_per_m, self.pair.dtype)
-        guess[:CURVATURE] = lane.offset_m, lane.heading_rad, lane.width_m, 0.0
-        mean, covariance = guess.copy(), np.zeros_like(self._one)
-        mean[CURVATURE:] = 0.0
-        for parameter, sigma in enumerate((unit, 1.0, config.start * unit, ROAD_TAPER)):
-            covariance[parameter, parameter] = sigma**2
-        covariance[CURVATURE:, CURVATURE:] = self._road
-        node = self._node(lane.measured_at_m)
-        rows = self.pair.shape(guess, 0.0).jacobian[[node, node + n, node + 2 * n]]
-        precision = np.array((config.start * unit, config.start * unit, config.start)) ** -2.0
-        weighted = (rows * (precision / lane.share**2)[:, None].astype(guess.dtype)).T
-        self.covariance = posterior(weighted @ rows, covariance)
-        self.parameters = mean + self.covariance @ (weighted @ (rows @ (guess - mean)))
-        self._prior = self.parameters, self.covariance
-
-    def restart(self, mean: FloatArray, covariance: FloatArray) -> None:
+    def start(self, mean: FloatArray, covariance: FloatArray) -> None:
         """Start about a belief: (offset, heading of the lane, curvature, width) (4,), and its covariance (4, 4)."""
         self.forget()
         guess = np.full(len(self._one), mean[2], self.pair.dtype)
         guess[:CURVATURE] = *mean[[0, 1, 3]], 0.0
-        spread = np.zeros_like(self._one)
-        spread[:TAPER, :TAPER] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
+        near = self._road[0] / self._road[0, 0]  # how much of the curvature beside the car each station has
+        of = np.zeros((len(guess), 4))
+        of[[OFFSET, HEADING, WIDTH], [0, 1, 3]] = 1.0
+        of[CURVATURE:, 2] = near
+        spread = (of @ covariance @ of.T).astype(guess.dtype)
         spread[TAPER, TAPER] = ROAD_TAPER**2
-        spread[CURVATURE:, CURVATURE:] = self._road
+        spread[CURVATURE:, CURVATURE:] += self._road - self._road[0, 0] * np.outer(near, near)
+        spread.flat[:: len(guess) + 1] += self._floor
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
 
@@ -346,6 +329,3 @@ class ClothoidTracker:
         )
         self.iterations += count
         return carrying
-
-    def _node(self, s_m: float) -> int:
-        return int(np.abs(self.pair.nodes_m - s_m).argmin())

@@ -11,51 +11,42 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from automodel.curves.lanes import ArcLane
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
 from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, RowRidgeFilter
-from automodel.types import Float32Array, Floats, Image, Ints
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InitialLane(ArcLane):
-    """A lane to start with, and how it was found.
-
-    `pair`: both lines support it. `edge`: how sharp markings are, as in `Ridges`. `fitted`: it was fitted to many rows
-    of both lines, and its error is some hundredths of a lane width. `dark`: its lines are darker than the ground.
-    """
-
-    pair: bool
-    edge: float
-    fitted: bool = False
-    dark: bool = False
+from automodel.types import Float32Array, FloatArray, Floats, Image, Ints
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneSearchConfig:
     """The searched lanes; lengths in lane widths.
 
-    Both searches share the prior of the width and the offset. Twice as large a `sigma` changes little in random worlds,
-    and loses a line of the lane in two of ten labelled highway images (`bench tusimple`).
+    `narrowest`: the least width; the largest is its inverse. `sigma`: of the prior's relative width, and of its offset;
+    twice as large it loses a line of the lane in two of ten labelled highway images (`bench tusimple`).
     """
 
     lane_width_m: float
     marking_m: float
     reference_x_m: float
     radius_lanes: float  # of the tightest bend
-    contrast: float = 0.0  # grey levels; 0: measured
-    rows: int = 16
-    ahead: float = 2.0  # depth of the rows from the nearest visible ground
-    heading_rad: float = 0.7  # the largest
-    narrowest: float = 0.7  # width; the widest is its inverse
-    least_rows: int = 4  # that show each line of a pair; twice as many a single line
-    sigma: float = 0.1  # of the prior: relative width, and offset
+    narrowest: float = 0.7
+    sigma: float = 0.1
+
+
+class FittedLane(NamedTuple):
+    """An arc of a lane at the reference point's foot, with covariance (4, 4).
+
+    `mean` (4,): offset [m], the lane's heading [rad], curvature [1/m] and width [m].
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +64,11 @@ class LineIntegralSearch:
 
     ROWS = 40
     AHEAD, LATERAL = 9.0, 1.1  # lane widths of ground: depth, and reach to each side
-    HEADING_RAD, HEADINGS, CURVATURES, WIDTHS = 0.12, 33, 7, 41  # the largest heading; values of the table
+    HEADING_RAD, CURVATURES, WIDTHS = 0.12, 7, 41  # the largest heading; values of the table
     CURVATURE = 0.6  # one sigma of the prior, of the tightest bend's
     NOISE_LEVEL, MAX_EXCESS, MIN_EXCESS = 2.0, 10.0, -0.3  # noises: subtracted from a sample, then its limits
     STRONG, BEYOND = 8.0, 0.25  # sigmas above which a sum counts less, and how much of the rest counts
     FOUND = 3.5  # minimum score of a pair
-    MIN_SPREAD = 0.4  # of the sums on a bare road
 
     def __init__(self, camera: GroundCamera, config: LaneSearchConfig) -> None:
         unit = config.lane_width_m
@@ -92,12 +82,14 @@ class LineIntegralSearch:
         self._pixels, self._inside = self._lookup.pixels(
             np.broadcast_to(self._y, (len(self._lookup.rows), len(self._y)))
         )
-        self._filter = RowRidgeFilter(len(self._pixels), len(self._y), config.contrast)
+        self._filter = RowRidgeFilter(len(self._pixels), len(self._y))
         self._fit = LanePairLsq(camera, config, (self._near, far), 2 * self.ROWS - 1)
         tightest = 1.0 / (config.radius_lanes * unit)
-        bends, headings = np.linspace(-tightest, tightest, self.CURVATURES), np.linspace(-1.0, 1.0, self.HEADINGS)
+        # Lines with neighbouring headings part by two markings at the far end.
+        half = math.floor(self.HEADING_RAD * (far - self._near) / (2.0 * config.marking_m))
+        headings = np.linspace(-self.HEADING_RAD, self.HEADING_RAD, 2 * half + 1)
         self._widths = np.geomspace(config.narrowest, 1.0 / config.narrowest, self.WIDTHS)
-        kappa, theta = np.meshgrid(bends, self.HEADING_RAD * headings, indexing="ij")
+        kappa, theta = np.meshgrid(np.linspace(-tightest, tightest, self.CURVATURES), headings, indexing="ij")
         self._kappa, self._theta = kappa.ravel(), theta.ravel()
         dx = self._lookup.ahead_m - self._near
         shift = np.rint((self._theta[:, None] * dx + 0.5 * self._kappa[:, None] * dx * dx) / self._step)
@@ -109,7 +101,7 @@ class LineIntegralSearch:
         self._sigma = config.sigma
         self._prior_loss: Float32Array = (0.5 * prior).astype(np.float32)[:, None]
 
-    def step(self, image: Image, brightness: Brightness) -> InitialLane | None:
+    def step(self, image: Image, brightness: Brightness) -> FittedLane | None:
         """The lane with the largest line integrals; None where none is large enough."""
         evidence, noise = self._evidence(image, brightness)
         rough = self._pair(self._sums(evidence) * self._weight)
@@ -145,7 +137,7 @@ class LineIntegralSearch:
         sample = sums[::3, ::3]
         middle = float(np.median(sample))
         spread = 1.4826 * float(np.median(np.abs(sample - middle)))
-        sigmas = (sums - middle) * np.float32(1.0 / max(spread, self.MIN_SPREAD))
+        sigmas = (sums - middle) * np.float32(1.0 / max(spread, 1e-6))
         sigmas = np.minimum(sigmas, self.STRONG + self.BEYOND * (sigmas - self.STRONG))
         best: tuple[float, RoughPair | None] = -math.inf, None
         unit, y = self._unit, self._y
@@ -173,7 +165,6 @@ class LanePairLsq:
     SIGMA, SIGMA_PX = 0.15, 0.5  # of a ridge's place: markings and pixels
     TAPER = 0.02  # 1 / lane width: apparent change of the lane's width with distance when the car pitches, one sigma
     HITS = 7  # minimum rows that show the lines
-    SHARE = 0.15  # of an initial lane's usual sigmas, where both lines were fitted
     _SAMPLES = 2 * (REACH + MARGIN) + 1
 
     def __init__(
@@ -189,7 +180,7 @@ class LanePairLsq:
         self._lookup = RowGroundLookup(camera, between_m, rows)
         self.rows = self._lookup.rows
         count = 2 * len(self._lookup.rows)
-        self._filter = RowRidgeFilter(count, self._SAMPLES, config.contrast)
+        self._filter = RowRidgeFilter(count, self._SAMPLES)
         dx = np.tile(self._lookup.ahead_m - self._near, 2)
         self._side = np.repeat((0.5, -0.5), len(self._lookup.rows))
         self._design = np.column_stack((np.ones_like(dx), dx, 0.5 * dx * dx, self._side, self._side * dx))
@@ -200,44 +191,35 @@ class LanePairLsq:
         sigmas = np.array((unit, 0.2, 0.5 * kappa, 0.3 * unit, 2.0 * self.TAPER))
         self._prior = np.diag(sigmas**-2.0)
 
-    def step(self, image: Image, brightness: Brightness, rough: RoughPair, noise: Floats) -> InitialLane | None:
-        """The lane near `rough`; None where too few rows show it.
+    def step(self, image: Image, brightness: Brightness, rough: RoughPair, noise: Floats) -> FittedLane | None:
+        """The lane near `rough`; None where too few rows show it, or one of its lines alone.
 
         `noise` (r,): the ridge filter's usual response to the road on each of `rows` [sums of `WINDOW` grey levels].
         """
         start = np.array((rough.middle_m, rough.heading_rad, rough.curvature_per_m, rough.width_m, 0.0))
         line = self._design @ start
-        place, edge, strength = self._ridges(image, brightness, line, np.tile(noise, 2))
+        place, strength = self._ridges(image, brightness, line, np.tile(noise, 2))
         y = line + place * self._step
         prior = self._prior @ np.array((rough.middle_m, 0.0, 0.0, self._unit, 0.0))
-        x, weight = start, strength
+        x, weight, covariance = start, strength, self._prior
         for gate in self.GATES:
             error = (y - self._design @ x) / (gate * self._marking)
             weight = strength * np.maximum(1.0 - error * error, 0.0) ** 2  # Tukey's biweight
             weighted = (self._design * (weight / self._sigma**2)[:, None]).T
-            x = np.linalg.solve(weighted @ self._design + self._prior, weighted @ y + prior)
+            covariance = np.linalg.solve(weighted @ self._design + self._prior, np.eye(len(start)))
+            x = covariance @ (weighted @ y + prior)
         seen = weight > 0.1
         rows = [int(np.count_nonzero(seen & (self._side == side))) for side in (0.5, -0.5)]
-        if sum(rows) < self.HITS:
+        if sum(rows) < self.HITS or min(rows) == 0:
             return None
-        both, (y0, heading, kappa) = min(rows) > 0, x[:3].tolist()  # the middle where the image starts
-        dx = self._reference_x_m - self._near
-        return InitialLane(
-            offset_m=-(y0 + dx * (heading + 0.5 * kappa * dx)),
-            heading_rad=heading + kappa * dx,
-            width_m=float(x[3] + self._unit * x[4]),
-            curvature_per_m=kappa,
-            measured_at_m=self._unit - dx,
-            share=self.SHARE if both else 1.0,
-            pair=both,
-            edge=float(np.median(edge[seen])),
-            fitted=both,
+        dx = self._reference_x_m - self._near  # from where the image starts
+        there = np.array(
+            ((-1.0, -dx, -0.5 * dx * dx, 0, 0), (0, 1.0, dx, 0, 0), (0, 0, 1.0, 0, 0), (0, 0, 0, 1.0, self._unit))
         )
+        return FittedLane(there @ x, there @ covariance @ there.T)
 
-    def _ridges(
-        self, image: Image, brightness: Brightness, line: Floats, noise: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        """The best ridge of each run about `line` (2 r,): place [samples to the left], edge, and weight 0 .. 1."""
+    def _ridges(self, image: Image, brightness: Brightness, line: Floats, noise: Floats) -> tuple[Floats, Floats]:
+        """The best ridge of each run about `line` (2 r,): place [samples to the left] and weight 0 .. 1."""
         rows = len(self._lookup.rows)
         samples = np.arange(self._SAMPLES) - (self.REACH + MARGIN)
         places = line.reshape(2, rows, 1) + samples * self._step
@@ -248,4 +230,4 @@ class LanePairLsq:
         ridges = self._filter.measure(values, np.arange(len(values)), best + MARGIN, noise.astype(np.float32))
         height = heights[np.arange(len(heights)), best] / noise
         strength = np.clip((height - self.MIN_HEIGHT) / (self.FULL_HEIGHT - self.MIN_HEIGHT), 0.0, 1.0)
-        return best - self.REACH + ridges.place, ridges.edge.astype(np.float64), strength * inside.all(axis=1)
+        return best - self.REACH + ridges.place, strength * inside.all(axis=1)

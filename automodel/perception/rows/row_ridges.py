@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.perception.markings.ridge import ridge_sums
-from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, MEDIAN, least_ridge
+from automodel.perception.markings.ridge_noise import MEDIAN
 from automodel.types import Bools, Float32Array, Floats, Ints
 
 Sums = NDArray[np.int32]
@@ -97,23 +97,6 @@ def measure_ridges(
 
 
 @compiled
-def median_heights(height: Sums, within: Bools) -> Float32Array:
-    """The median of |height| (r,) of rows (r, n) where `within`, of every third sample; at least `LEVEL`."""
-    medians = np.empty(len(height), np.float32)
-    values = np.empty(height.shape[1], np.float32)
-    for r in range(len(height)):
-        count = 0
-        for c in range(0, height.shape[1], 3):
-            if within[r, c]:
-                values[count] = abs(height[r, c])
-                count += 1
-        medians[r] = LEVEL
-        if count:
-            medians[r] = max(float(np.median(values[:count])), LEVEL)
-    return medians
-
-
-@compiled
 def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
     """The height (2 k,) that a ridge exceeds, in runs (2 k, s) on two rows about each of k places.
 
@@ -151,13 +134,9 @@ def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
 
 
 class RowRidgeFilter:
-    """Filters up to `rows` rows of up to `samples` samples.
+    """Filters up to `rows` rows of up to `samples` samples."""
 
-    `contrast` [grey levels] is the minimum of a ridge; 0: it follows the noise.
-    """
-
-    def __init__(self, rows: int, samples: int, contrast: float) -> None:
-        self._contrast, self._noises = contrast, np.float32(least_ridge(samples / FALSE_SAMPLES))
+    def __init__(self, rows: int, samples: int) -> None:
         self._sums: Sums = np.zeros((rows, samples + 1), np.int32)
 
     def heights(self, values: NDArray[Any], first: int, last: int) -> Sums:
@@ -167,14 +146,8 @@ class RowRidgeFilter:
         low, high = first - MARGIN, last + MARGIN + 1
         return ridge_sums(sums[:, low:high], WINDOW, SIDE)
 
-    def thresholds(self, heights: Sums, within: Bools) -> Float32Array:
-        """The height (r,) that a ridge exceeds on each row, from all heights (r, n) that lie `within` the image."""
-        if self._contrast > 0.0:
-            return np.full(len(heights), self._contrast * WINDOW, np.float32)
-        return median_heights(heights, within) * self._noises
-
     def measure(self, values: NDArray[Any], row: Ints, at: Ints, least: Float32Array) -> Ridges:
-        """The ridges (n,) at samples `at` (n,) of rows `row` (n,); `least` (r,) as of `thresholds`."""
+        """The ridges (n,) at samples `at` (n,) of rows `row` (n,); `least` (r,) as in `measure_ridges`."""
         row, at = np.ascontiguousarray(row), np.ascontiguousarray(at)  # one memory layout is compiled once
         return Ridges(*measure_ridges(values.astype(np.float32), row, at, least))
 

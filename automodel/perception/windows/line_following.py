@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.geometry import View
-from automodel.perception.windows.line_initialisation import LineStart
 from automodel.perception.windows.line_windows import LineWindows
 from automodel.perception.windows.window_tracker import (
     ExpectedLine,
@@ -42,8 +41,9 @@ class LineFollowing:
     """Follows a line with windows that step along its own direction.
 
     A window is re-centred on its content. One without a line starts the recovery: the windows continue along the
-    expected line, if there is one, else along their own track, and search to both sides; a line found after a gap must
-    have the expected direction. Points that turn away from the expected line (a kerb into a crossing road) are dropped.
+    expected line and search to both sides; a line found after a gap must have the expected direction. Beyond the end of
+    the expected line, the line is followed while it is visible. Points that turn away from the expected line (a kerb
+    into a crossing road) are dropped.
 
     `visible` (h, w) is nonzero where the view shows ground that the camera sees; None: everywhere.
     """
@@ -55,29 +55,17 @@ class LineFollowing:
         self._windows = LineWindows(view, marking_width_m, visible)
         self._settings = TrackerSettings(view, lane_width_m, marking_width_m)
 
-    def follow(
-        self,
-        features: Image,
-        start: LineStart | None = None,
-        expected: ExpectedLine | None = None,
-        reach_m: float = 0.0,
-    ) -> FollowedLine:
-        """The points of one line in a binary view (h, w), from `start` or from where `expected` comes into sight.
+    def follow(self, features: Image, expected: ExpectedLine, reach_m: float = 0.0) -> FollowedLine:
+        """The points of one line in a binary view (h, w), from where `expected` comes into sight.
 
-        `reach_m` is the lateral distance from the expectation in which the line may lie. Raises ValueError without
-        `start` and `expected`.
+        `reach_m` is the lateral distance from the expectation in which the line may lie.
         """
-        path = PathCursor(expected, self._settings.step_m, self._settings.max_steps) if expected is not None else None
-        if start is not None:
-            pose = WindowPose(*start.point_m, start.direction_rad, start.curvature_per_m)
-        elif path is not None:
-            while not (path.ended or self._windows.in_sight(path.x_m, path.y_m)):
-                path.next()
-            if path.ended:
-                return self._followed([], None)
-            pose = WindowPose(path.x_m, path.y_m, path.heading_rad)
-        else:
-            raise ValueError("follow: neither a start nor an expected line")
+        path = PathCursor(expected, self._settings.step_m, self._settings.max_steps)
+        while not (path.ended or self._windows.in_sight(path.x_m, path.y_m)):
+            path.next()
+        if path.ended:
+            return self._followed([], None)
+        pose = WindowPose(path.x_m, path.y_m, path.heading_rad)
         reach = min(reach_m, self.MAX_REACH_LANES * self._lane_m)
         tracker = WindowTracker(self._settings, self._windows, features, pose, path, reach)
         tracker.run()

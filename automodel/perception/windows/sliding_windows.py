@@ -1,6 +1,6 @@
 """The histogram start and the sliding windows of Balbuena Palma et al. 2020, sections IV-C and IV-D, in metres.
 
-`HistogramStart` finds where the lines start, `SlidingWindows` follows them through the view.
+`HistogramStart` finds where a line starts, `SlidingWindows` follows it through the view.
 """
 
 from __future__ import annotations
@@ -15,89 +15,36 @@ import numpy as np
 from automodel.curves.lanes import LaneShape
 from automodel.geometry import View
 from automodel.signals import Observation
-from automodel.types import FloatArray, Image, Ints
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StartCandidate:
-    """Lateral places [m] of the lines at the reference point, None for a line not found, and their slope dy/dx."""
-
-    left_m: float | None
-    right_m: float | None
-    slope: float
+from automodel.types import FloatArray, Image
 
 
 class HistogramStart:
-    """Peaks of the column histogram over the near part, left and right of the car.
+    """The peak of the column histogram over the near half of the view, beside where a line is expected.
 
-    The paper takes columns straight up the image, which smears when the car is not aligned with the lane; here the
-    columns are sheared by a few headings, and the one with the sharpest peaks counts. A pair must be about a lane width
-    apart with the car between its lines. Without a pair, a single line within a lane width is taken: in a tight bend
-    the inner line is out of view.
+    The paper takes columns straight up the image, which smears when the car is not aligned with the lane or the lane
+    bends; here they follow the expected line.
     """
 
-    HEADING_RAD, HEADINGS = math.radians(40.0), 9  # the largest that is tried, and how many are
-    NEAR_LANES = 1.5  # depth of the near part
-    WIDTH_TOLERANCE = 0.3
-    SINGLES = 4
-    FILL = 0.2  # minimum share of the near part's rows that a peak's line fills: it may be dashed and bent
+    def __init__(self, view: View, marking_width_m: float) -> None:
+        self.view, self._bin_m = view, 0.5 * marking_width_m
+        self._first_row = view.height_px // 2
 
-    def __init__(self, view: View, lane_width_m: float, marking_width_m: float, reference_x_m: float) -> None:
-        self.view, self.lane_m, self.reference_x_m = view, lane_width_m, reference_x_m
-        self._first_row = max(view.height_px - int(self.NEAR_LANES * lane_width_m / view.m_per_row), 0)
-        headings = np.linspace(-self.HEADING_RAD, self.HEADING_RAD, self.HEADINGS)
-        self._slopes = np.tan(headings[np.argsort(np.abs(headings), kind="stable")]).tolist()
-        self._bin_m = 0.5 * marking_width_m
-        self._half = 1.2 * lane_width_m
-        self._bins = int(2 * self._half / self._bin_m)
-        self._places = (np.arange(self._bins) + 0.5) * self._bin_m - self._half
-        self._full = (view.height_px - self._first_row) * marking_width_m / view.m_per_px  # pixels of a whole line
+    def step(self, lines: Image, x_m: FloatArray, expected_y_m: FloatArray, reach_m: float) -> float:
+        """How far [m] the line lies to the left of its expected places (n,) at x (n,), near to far, NaN: not expected.
 
-    def step(self, lines: Image) -> list[StartCandidate]:
-        """Candidates in a filtered binary view (h, w), the best first: one pair, or up to `SINGLES` single lines."""
-        found = cv2.findNonZero(lines[self._first_row :])
-        if found is None:
-            return []
+        It is searched up to `reach_m` to each side in a filtered binary view (h, w); 0 where nothing is there.
+        """
+        found, known = cv2.findNonZero(lines[self._first_row :]), np.isfinite(expected_y_m)
+        if found is None or not known.any():
+            return 0.0
         px = found.reshape(-1, 2).astype(np.float64)  # OpenCV 4 gives (n, 1, 2), OpenCV 5 (n, 2)
         px[:, 1] += self._first_row
-        points = self.view.to_body(px)
-        pairs: list[tuple[float, StartCandidate]] = []
-        singles: list[tuple[float, StartCandidate]] = []
-        for slope in self._slopes:
-            lateral = points[:, 1] - (points[:, 0] - self.reference_x_m) * slope
-            counts = np.histogram(lateral, self._bins, (-self._half, self._half))[0].astype(np.float64)
-            peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same") / self._full
-            pairs += self._pairs(peaks, float(slope))
-            singles += self._singles(peaks, float(slope))
-        ranked = [start for _, start in sorted(pairs or singles, key=lambda scored: -scored[0])]
-        return ranked[: 1 if pairs else self.SINGLES]
-
-    def _pairs(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
-        top = self._tops(peaks)
-        left = top[self._places[top] > 0.02 * self.lane_m]
-        right = top[self._places[top] < -0.02 * self.lane_m]
-        width = (self._places[left][:, None] - self._places[right][None, :]) / np.hypot(1.0, slope)
-        error = np.abs(width / self.lane_m - 1.0)
-        near, far = peaks[left][:, None], peaks[right][None, :]
-        score = (np.minimum(near, 2 * far) + np.minimum(far, 2 * near)) * (1.0 - error)
-        return [
-            (
-                float(score[i, j]) - 0.02 * abs(slope),  # among equals the straightest wins
-                StartCandidate(left_m=float(self._places[left[i]]), right_m=float(self._places[right[j]]), slope=slope),
-            )
-            for i, j in np.argwhere(error <= self.WIDTH_TOLERANCE)
-        ]
-
-    def _singles(self, peaks: FloatArray, slope: float) -> list[tuple[float, StartCandidate]]:
-        out = []
-        for place, peak in ((float(self._places[i]), float(peaks[i])) for i in self._tops(peaks)):
-            if 0.1 * self.lane_m < abs(place) < 0.9 * self.lane_m:
-                left, right = (place, None) if place > 0 else (None, place)
-                out.append((peak - 0.02 * abs(slope), StartCandidate(left_m=left, right_m=right, slope=slope)))
-        return out
-
-    def _tops(self, peaks: FloatArray) -> Ints:
-        return np.flatnonzero((peaks >= self.FILL) & (peaks >= np.roll(peaks, 1)) & (peaks > np.roll(peaks, -1)))
+        x, y = self.view.to_body(px).T
+        lateral = y - np.interp(x, x_m[known], expected_y_m[known])
+        half = math.ceil(reach_m / self._bin_m)
+        counts = np.histogram(lateral, 2 * half + 1, ((-half - 0.5) * self._bin_m, (half + 0.5) * self._bin_m))[0]
+        peaks = np.convolve(counts, (0.5, 1.0, 0.5), mode="same")
+        return float(peaks.argmax() - half) * self._bin_m if peaks.any() else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,9 +35,8 @@ class FollowConfig:
     - `away_rad`: a line that turns away from the expected one by more is given up. 12 degrees: error plus a tenth.
     - `odd_rad`: a point beside a wide gap that is turned by more from the line's usual direction lies on the corner of
       another road. Without such points' removal the error in full-size circuits grows by a sixth.
-    - `spread`, `blind_spread`: widening of the search per distance, as uncertain as the direction of the expected line
-      is; where no line is expected. 0.12 for both: the neighbour's line is taken in one of twenty worlds; 0.06: the
-      lane is lost for three frames of a lap of the chicane.
+    - `spread`: widening of the search per distance, as uncertain as the direction of the expected line is. 0.12: the
+      neighbour's line is taken in one of twenty worlds.
     - `heading_gain`, `curvature_gain`: shares of a window's lateral error that correct its heading and curvature.
       Without the first the lane is lost in the chicane, without the second an S-bend is not followed to its end.
     - `own_gain`, `found_gain`: share of a piece's own direction in the window's heading; of one found after a gap.
@@ -55,7 +54,6 @@ class FollowConfig:
     away_rad: float = math.radians(25.0)
     odd_rad: float = math.radians(8.0)
     spread: float = 0.06
-    blind_spread: float = 0.12
     heading_gain: float = 0.5
     curvature_gain: float = 0.1
     own_gain: float = 0.25
@@ -141,8 +139,6 @@ class TrackerSettings:
         self.step_m = max(LineWindows.ALONG * marking_width_m, config.step_lanes * lane_width_m)
         self.spacing_m = 0.6 * LineWindows.ACROSS * marking_width_m  # between the windows of a search
         self.max_gap_m = config.gap_lanes * lane_width_m
-        # Over this distance the tightest bend leaves the tangent by half a lane width.
-        self.max_blind_gap_m = math.sqrt(config.radius_lanes) * lane_width_m
         self.max_turn_rad = self.step_m / (config.radius_lanes * lane_width_m)  # on one step
         self.max_shift_m = 0.5 * (self.step_m * self.max_turn_rad + marking_width_m)  # lateral, of a line not lost
         self.wide_gap = math.ceil(config.wide_gap_lanes * lane_width_m / self.step_m)  # windows
@@ -263,8 +259,7 @@ class WindowTracker:
                 seen = True
                 self._missed += 1
                 self._lost = True
-                most = self._set.max_blind_gap_m if self._path is None else self._set.max_gap_m
-                if self._missed * self._set.step_m > most:
+                if self._path is None or self._missed * self._set.step_m > self._set.max_gap_m:
                     self.lost_m = (pose.x_m, pose.y_m)
                     return
             elif seen:
@@ -275,8 +270,7 @@ class WindowTracker:
         """The line in the window or in windows to both sides, the nearest first."""
         pose = self._pose
         config = self._set.config
-        spread = config.blind_spread if self._path is None else config.spread
-        reach = spread * self._missed * self._set.step_m + (0.0 if self.points else self._reach_m)
+        reach = config.spread * self._missed * self._set.step_m + (0.0 if self.points else self._reach_m)
         self._max_lateral_m = reach + self._set.marking_m
         if self._windows.is_empty(self._features, pose.x_m, pose.y_m, reach):
             return None

@@ -8,11 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from automodel.curves.lanes import ArcLane
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
-from automodel.geometry import SE2
-from automodel.geometry.se2 import wrap_angle
 from automodel.types import FloatArray
 
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
@@ -30,8 +27,7 @@ def tracker(
     config = TrackerConfig(lane_width_m=WIDTH, radius_lanes=1.1, solver=solver)
     made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
     offset, heading, curvature = lane
-    rough = ArcLane(offset_m=offset, heading_rad=heading, width_m=WIDTH, curvature_per_m=curvature, measured_at_m=0.6)
-    made.start(rough)
+    made.start(np.array((offset, heading, curvature, WIDTH)), np.diag(np.full(4, 0.01)))
     x = np.full(FIRST + made.pair.stations, curvature)
     x[:FIRST] = offset, heading, WIDTH, 0.0
     made.parameters = x
@@ -338,31 +334,18 @@ def test_no_curvature_passes_that_of_the_tightest_bend() -> None:
     assert made.known()[FIRST:] == pytest.approx(np.full(made.pair.stations, tightest))
 
 
-def difference(made: ClothoidTracker, lane: ArcLane) -> tuple[float, float]:
-    """Lateral distance [m] and angle [rad] from the tracked lane to another, left positive, where that was measured."""
-    shape, s = made.shape(), lane.measured_at_m
-    node = int(np.abs(made.pair.nodes_m - s).argmin())
-    place = complex(shape.place[node])
-    here = SE2(place.real, place.imag, cmath.phase(shape.along[node]))
-    foot = SE2(made.pair.reference_x_m, 0.0, lane.heading_rad) @ SE2(0.0, -lane.offset_m)
-    off = here.inverse() @ foot @ SE2.arc(s, lane.curvature_per_m * s)
-    return off.y_m, wrap_angle(off.yaw_rad)
-
-
-def test_a_start_lies_near_the_rough_lane_and_is_sure_there() -> None:
+def test_a_start_has_the_moments_of_what_is_believed_and_of_roads() -> None:
     made = tracker()
-    rough = ArcLane(offset_m=0.05, heading_rad=0.1, width_m=0.46, curvature_per_m=0.4, measured_at_m=0.6)
-    made.start(rough)
-    away, turned = difference(made, rough)
-    assert abs(away) < 0.02
-    assert abs(turned) < 0.05
-    assert made.width_m == pytest.approx(0.46, abs=0.01)
-    node = int(np.abs(NODES - 0.6).argmin())
-    rows = made.shape().jacobian
-    spread = np.sqrt(np.einsum("ij,jk,ik->i", rows, made.covariance, rows))
-    assert spread[node] < spread[0]
-    assert spread[node] < spread[COUNT - 1]
-    assert np.linalg.eigvalsh(made.covariance).min() > -1e-12
+    mean = np.array((0.05, 0.1, 0.4, 0.46))
+    root = np.array(((0.02, 0, 0, 0), (0.01, 0.02, 0, 0), (0.1, 0.2, 0.3, 0), (0, 0, 0, 0.01)))
+    made.start(mean, root @ root.T)
+    offset, heading, width, _ = made.pose()
+    assert (offset, heading, made.curvature(), width) == pytest.approx(tuple(mean[[0, 1, 2, 3]]))
+    of = [OFFSET, HEADING, FIRST, LANE]
+    assert made.covariance[np.ix_(of, of)] == pytest.approx(root @ root.T, abs=1e-5)
+    sigma = np.sqrt(made.covariance.diagonal()[FIRST:])
+    assert (np.diff(sigma) > 0.0).all()  # the farther ahead, the less is known of the road
+    assert np.linalg.eigvalsh(made.covariance).min() > 0.0
 
 
 def test_the_pose_turns_the_sign_of_the_headings_covariance() -> None:

@@ -11,7 +11,6 @@ import pytest
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.windows.line_following import LineFollowing
-from automodel.perception.windows.line_initialisation import LineStart
 from automodel.perception.windows.line_windows import LineWindows
 from automodel.perception.windows.window_tracker import ExpectedLine, PathCursor
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
@@ -96,7 +95,7 @@ class TestSight:
         for d in (0.2, -0.2):
             features = binary(VIEW, road.line(d), samples=3) & self.VISIBLE
             wlf = LineFollowing(VIEW, LANE_M, MARKING_M, self.VISIBLE)
-            line = wlf.follow(features, None, road.expected(d), 0.02)
+            line = wlf.follow(features, road.expected(d), 0.02)
             errors.append(road.beside(*line.points_m.T) - d)
             column, row = np.rint(VIEW.to_px(line.points_m)).astype(int).T
             assert (self.VISIBLE[row, column] > 0).all()
@@ -105,13 +104,13 @@ class TestSight:
 
     def test_a_line_that_leaves_the_view_is_not_lost(self) -> None:
         road = Road(heading_rad=math.radians(35.0))
-        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, road.line(0.0)), None, road.expected(0.0))
+        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, road.line(0.0)), road.expected(0.0))
         assert len(line) > 3
         assert line.lost_m is None
 
     def test_a_line_out_of_sight_has_no_points(self) -> None:
         road = Road(aside_m=2.0)
-        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, STRAIGHT.line(0.2)), None, road.expected(0.0))
+        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, STRAIGHT.line(0.2)), road.expected(0.0))
         assert len(line) == 0
         assert line.lost_m is None
 
@@ -125,8 +124,8 @@ class TestExpectations:
 
         features = binary(VIEW, lambda x, y: np.abs(beside(x, y)) <= 0.5 * MARKING_M, samples=3)
         straight = STRAIGHT.expected(-0.2, behind_m=0.0)
-        firm = wlf.follow(features, None, straight, 0.02)
-        guess = wlf.follow(features, None, replace(straight, known_m=0.9), 0.02)
+        firm = wlf.follow(features, straight, 0.02)
+        guess = wlf.follow(features, replace(straight, known_m=0.9), 0.02)
         assert firm.points_m[:, 1].max() < 0.0
         assert guess.points_m[:, 1].max() > 0.4
         for line in (firm, guess):
@@ -149,7 +148,7 @@ class TestExpectations:
     def test_a_very_long_expectation_costs_no_more_than_a_long_one(self) -> None:
         s = np.array([0.0, 1e9])
         endless = ExpectedLine(points_m=np.stack((s, 0.2 + 0.0 * s), axis=-1), heading_rad=np.zeros(2))
-        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, line_at(0.2)), None, endless)
+        line = LineFollowing(VIEW, LANE_M, MARKING_M).follow(binary(VIEW, line_at(0.2)), endless)
         assert len(line) > 20
 
     @pytest.mark.parametrize(
@@ -166,13 +165,8 @@ class TestExpectations:
         with pytest.raises(ValueError, match="ExpectedLine"):
             ExpectedLine(points_m=points, heading_rad=heading)
 
-    def test_following_needs_a_start_or_an_expectation(self) -> None:
-        with pytest.raises(ValueError, match="neither"):
-            LineFollowing(VIEW, LANE_M, MARKING_M).follow(np.zeros((240, 160), np.uint8))
-
-    def test_a_start_outside_the_view_gives_nothing(self) -> None:
+    def test_a_single_place_is_no_line(self) -> None:
         wlf = LineFollowing(VIEW, LANE_M, MARKING_M)
         features = binary(VIEW, line_at(0.2))
-        assert len(wlf.follow(features, LineStart((-50.0, 7.0), 2.0))) == 0
         point = ExpectedLine(points_m=np.full((2, 2), 0.5), heading_rad=np.zeros(2))
-        assert len(wlf.follow(features, None, point, 0.05)) <= 1
+        assert len(wlf.follow(features, point, 0.05)) <= 1
