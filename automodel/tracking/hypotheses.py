@@ -96,7 +96,9 @@ class Hypotheses:
             replace(one, belief=one.belief.moved(distance_m, turn_rad, dt_s, known), assigned=()) for one in self.all
         )
         if self.all:
-            self._since_lanes += max(abs(distance_m) / self.all[0].belief.road.lane_width_m, STILL_LANES * dt_s)
+            road = self.all[0].belief.road
+            driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
+            self._since_lanes += max(driven, STILL_LANES * dt_s)
 
     def update(self, lines: Sequence[SightedLine], kinds: LineKinds, way: float | None = None) -> float:
         """Assign a frame's lines, branch, and weigh; returns how much of the frame was news, 0 .. 1.
