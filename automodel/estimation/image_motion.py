@@ -16,11 +16,10 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from automodel.estimation.road import LOST_PACE, MAX_GAP_S
 from automodel.geometry import SE2, GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.types import Bools, Float32Array, FloatArray, Image
-
-MAX_GAP_S = 0.5  # a longer gap between frames: a car at 1 m/s has driven more than a scale lane's width
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,7 +33,8 @@ class ImageMotionConfig:
     was followed differs by 1.4. `systematic`: share of a motion by which a wrong camera falsifies it. `acceleration`
     [1/s^2, rad/s^2]: what a driver and a steering do to speed and yaw rate, sigma after a second. `speed` [1/s],
     `yaw_rate_radps`: largest sigmas of a motion that is told: those of the odometry that dead reckoning expects at a
-    few lane widths a second. `most_speed` [1/s], `most_yaw_rate_radps`: sigmas of a car of which nothing is known.
+    few lane widths a second. `most_yaw_rate_radps`: sigma of a car of which nothing is
+    known, whose speed's is `LOST_PACE`.
     """
 
     width_px: int = 720
@@ -50,7 +50,6 @@ class ImageMotionConfig:
     acceleration: float = 1.0
     speed: float = 0.3
     yaw_rate_radps: float = 0.2
-    most_speed: float = 4.0
     most_yaw_rate_radps: float = 2.0
 
 
@@ -115,7 +114,7 @@ class ImageMotion:
         return frame.image.shape[:2] == (camera.height_px, camera.width_px)
 
     def _nothing(self) -> FloatArray:
-        return np.diag(np.square((self.config.most_speed * self._unit, self.config.most_yaw_rate_radps)))
+        return np.diag(np.square((LOST_PACE * self._unit, self.config.most_yaw_rate_radps)))
 
     def _correct(self, seen: Seen, dt_s: float) -> None:
         """The Kalman filter's correction by a motion that was seen."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from automodel.config import CarConfig, CenterlineConfig
 from automodel.estimation.image_motion import ImageMotion
+from automodel.estimation.road import BEHIND
 from automodel.estimation.theta.pose_filter import LEAST_WIDTH
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
@@ -187,7 +188,8 @@ class Centerline:
         left = SeenLine(points_m=found.left_m, sigma_m=found.left_sigma_m)
         right = SeenLine(points_m=found.right_m, sigma_m=found.right_sigma_m)
         lane = TrackedLane(self._unit, self._reference_x_m)
-        return (lane, Lines(left, right, (True, True))) if lane.start(left, right) else None
+        begun = lane.start(left, right, found.belief.mean, found.belief.spread)
+        return (lane, Lines(left, right, (True, True))) if begun else None
 
     def _restart(self, features: Image, belief: LaneBelief) -> tuple[TrackedLane, Lines] | None:
         """A lane from the lines about a belief; None where there is no line."""
@@ -205,7 +207,7 @@ class Centerline:
         if not (len(left.points_m) or len(right.points_m)):
             return None
         lane = TrackedLane(self._unit, self._reference_x_m)
-        if not lane.restart(left, right, belief.mean, belief.spread):
+        if not lane.start(left, right, belief.mean, belief.spread):
             return None
         return lane, Lines(left, right, (lane.left.line is not None, lane.right.line is not None))
 
@@ -275,7 +277,7 @@ class Centerline:
             ),
             left=self._line(lane.left, lines.left, left, lane, +0.5),
             right=self._line(lane.right, lines.right, right, lane, -0.5),
-            centerline=centerline.curve(-lane.left.BEHIND_LANES * self._unit, self._ahead_m),
+            centerline=centerline.curve(-BEHIND * self._unit, self._ahead_m),
         )
 
     def _line(self, tracked: TrackedLine, line: SeenLine, seen: bool, lane: TrackedLane, side: float) -> LaneLine:

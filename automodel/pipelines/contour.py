@@ -21,6 +21,7 @@ from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
 from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.odometry_monitor import OdometryMonitor
+from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.line_scan import LineScan
@@ -54,13 +55,12 @@ class Contour:
     """The pipeline of Smith 2024, "Efficient Lateral Lane Position Sensing using Active Contour Modeling"."""
 
     name = "contour"
-    ROUNDS, START_ROUNDS = 3, 4  # iterations of measurement and correction, at most
+    ROUNDS = 3  # iterations of measurement and correction, at most
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
     LINE_NODES = 2  # that make a line seen
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     PIECES = 7  # maximum number of the pair's stations ahead
-    BEHIND = 1.0  # lane widths of centerline behind the reference point
 
     def __init__(self, car: CarConfig) -> None:
         options, unit, marking = car.pipeline.contour, car.lane.width_m, car.lane.marking_width_m
@@ -217,7 +217,7 @@ class Contour:
     def _measured_anew(self, image: Image, belief: LaneBelief, dark: bool) -> Tracked:
         self._tracker.start(belief.mean, belief.spread)
         self._search.forget(dark=dark)
-        return self._track(image, self.START_ROUNDS)
+        return self._track(image, self.ROUNDS)
 
     def _seen(self, tracked: Tracked) -> tuple[bool, bool]:
         left, right = tracked.counts()
@@ -279,7 +279,7 @@ class Contour:
 
     def _curve(self, side: float) -> DeferredCurve:
         """The curve that many lane widths to the left of the centerline."""
-        tracker, behind = self._tracker, self.BEHIND * self._unit
+        tracker, behind = self._tracker, BEHIND * self._unit
         left_m, taper = side * tracker.width_m, side * tracker.taper
         return DeferredCurve(partial(self._pair.table, tracker.known(), tracker.phase_m, left_m, behind, taper))
 

@@ -21,7 +21,7 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import MarkingViews, TemporalPaintCheck, WhiteAreas, road_view
+from automodel.perception.markings.binary_views import MarkingViews, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
@@ -79,7 +79,6 @@ class Windows:
         )
         self._birdseye = BirdsEye(self._camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
-        self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
         self._reflections = Reflections(
             self._camera, self.view, self._white_areas.mask, marking_m, lane.markings, SlidingWindows.COUNT
         )
@@ -115,7 +114,7 @@ class Windows:
         view = self._birdseye_view(frame.image)
         self.stages.lap("birdseye")
         areas = self._white_areas.step(view)  # binarisation, white-areas filter
-        lines = self._paint_check.step(areas)  # temporal paint check
+        lines = areas.lines
         self.stages.lap("white_areas")
         if self._tracking.lost:
             lines = self._reflections.step(view, areas.lines, lines)  # without reflections
@@ -155,10 +154,6 @@ class Windows:
             self._forget()
             return
         self._tracker.move(moved.after_from_before, moved.distance_m, moved.known)
-        if moved.known:
-            self._paint_check.move(moved.before_from_after, moved.distance_m)
-        else:
-            self._paint_check.forget()
 
     def _birdseye_view(self, image: Image) -> Image:
         grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
@@ -273,4 +268,3 @@ class Windows:
 
     def _forget(self) -> None:
         self._tracker.forget()
-        self._paint_check.forget()

@@ -19,6 +19,7 @@ from typing import NamedTuple, overload
 import numpy as np
 
 from automodel.curves.foot import foot_on_circle
+from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, log_likelihood, posterior, settled, whitened
 from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row
@@ -65,9 +66,9 @@ class RoadModel:
     step: float = 0.01
     turn_rad: float = 0.02
     pace: float = 0.1
-    lost_step: float = 0.5
-    lost_turn_rad: float = 1.0
-    lost_pace: float = 3.0
+    lost_step: float = LOST_STEP
+    lost_turn_rad: float = LOST_TURN_RAD
+    lost_pace: float = LOST_PACE
     width_sigma: float = 0.12
     width_walk: float = 0.03
     news: float = 0.25

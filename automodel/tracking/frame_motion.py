@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from automodel.estimation.road import MAX_GAP_S
 from automodel.geometry import SE2
 from automodel.signals import Motion
 
-MAX_GAP_S = 0.5  # a longer gap between frames: a car at 1 m/s has driven more than a scale lane's width
 MAX_LANES = 6.0  # lane widths driven between two frames: 300 m/s on a full-size lane at 15 Hz; more is a broken sensor
 MAX_TURN_RAD = 1.5  # turned between two frames: a car that spins has lost its lane anyway
 

@@ -35,7 +35,8 @@ from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
-DASH_ODDS = {"any": 0.0, "dashed": 4.0, "solid": -4.0}  # [nats] what car.toml says of a line: wrong once in 50 times
+TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
+DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from automodel.estimation.road import MAX_GAP_S
 from automodel.signals import Motion, MotionSource
-from automodel.tracking.frame_motion import MAX_GAP_S, MAX_LANES, MAX_TURN_RAD, FrameMotion, FrameMotions
+from automodel.tracking.frame_motion import MAX_LANES, MAX_TURN_RAD, FrameMotion, FrameMotions
 
 LANE_M = 0.4
 STEP_NS = 50_000_000

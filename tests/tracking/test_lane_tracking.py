@@ -11,11 +11,11 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve
+from automodel.estimation.road import MAX_GAP_S
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_path
 from automodel.tracking.belief import LaneBelief
-from automodel.tracking.frame_motion import MAX_GAP_S
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.tracking.lane_path import ROAD
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig

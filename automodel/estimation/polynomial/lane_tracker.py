@@ -17,7 +17,7 @@ from automodel.estimation.polynomial.lane_fit import (
     LaneSolution,
     LineSamples,
 )
-from automodel.estimation.road import TAPER, TAPER_LANES
+from automodel.estimation.road import TAPER, TAPER_LANES, WALK
 from automodel.geometry import SE2
 from automodel.signals import Observation
 from automodel.types import FloatArray
@@ -43,15 +43,12 @@ class LaneTracker:
     KEEP_EVERY_LANES = 0.06  # distance between two rounds of remembering
     KEEP_DEPTH_LANES = 0.7  # length of the near zone whose points are remembered
     ROUNDS = 3  # iterations of the fit in a frame
-    STEP_LANES = 0.04
-    # Process noise over STEP_LANES of distance while the motion is known; near the car the curvature was seen before.
-    OFFSET = 0.005
-    HEADING_RAD = 0.006
-    KAPPA_NEAR, KAPPA_FAR = 0.06, 0.3  # [1 / lane width] of the curvature: where the prior is trusted, and far ahead
+    # Sigmas that the curvature [1 / lane width] gains over a lane width: near the car, where it was seen before, and
+    # far ahead.
+    KAPPA_NEAR, KAPPA_FAR = 0.3, 1.5
     CROSSING_LANES = 3.3  # length of a crossing along the lane
     CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
     CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
-    DRIFT = 0.012  # growth of a remembered point's sigma per distance driven
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
         self.fit = LaneFit(config)
@@ -65,13 +62,12 @@ class LaneTracker:
         kappa = (self.KAPPA_NEAR + (self.KAPPA_FAR - self.KAPPA_NEAR) * reach) / u
         self._sigma = np.concatenate(
             (
-                [self.OFFSET * u, self.HEADING_RAD],
+                [WALK * u, WALK],
                 kappa,
-                [0.004 * u, TAPER * math.sqrt(2.0 * self.STEP_LANES / TAPER_LANES)],
+                [WALK * u, TAPER * math.sqrt(2.0 / TAPER_LANES)],
             )
         )
         self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * TAPER]))
-        self._start_sigma = np.concatenate(([0.25 * u, 0.35], np.full(nodes, 1.0 / u), [0.1 * u, TAPER]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
@@ -104,28 +100,9 @@ class LaneTracker:
         self._since_kept += abs(distance_m)
         if len(self._memory):
             self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
-            self._memory[:, 3] += self.DRIFT * abs(distance_m)
+            self._memory[:, 3] += WALK * abs(distance_m)
             behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
             self._memory = self._memory[self._memory[:, 0] > behind]
-
-    def fit_frame(self, seen: Observation, guess: FloatArray) -> LaneSolution | None:
-        """A lane fitted to one frame's points from a guess of the parameters; None if they make none."""
-        samples = _samples(seen)
-        mean = guess.copy()  # where nothing is seen: straight, with the car on the centerline
-        mean[:2] = 0.0
-        mean[2:-2][self.fit.nodes_m < self.near_x_m - self.fit.config.reference_x_m] = 0.0
-        solution = self.fit.solve(samples, LanePrior(mean=mean, sigma=self._start_sigma), rounds=6, guess=guess)
-        residual = self.fit.residuals(solution.parameters, samples)[0]
-        good = solution.inliers
-        if good.mean() < 0.7 or float(np.std(residual[good])) > 0.03 * self.unit:
-            return None
-        return solution
-
-    def start(self, seen: Observation, solution: LaneSolution) -> None:
-        """Start with a lane that `fit_frame` found."""
-        self.forget()
-        self._take(solution.parameters)
-        self._keep(_samples(seen), solution.inliers)
 
     def place(self, parameters: FloatArray) -> None:
         """Believe the lane to have these parameters, without any points yet."""
@@ -137,7 +114,7 @@ class LaneTracker:
         samples = _samples(seen)
         offset, heading, curvature, width = sigma.tolist()
         spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width, TAPER]))
-        solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, self._sigma)), rounds=6)
+        solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, 0.1 * self._sigma)), rounds=6)
         self._take(solution.parameters)
         self._keep(samples, solution.inliers)
         good = solution.inliers
@@ -193,7 +170,7 @@ class LaneTracker:
     def _prior(self, parameters: FloatArray) -> LanePrior:
         mean, sigma = parameters.copy(), self._loose_sigma.copy()
         if self._motion_known:  # a random walk over the distance
-            sigma = self._sigma * min(max(math.sqrt(self._step_m / (self.STEP_LANES * self.unit)), 0.5), 4.0)
+            sigma = self._sigma * min(max(math.sqrt(self._step_m / self.unit), 0.1), 1.0)
         nodes, start = self.fit.nodes_m, self._crossing_s_m
         straight = (nodes > start - 0.15 * self.unit) & (nodes < start + self.CROSSING_LANES * self.unit)
         mean[-1] *= math.exp(-self._step_m / (TAPER_LANES * self.unit))

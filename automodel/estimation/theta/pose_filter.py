@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from automodel.curves.foot import LEAST_STRETCH, foot_on_circle
+from automodel.estimation.road import LOST_STEP, LOST_TURN_RAD, WALK
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
 from automodel.types import FloatArray
@@ -94,22 +95,14 @@ def predicted_state(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFilterConfig:
-    """Noise of the lane's pose, by distance and by time; offsets and widths in lane widths.
+    """Noise of the lane's pose; offsets and widths in lane widths. `gate`: share of good measurements that pass.
 
-    Heading [rad], offset and width gain the standard deviation `walk` over one lane width of distance and over one
-    second; heading and offset gain `lost` over one second of unknown motion. `gate`: share of good measurements that
-    pass.
-
-    The lines decide, the noises hardly: moved by half, none of them changes the offset's error by more than 0.05 % of
-    the lane's width (`automodel bench sensitivity`).
+    Heading, offset and width gain `WALK` over a lane width of distance, and over a second.
     """
 
     lane_width_m: float
     reference_x_m: float
-    walk: float = 0.02
-    lost: float = 1.0
     gate: float = 0.999
-    start: float = 0.15  # sigmas of heading [rad], offset and width (lane widths) at the start
 
     def __post_init__(self) -> None:
         if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
@@ -179,20 +172,19 @@ class LanePoseFilter:
         self._ekf: Any = ExtendedKalmanFilter(dim_x=len(State), dim_z=4)
         self._ekf.predict_x = self._predict_x
         self._next: FloatArray = np.zeros(len(State))
-        self.start(0.0, 0.0, config.lane_width_m)
+        self.start(0.0, 0.0, config.lane_width_m, (1.0, 1.0, 1.0))
 
     def start(
         self,
         offset_m: float,
         heading_rad: float,
         width_m: float,
-        sigma: tuple[float, float, float] | None = None,
+        sigma: tuple[float, float, float],
     ) -> None:
-        """Start at a pose; `sigma`: of heading [rad], offset and width [lane widths]; None: those of any start."""
+        """Start at a pose; `sigma`: of heading [rad], offset and width [lane widths]."""
         width = self._bounded_width(width_m)
         self._ekf.x = np.array((-heading_rad, 2.0 * offset_m / width, width))
-        start = self.config.start
-        self._ekf.P = self._spread(sigma or (start, start, start))
+        self._ekf.P = self._spread(sigma)
         self.rejected = 0
 
     @property
@@ -238,9 +230,9 @@ class LanePoseFilter:
         kappa = min(max(curvature_per_m, -limit), limit)
         self._next, self._ekf.F = predicted_state(self._ekf.x, shift, before.yaw_rad, kappa)
         distance, time = math.hypot(*shift) / config.lane_width_m, max(dt_s, 0.0)
-        heading = offset = width_noise = (distance + time) * config.walk**2
+        heading = offset = width_noise = (distance + time) * WALK**2
         if not motion_known:
-            heading = offset = heading + time * config.lost**2
+            heading, offset = heading + time * LOST_TURN_RAD**2, offset + time * LOST_STEP**2
         self._ekf.Q = np.diag(
             (heading, offset * (2.0 * config.lane_width_m / width) ** 2, width_noise * config.lane_width_m**2)
         )

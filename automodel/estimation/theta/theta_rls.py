@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from automodel.curves.foot import LEAST_STRETCH, foot_on_circle, nearest_samples
+from automodel.estimation.road import WALK
 from automodel.estimation.theta.heading_polynomial import ORDER, HeadingPolynomial, shift_matrix
 from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
@@ -44,7 +45,6 @@ class ThetaRlsConfig:
     prior_rad: float = 2.5
     model_rad: float = 0.02
     sight_lanes: float = 0.6
-    lateral_walk_lanes: float = 0.02  # random walk of the line's distance over a lane width, and a second
 
     def __post_init__(self) -> None:
         lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes)
@@ -117,7 +117,7 @@ class ThetaRls:
         moved = 0.5 * (moved + moved.T)
         self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
         self._kept *= keep
-        walk = config.lateral_walk_lanes**2 * (abs(distance_m) / unit + max(dt_s, 0.0))
+        walk = WALK**2 * (abs(distance_m) / unit + max(dt_s, 0.0))
         self.lateral_variance_m2 += walk * unit * unit
 
     def update(

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from automodel.estimation.road import LOST_PACE
 from automodel.estimation.theta.centerline_fusion import CenterlineFusion
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import MIN_POINTS
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
 from automodel.estimation.theta.theta_rls import ThetaRlsConfig
-from automodel.estimation.theta.tracked_line import UNKNOWN_SPEED_LANES, SeenLine, TrackedLine, move_line
+from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine, move_line
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -45,20 +46,11 @@ class TrackedLane:
             raise ValueError("centerline: no lane; call start first")
         return line
 
-    def start(self, left: SeenLine | None, right: SeenLine | None) -> bool:
-        """Start with one frame's lines, of which one may be missing; False if they make no lane."""
-        for tracked, seen in ((self.left, left), (self.right, right)):
-            if seen is not None:
-                tracked.update(seen)
-        self._fusion.update(self.left.rls, self.right.rls, self.unit, (0.1 * self.unit) ** 2)
-        if self._fusion.rls.line is None:
-            return False
-        self.pose.start(-self.centerline.lateral_m, -self.centerline.heading_at(0.0), self.unit)
-        self._correct((self.left.line is not None, self.right.line is not None))
-        return True
+    def start(self, left: SeenLine, right: SeenLine, mean: FloatArray, covariance: FloatArray) -> bool:
+        """Start with one frame's lines, of which one may be missing; False if they make no lane.
 
-    def restart(self, left: SeenLine, right: SeenLine, mean: FloatArray, covariance: FloatArray) -> bool:
-        """Start about a belief: (offset, direction of the lane, curvature, width) (4,), and its covariance (4, 4)."""
+        They lie about a belief: (offset, direction of the lane, curvature, width) (4,), and its covariance (4, 4).
+        """
         for tracked, seen in ((self.left, left), (self.right, right)):
             tracked.update(seen)
         offset, theta, _, width = mean.tolist()
@@ -77,7 +69,7 @@ class TrackedLane:
         self.left.move(after_from_before, distance_m, dt_s, known)
         self.right.move(after_from_before, distance_m, dt_s, known)
         move_line(self._fusion.rls, after_from_before, distance_m, dt_s, known)
-        self.blind_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
+        self.blind_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self.motion_known = known
 
     def update(self, left: SeenLine, right: SeenLine) -> tuple[bool, bool]:

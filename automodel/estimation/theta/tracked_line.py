@@ -8,16 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.curves.foot import nearest_samples
+from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, WALK
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
-# While the motion is unknown:
-FORGET_UNKNOWN = 8.0  # factor by which a line is forgotten faster
-UNKNOWN_LANES = 0.5  # [lane widths] standard deviation that the line's distance gains in a second
-UNKNOWN_SPEED_LANES = 3.0  # [lane widths/s] assumed speed
+FORGET_UNKNOWN = 8.0  # factor by which a line is forgotten faster while the motion is unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,7 +34,7 @@ def move_line(rls: ThetaRls, after_from_before: SE2, distance_m: float, dt_s: fl
     """Move a line into the body frame after a motion; an unknown motion adds to its uncertainty."""
     rls.predict(after_from_before, distance_m, dt_s if known else FORGET_UNKNOWN * dt_s)
     if not known:
-        rls.lateral_variance_m2 += UNKNOWN_LANES**2 * rls.config.lane_width_m**2 * dt_s
+        rls.lateral_variance_m2 += LOST_STEP**2 * rls.config.lane_width_m**2 * dt_s
 
 
 class TrackedLine:
@@ -49,16 +47,14 @@ class TrackedLine:
     """
 
     KEEP_POINTS = 4  # per round: the nearest, which leave the image next
-    BEHIND_LANES = 1.2  # where they are dropped behind the reference point
     HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
-    DRIFT = 0.015  # growth of a remembered point's sigma per distance driven
     STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples, and of remembered points; of its knots
     BEND_LANES = 0.6  # [1 / lane width] usual change of curvature over a lane width
 
     def __init__(self, config: ThetaRlsConfig) -> None:
         self.unit = config.lane_width_m
         self._reference_x_m = config.reference_x_m
-        self._behind_m = config.reference_x_m - self.BEHIND_LANES * self.unit
+        self._behind_m = config.reference_x_m - BEHIND * self.unit
         self.rls = ThetaRls(config)
         self.forget()
 
@@ -78,13 +74,13 @@ class TrackedLine:
     def move(self, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
         """Move line and points into the body frame after a motion; an unknown motion drops the points."""
         move_line(self.rls, after_from_before, distance_m, dt_s, known)
-        self.unseen_m += abs(distance_m) if known else UNKNOWN_SPEED_LANES * self.unit * dt_s
+        self.unseen_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self._since_kept_m += abs(distance_m)
         if not known:
             self._memory = self._memory[:0]
         elif len(self._memory):
             self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
-            self._memory[:, 2] += self.DRIFT * abs(distance_m)
+            self._memory[:, 2] += WALK * abs(distance_m)
             self._memory = self._memory[self._memory[:, 0] >= self._behind_m]
 
     def update(self, seen: SeenLine) -> bool:

@@ -39,7 +39,7 @@ def _median() -> float:
 
 
 MEDIAN = _median()
-MANY = 1.0 / 6.0  # share of places: half of those with a ridge above 0, so that paint and rounding change little
+MANY = 0.167  # share of places: half of those with a ridge above 0, so that paint and rounding change little
 FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed a threshold at once
 
 

@@ -11,6 +11,7 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig
 from automodel.estimation.polynomial.lane_tracker import LaneTracker
 from automodel.geometry import SE2
 from automodel.signals import Observation
+from automodel.types import FloatArray
 from tests.support.world_lanes import WorldLane, arc
 
 REFERENCE_M = 0.13
@@ -43,6 +44,12 @@ def ahead_of(lane: WorldLane, car: SE2, s_m: float, sides: tuple[int, ...] = (+1
     return observation(found[+1], found[-1])
 
 
+def begin(tracker: LaneTracker, seen: Observation, arc: FloatArray) -> None:
+    """Start near an arc (m,)."""
+    tracker.place(arc)
+    tracker.restart(seen, arc, np.array((0.1, 0.2, 0.5, 0.04)))
+
+
 class Driven:
     """A car that follows its lane with the given offset and heading over s, and its tracker."""
 
@@ -53,9 +60,7 @@ class Driven:
         seen = ahead_of(lane, self.car, s_m)
         _, offset, heading = lane.pose_of(self.car, REFERENCE_M)
         bend = float(np.mean(lane.curvature(np.linspace(s_m, s_m + 1.0, 9))))
-        solution = self.tracker.fit_frame(seen, self.tracker.fit.start(offset, -heading, bend, 0.4))
-        assert solution is not None
-        self.tracker.start(seen, solution)
+        begin(self.tracker, seen, self.tracker.fit.start(offset, -heading, bend, 0.4))
 
     def _at(self, s_m: float) -> SE2:
         return self.lane.car(s_m, 0.05 * math.sin(1.7 * s_m), 0.1 * math.cos(1.7 * s_m), REFERENCE_M)
@@ -196,14 +201,6 @@ def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
     assert errors_rad[True] < 0.6 * errors_rad[False]
 
 
-def test_points_that_make_no_lane_are_refused() -> None:
-    tracker = LaneTracker(CONFIG, NEAR_M)
-    rng = np.random.default_rng(1)
-    x = np.linspace(0.4, 1.2, 12)
-    mess = [np.column_stack((x, rng.uniform(-0.5, 0.5, 12))) for _ in range(2)]
-    assert tracker.fit_frame(observation(mess[0], mess[1]), tracker.fit.start(0.0, 0.0, 0.0, 0.4)) is None
-
-
 def test_update_without_a_lane_is_a_mistake() -> None:
     tracker = LaneTracker(CONFIG, NEAR_M)
     assert tracker.parameters is None
@@ -223,9 +220,7 @@ def test_forgotten_is_as_new() -> None:
     for tracker in (drive.tracker, LaneTracker(CONFIG, NEAR_M)):
         other = Driven(lane)
         seen = ahead_of(lane, other.car, other.s_m)
-        solution = tracker.fit_frame(seen, tracker.fit.start(0.0, 0.0, -0.4, 0.4))
-        assert solution is not None
-        tracker.start(seen, solution)
+        begin(tracker, seen, tracker.fit.start(0.0, 0.0, -0.4, 0.4))
         tracker.move(SE2.arc(STEP_M, 0.0).inverse(), STEP_M, True)
         results.append(tracker.update(seen)[0].parameters)
     np.testing.assert_array_equal(results[0], results[1])

@@ -14,13 +14,15 @@ from automodel.geometry import SE2
 from tests.support.measured_lanes import FILTER, REFERENCE_M, UNIT, point, pose_state
 from tests.support.world_lanes import WorldLane, arc
 
+START = (0.15, 0.15, 0.15)  # sigmas of heading [rad], offset and width [lane widths]
+
 
 @pytest.mark.parametrize(
     ("offset_m", "heading_rad", "width_m"), [(0.0, 0.0, 0.4), (0.1, -0.6, 0.45), (-0.12, 0.5, 0.33)]
 )
 def test_both_lines_give_the_pose(offset_m: float, heading_rad: float, width_m: float) -> None:
     tracker = LanePoseFilter(FILTER)
-    tracker.start(offset_m + 0.02, heading_rad + 0.1, width_m - 0.02)
+    tracker.start(offset_m + 0.02, heading_rad + 0.1, width_m - 0.02, START)
     truth = pose_state(offset_m, heading_rad, width_m)
     for _ in range(30):
         done = tracker.update(point(truth, 1), point(truth, -1))
@@ -99,14 +101,14 @@ def driven(
 def test_the_motion_keeps_it_from_lagging(bend: float) -> None:
     rng = np.random.default_rng(2)
     tracker = LanePoseFilter(FILTER)
-    tracker.start(0.0, 0.2, UNIT)
+    tracker.start(0.0, 0.2, UNIT, START)
     errors = np.array(driven(tracker, arc(bend), 150, noise=rng))[20:]
     assert np.abs(errors[:, 0]).mean() < 0.002
     assert np.abs(errors[:, 1]).mean() < 0.012
     assert np.abs(errors.mean(axis=0)).max() < 0.004
     # the paper's random walk, without the motion
     blind = LanePoseFilter(FILTER)
-    blind.start(0.0, 0.2, UNIT)
+    blind.start(0.0, 0.2, UNIT, START)
     blind.predict = lambda *_: LanePoseFilter.predict(blind, SE2(), 0.0, 0.03)  # type: ignore[method-assign]
     lagging = np.array(driven(blind, arc(bend), 150, noise=np.random.default_rng(2)))[20:]
     assert np.abs(lagging[:, 1]).mean() > 3.0 * np.abs(errors[:, 1]).mean()
@@ -163,7 +165,7 @@ def test_what_fails_the_gate_changes_nothing() -> None:
     done = tracker.update(far, point(truth, -1), (2.0, 0.01**2))
     assert (done.left, done.right, done.heading, tracker.rejected) == (False, True, False, 3)
     assert tracker.offset_m == pytest.approx(0.02, abs=1e-3)
-    tracker.start(0.0, 0.0, UNIT)
+    tracker.start(0.0, 0.0, UNIT, START)
     assert tracker.rejected == 0
 
 
@@ -173,7 +175,7 @@ def test_a_direction_helps_where_the_points_say_little() -> None:
     spread = []
     for theta in (None, (truth[0], 0.01**2)):
         tracker = LanePoseFilter(FILTER)
-        tracker.start(0.19, 0.2, UNIT)
+        tracker.start(0.19, 0.2, UNIT, START)
         for _ in range(5):
             done = tracker.update(point(truth, 1), None, theta)
             assert done.heading == (theta is not None)
@@ -185,7 +187,7 @@ def test_a_direction_helps_where_the_points_say_little() -> None:
 
 def test_directions_wrap() -> None:
     tracker = LanePoseFilter(FILTER)
-    tracker.start(0.0, 3.1, UNIT)
+    tracker.start(0.0, 3.1, UNIT, START)
     for _ in range(20):
         tracker.update(None, None, (3.15, 0.05**2))  # a car that faces the wrong way
     assert math.remainder(tracker.heading_rad + 3.15, math.tau) == pytest.approx(0.0, abs=0.01)

@@ -15,6 +15,7 @@ from tests.support.world_lanes import WorldLane, arc
 
 NOTHING = SeenLine(points_m=np.empty((0, 2)), sigma_m=np.empty(0))
 STEP_M, DT_S = 0.03, 0.03
+START = np.diag(np.square((0.05, 0.1, 0.5, 0.04)))
 SEES = {"both": (1, -1), "left": (1,), "right": (-1,), "none": ()}
 
 
@@ -25,7 +26,8 @@ class Drive:
         self.lane, self.offset_m, self.s_m = lane, offset_m, s_m
         self.tracked = TrackedLane(UNIT, REFERENCE_M)
         self.car = lane.car(s_m, offset_m, 0.0, REFERENCE_M)
-        assert self.tracked.start(*self.seen(sees))
+        kappa = float(lane.curvature(np.array((s_m,)))[0])
+        assert self.tracked.start(*self.seen(sees), np.array((offset_m, 0.0, kappa, UNIT)), START)
 
     def seen(self, sees: str, least_m: float = 0.35) -> tuple[SeenLine, SeenLine]:
         """Both lines, from `least_m` to 1.5 m ahead of the reference point."""
@@ -62,10 +64,10 @@ def test_there_is_no_centerline_before_start() -> None:
     tracked = TrackedLane(UNIT, REFERENCE_M)
     with pytest.raises(ValueError, match="no lane; call start first"):
         _ = tracked.centerline
-    assert not tracked.start(NOTHING, NOTHING)
-    assert not tracked.start(None, None)
+    straight = np.array((0.0, 0.0, 0.0, UNIT))
+    assert not tracked.start(NOTHING, NOTHING, straight, START)
     few = SeenLine(points_m=np.array([(0.5, 0.2), (0.6, 0.2), (0.7, 0.2)]), sigma_m=np.full(3, 0.004))
-    assert not tracked.start(few, few)
+    assert not tracked.start(few, few, straight, START)
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.8, -1.0])

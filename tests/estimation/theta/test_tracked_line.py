@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from automodel.estimation.road import BEHIND
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
@@ -108,7 +109,7 @@ def test_the_memory_is_pruned() -> None:
         backs.append(float(REFERENCE_M - places[:, 0].min()))
     assert max(counts[60:]) <= max(counts[:60]) + TrackedLine.KEEP_POINTS  # it does not grow
     assert max(counts) < 200
-    assert max(backs) < (TrackedLine.BEHIND_LANES + 0.5) * UNIT
+    assert max(backs) < (BEHIND + 0.5) * UNIT
 
 
 def test_a_car_that_stands_remembers_no_more() -> None:
