@@ -26,8 +26,8 @@ from automodel.types import Bools, Float32Array, FloatArray, Image
 class ImageMotionConfig:
     """Scales of `ImageMotion`; lengths in lane widths, pixels of an image of at most `width_px`.
 
-    `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion, and
-    this `share`; fewer agree by chance. So many that move together, most of those that move at all, show that the car
+    `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion;
+    fewer agree by chance. So many that move together, most of those that move at all, show that the car
     does: nothing moves while it stands. `sigma_px`: the error of following; a corner agrees up to twice that.
     `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in them; noise that
     was followed differs by 1.4. `systematic`: share of a motion by which a wrong camera falsifies it. `acceleration`
@@ -42,7 +42,6 @@ class ImageMotionConfig:
     aside: float = 1.5
     corners: int = 80
     least: int = 6
-    share: float = 0.25
     sigma_px: float = 0.5
     window_px: int = 17
     alike: float = 0.9
@@ -135,7 +134,7 @@ class ImageMotion:
         config = self.config
         still = np.hypot(*(end - start).T) < config.sigma_px
         moving = np.count_nonzero(~still)
-        moved, least = np.zeros(2), max(config.least, round(config.share * len(start)))
+        moved, least = np.zeros(2), config.least
         if moving >= config.least:
             moved = self._consensus(start[~still], end[~still])
             together = np.count_nonzero(self._near(start[~still], end[~still], moved))

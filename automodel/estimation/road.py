@@ -6,7 +6,8 @@ Lengths are in lane widths.
 TAPER = 0.03  # sigma of the width's change along the road: by a third within three lane widths at most
 TAPER_LANES = 3.0  # for which such a change lasts
 BEHIND = 1.2  # of the lane behind the reference point that is kept: the rear of a car
-WALK = 0.02  # sigma that offset, and heading [rad], gain over a lane width of driving by odometry
+NODE = 0.6  # between two nodes of a curve that describes a road's bends
+WALK = 0.015  # sigma that offset, and heading [rad], gain over a lane width of driving by odometry
 LOST_STEP, LOST_TURN_RAD = 0.5, 1.0  # what they gain over a second of unknown motion
 MAX_GAP_S = 0.5  # a longer gap between frames: a car at 1 m/s has driven more than a scale lane's width
 LOST_PACE = 3.0  # 1/s: speed of a car of which nothing is known

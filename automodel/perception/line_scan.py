@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from automodel.geometry import View
+from automodel.perception.markings.binary_views import WhiteAreas
 from automodel.types import Bools, FloatArray, Image
 
 
@@ -60,7 +61,7 @@ class ScanConfig:
     gap_lanes: float = 1.2
     turn_rad: float = 0.06
     bend: float = 0.6
-    wide: float = 2.5
+    wide: float = WhiteAreas.WIDE
     bars: int = 3
     bar_lanes: tuple[float, float] = (0.12, 0.4)
     spacing_lanes: float = 0.2

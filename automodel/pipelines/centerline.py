@@ -25,7 +25,7 @@ from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing
 from automodel.perception.windows.window_tracker import ExpectedLine
-from automodel.pipelines.stages import StageClock
+from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
@@ -67,7 +67,6 @@ class Centerline:
 
     name = "centerline"
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
-    SEEN_POINTS = 2  # that make a line seen
     REACH_LANES = 0.2  # lateral distance from its expected place in which a line is searched
     END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
 
@@ -200,7 +199,7 @@ class Centerline:
             expected = ExpectedLine(points_m=points, heading_rad=heading)
             reach = max(self.REACH_LANES * self._unit, 2.0 * float(sigma[0]))
             line = self._seen(self._following.follow(features, expected=expected, reach_m=reach))
-            if len(line.points_m) >= self.SEEN_POINTS:
+            if len(line.points_m) >= SEEN:
                 line = _with_belief(line, points, sigma)
             seen.append(line)
         left, right = seen
@@ -263,9 +262,7 @@ class Centerline:
         return False
 
     def _followed(self, lane: TrackedLane, lines: Lines) -> Followed:
-        left, right = (
-            used and len(line.points_m) >= self.SEEN_POINTS for used, line in zip(lines.used, lines[:2], strict=True)
-        )
+        left, right = (used and len(line.points_m) >= SEEN for used, line in zip(lines.used, lines[:2], strict=True))
         centerline, pose = lane.centerline, lane.pose
         return Followed(
             pose=LanePose(

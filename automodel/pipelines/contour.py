@@ -29,7 +29,7 @@ from automodel.perception.markings.binary_views import WhiteAreas, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
-from automodel.pipelines.stages import StageClock
+from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, MotionSource
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
@@ -57,7 +57,6 @@ class Contour:
     name = "contour"
     ROUNDS = 3  # iterations of measurement and correction, at most
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
-    LINE_NODES = 2  # that make a line seen
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     PIECES = 7  # maximum number of the pair's stations ahead
@@ -106,7 +105,7 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
-        self._odometry = OdometryMonitor(sigma, 2 * self.LINE_NODES)
+        self._odometry = OdometryMonitor(sigma, 2 * SEEN)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
@@ -221,7 +220,7 @@ class Contour:
 
     def _seen(self, tracked: Tracked) -> tuple[bool, bool]:
         left, right = tracked.counts()
-        return left >= self.LINE_NODES, right >= self.LINE_NODES
+        return left >= SEEN, right >= SEEN
 
     def _lines_in_view(self, image: Image) -> Image:
         pixels, colour = np.asarray(image), self._options.colour

@@ -1,8 +1,13 @@
-"""Durations of a pipeline's stages, by an injected stopwatch: a pipeline itself reads no clock."""
+"""What all pipelines share: how many points make a line seen, and the durations of their stages.
+
+These are taken by an injected stopwatch: a pipeline itself reads no clock.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+
+SEEN = 2  # points of a frame that make a line seen
 
 
 class StageClock:

@@ -26,7 +26,7 @@ from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
-from automodel.pipelines.stages import StageClock
+from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleLane, GentleStart
@@ -41,7 +41,6 @@ class Windows:
     """The pipeline of Balbuena Palma et al. 2020."""
 
     name = "windows"
-    SEEN_WINDOWS = 2  # that make a line seen
     CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
 
@@ -229,7 +228,7 @@ class Windows:
     def _followed(
         self, crossing: Crossing | None, seen: Observation, solution: LaneSolution, support: Support
     ) -> Followed:
-        left_seen, right_seen = (n >= self.SEEN_WINDOWS for n in (support.left, support.right))
+        left_seen, right_seen = (n >= SEEN for n in (support.left, support.right))
         fit, p = self._tracker.fit, solution.parameters
         count = len(seen.left_m)
         left_m = seen.left_m[solution.inliers[:count]]

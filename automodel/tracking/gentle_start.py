@@ -11,7 +11,7 @@ from automodel.geometry import GroundCamera
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch
 from automodel.perception.rows.row_ground_lookup import GENTLE_LANES
-from automodel.tracking.belief import LaneBelief, RoadModel
+from automodel.tracking.belief import STATION, LaneBelief, RoadModel
 from automodel.types import FloatArray, Image
 
 
@@ -31,14 +31,12 @@ class GentleStart:
     How tight they may be is what car.toml's `[pipeline.contour] radius_lanes` says of the road.
     """
 
-    SPACING = 0.3  # lane widths between two points
-
     def __init__(self, car: CarConfig, camera: GroundCamera, ahead_lanes: float) -> None:
         unit, lane, radius = car.lane.width_m, car.lane, car.pipeline.contour.radius_lanes
         self._unit, self._radius, self._reference_x_m = unit, radius, car.vehicle.reference_x_m
         self._camera, self._lane = camera, lane
         near = max(camera.first_visible_x_m() - self._reference_x_m, 0.0)
-        self._s = np.arange(near, near + ahead_lanes * unit, self.SPACING * unit)
+        self._s = np.arange(near, near + ahead_lanes * unit, STATION * unit)
         light = Brightness("grey", lane.markings == "dark")
         self._polarities = (light, light.negative())[: 1 + (lane.markings == "both")]
         self._search: LineIntegralSearch | None = None

@@ -65,15 +65,14 @@ class Hypothesis:
 class HypothesesConfig:
     """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies.
 
-    `lines`: lines of a frame that are looked at, the longest first. `same_lanes`, `same_rad`: hypotheses closer than
-    this are one. `neighbour_price` [nats]: a road may have no lane there.
+    `lines`: lines of a frame that are looked at, the longest first. `same` [lane widths, and radians]: hypotheses
+    closer than this are one. `neighbour_price` [nats]: a road may have no lane there.
     """
 
     most: int = 4
     prune: float = 7.0
     lines: int = 5
-    same_lanes: float = 0.12
-    same_rad: float = 0.12
+    same: float = 0.12
     neighbour_price: float = 1.5
 
 
@@ -176,7 +175,7 @@ class Hypotheses:
     def _same(self, one: Hypothesis, other: Hypothesis) -> bool:
         lateral = abs(one.belief.offset_m - other.belief.offset_m) / one.belief.road.lane_width_m
         turned = abs(one.belief.heading_rad - other.belief.heading_rad)
-        return lateral < self.config.same_lanes and turned < self.config.same_rad
+        return max(lateral, turned) < self.config.same
 
 
 def _beside(one: Look, other: Look) -> bool:

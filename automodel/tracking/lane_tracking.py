@@ -48,8 +48,8 @@ class TrackingConfig:
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
     followed.
-    `exists`: log-odds [nats] that it must have against clutter. `start_lanes`, `start_rad`, `start_bend`: sigmas of a
-    car's offset, heading and bend [1 / lane width] where nothing is known.
+    `exists`: log-odds [nats] that it must have against clutter. `start`: sigma of a car's offset
+    [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     """
 
     coast_s: float
@@ -60,9 +60,7 @@ class TrackingConfig:
     differs: float = 9.2
     sure: float = 0.99
     exists: float = 5.0
-    start_lanes: float = 0.25
-    start_rad: float = 0.25
-    start_bend: float = 0.2
+    start: float = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -202,9 +200,9 @@ class LaneTracking:
     def _anywhere(self) -> LaneBelief:
         config, unit = self.config, self._unit
         sigma = (
-            config.start_lanes * unit,
-            config.start_rad,
-            config.start_bend / unit,
+            config.start * unit,
+            config.start,
+            config.start / unit,
             self._bends.road.width_sigma * unit,
         )
         mean = np.array((0.0, 0.0, 0.0, unit))

@@ -23,10 +23,9 @@ from typing import Any
 import numpy as np
 
 from automodel.compiled import compiled
+from automodel.curves.foot import LEAST_STRETCH
 from automodel.curves.sampled import Table
 from automodel.types import Complexes, FloatArray, Floats
-
-_LEAST_STRETCH = 0.05  # least 1 - kappa d of a curve beside the centerline: it is 0 at the centre of curvature
 
 
 class Parameter(IntEnum):
@@ -140,10 +139,10 @@ class ClothoidPair:
         if lateral_m == taper == 0.0:
             return s - s[0], points, theta0, kappa0
         left, left0 = lateral_m + taper * fine, lateral_m + taper * s
-        stretch = np.hypot(np.maximum(1.0 - left * kappa, _LEAST_STRETCH), taper)
+        stretch = np.hypot(np.maximum(1.0 - left * kappa, LEAST_STRETCH), taper)
         lengths = (stretch * weights).sum(axis=1)
         lengths = np.concatenate(([0.0], np.cumsum(lengths)))
-        ahead = np.maximum(1.0 - left0 * kappa0, _LEAST_STRETCH)
+        ahead = np.maximum(1.0 - left0 * kappa0, LEAST_STRETCH)
         return lengths, points + left0[:, None] * normal, theta0 + np.arctan2(taper, ahead), kappa0 / ahead
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from automodel.curves.foot import nearest_samples, newton_steps
 from automodel.curves.lanes import LaneShape
-from automodel.estimation.road import BEHIND
+from automodel.estimation.road import BEHIND, NODE
 from automodel.geometry import SE2
 from automodel.types import Bools, FloatArray
 
@@ -30,7 +30,7 @@ class LaneFitConfig:
     reference_x_m: float
     behind_lanes: float = BEHIND  # reach of the centerline behind the reference point
     ahead_lanes: float = 4.0  # and ahead of it
-    node_lanes: float = 0.6  # spacing of the curvature's nodes
+    node_lanes: float = NODE  # spacing of the curvature's nodes
     sure_lanes: float = 1.0  # distance ahead up to which the prior is trusted
     outlier_lanes: float = 0.06  # distance at which Tukey's biweight becomes 0
 

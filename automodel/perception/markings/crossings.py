@@ -44,7 +44,7 @@ class CrossingSearch:
     """
 
     COLUMNS = 20
-    STEP_MARKINGS = 1.0 / 2.5
+    STEP_MARKINGS = 0.4
     COVER = 0.42  # minimum bright share of the lane's width: a stop line has 1, a zebra 1/2
     BUSY = 0.2  # share from which on lines along the lane are not used
     SEEN = 0.6  # minimum share of the lane's width in view

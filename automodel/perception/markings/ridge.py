@@ -62,7 +62,7 @@ class _Band(NamedTuple):
 class RidgeFilter:
     """Computes how far each pixel exceeds both its sides, as a marking does.
 
-    The threshold minimises the variance within the two classes (Otsu 1979) among equally spaced candidates from
+    The threshold minimises the variance within the two classes (Otsu 1979) among all from
     `contrast` [grey levels] on, or, where that is 0, from what noise exceeds at `FALSE_ALARMS` places.
 
     `width_px_per_row` (h,) is the width of a marking on each row of an image `image_width_px` wide; 0: no ground.
@@ -75,7 +75,6 @@ class RidgeFilter:
     MIN_WIDTH_PX = 0.75  # of a marking; rows where it is narrower have no evidence
     # Lengths of the windows and their distance, in markings: a short middle gives evidence as wide as the marking.
     MIDDLE, SIDE, APART = 0.5, 1.0, 1.75
-    CANDIDATES = 32
     NEXT_BAND = 1.1  # ratio of the marking's widths at which a new band starts
     LEVEL = 128  # the evidence at the threshold
 
@@ -157,7 +156,8 @@ class RidgeFilter:
         values = np.arange(256.0)
         below = [np.cumsum(counts * values**power) for power in range(3)]
         least, most = self._contrast or self._noise_level(response), float(np.searchsorted(below[0], below[0][-1]))
-        at = np.linspace(least, max(least, most), self.CANDIDATES).round().astype(np.intp).clip(1, 255)
+        first = min(max(round(least), 1), 255)
+        at = np.arange(first, max(first, min(round(most), 255)) + 1)
         within: FloatArray = np.zeros(len(at))
         for number, first, second in ([b[at - 1] for b in below], [b[-1] - b[at - 1] for b in below]):
             within = within + second - first**2 / np.maximum(number, 1.0)

@@ -17,8 +17,6 @@ class RowGroundLookup:
     where the image does not show that ground.
     """
 
-    _PLACES = 65
-
     def __init__(self, camera: GroundCamera, between_m: tuple[float, float], count: int) -> None:
         self._width = camera.camera.width_px
         x = np.linspace(*between_m, 2000)
@@ -27,7 +25,7 @@ class RowGroundLookup:
         if len(v) < 2:
             raise ValueError("pitch_rad: the image shows no ground where the lane's lines start")
         rows = np.unique(np.rint(np.linspace(v.max(), v.min(), count)).astype(np.intp))
-        u = np.linspace(0.0, self._width - 1.0, self._PLACES)
+        u = np.arange(self._width, dtype=np.float64)
         self._ground: list[tuple[Floats, Floats]] = []  # increasing y, and u there
         shown, ahead = [], []
         for row in rows:

@@ -57,7 +57,7 @@ class LineWindows:
     SPREAD = 0.3  # maximum variance across the line in squared markings; that of one line is 1/12
     FILL = 0.35  # minimum share of a whole line's pixels
     LONG = 0.5  # minimum variance along the window, relative to a line that fills it, for a direction; no disc has it
-    FLANK = (1.5, 4.5)  # markings from a piece to what is beside it
+    FLANK = (1.5, ACROSS)  # markings from a piece to what is beside it
     TRIES = 3  # iterations of centring a window
     RIM = 1.3  # markings that a point lies inside the visible part, at least
 
