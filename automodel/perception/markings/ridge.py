@@ -7,6 +7,7 @@ row, after section 3.1 of the paper of wide-baseline stereo lane detection: `cen
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, NamedTuple
 
@@ -75,7 +76,6 @@ class RidgeFilter:
     MIN_WIDTH_PX = 0.75  # of a marking; rows where it is narrower have no evidence
     # Lengths of the windows and their distance, in markings: a short middle gives evidence as wide as the marking.
     MIDDLE, SIDE, APART = 0.5, 1.0, 1.75
-    NEXT_BAND = 1.1  # ratio of the marking's widths at which a new band starts
     LEVEL = 128  # the evidence at the threshold
 
     def __init__(
@@ -103,23 +103,17 @@ class RidgeFilter:
         return cls(apparent_width_px(camera, marking_width_m), camera.camera.width_px, contrast, markings)
 
     def _split(self, width_px: FloatArray) -> list[_Band]:
+        windows = [
+            (_odd(self.MIDDLE * width), _odd(self.SIDE * width), max(round(self.APART * width), 2))
+            if width >= self.MIN_WIDTH_PX
+            else None
+            for width in width_px.tolist()
+        ]
         bands: list[_Band] = []
-        edges = [0]
-        for row in range(1, len(width_px)):
-            first = width_px[edges[-1]]
-            if not max(first, width_px[row]) <= self.NEXT_BAND * max(min(first, width_px[row]), self.MIN_WIDTH_PX):
-                edges.append(row)
-        for first_row, end in zip(edges, [*edges[1:], len(width_px)], strict=True):
-            width = float(width_px[first_row:end].mean())
-            if width >= self.MIN_WIDTH_PX:
-                bands.append(
-                    _Band(
-                        slice(first_row, end),
-                        _odd(self.MIDDLE * width),
-                        _odd(self.SIDE * width),
-                        max(round(self.APART * width), 2),
-                    )
-                )
+        for found, rows in itertools.groupby(range(len(windows)), key=windows.__getitem__):
+            if found is not None:
+                first, *others = rows
+                bands.append(_Band(slice(first, first + len(others) + 1), *found))
         return bands
 
     def step(self, grey: Image) -> Image:
@@ -156,8 +150,8 @@ class RidgeFilter:
         values = np.arange(256.0)
         below = [np.cumsum(counts * values**power) for power in range(3)]
         least, most = self._contrast or self._noise_level(response), float(np.searchsorted(below[0], below[0][-1]))
-        first = min(max(round(least), 1), 255)
-        at = np.arange(first, max(first, min(round(most), 255)) + 1)
+        lowest = min(max(round(least), 1), 255)
+        at = np.arange(lowest, max(lowest, min(round(most), 255)) + 1)
         within: FloatArray = np.zeros(len(at))
         for number, first, second in ([b[at - 1] for b in below], [b[-1] - b[at - 1] for b in below]):
             within = within + second - first**2 / np.maximum(number, 1.0)
