@@ -26,7 +26,7 @@ from automodel.estimation.clothoid.clothoid_pair import (
 )
 from automodel.estimation.clothoid.solvers import SOLVERS, State, correct, gradient_descent
 from automodel.estimation.road import TAPER as ROAD_TAPER
-from automodel.estimation.road import TAPER_LANES, WALK
+from automodel.estimation.road import TAPER_LANES
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -40,6 +40,7 @@ class TrackerConfig:
     lane_width_m: float
     radius_lanes: float  # of the tightest bend
     solver: str = "gauss_newton"  # a key of `SOLVERS`
+    walk: float = 0.012  # of offset, and heading [rad]; with 0.02 a wrong speed is noticed too late
     width_walk: float = 0.002
     curvature_walk: float = 0.03  # of a station's value: what was measured gets out of date
     curvature_step: float = 0.4  # from station to station, per root lane width of road
@@ -151,7 +152,7 @@ class ClothoidTracker:
         self._one: Floats = np.eye(size, dtype=dtype)
         self._lever_m = float(pair.nodes_m[pair.count // 2])
         walk = np.full(size, config.curvature_walk * bend)
-        walk[:TAPER] = WALK * unit, WALK, config.width_walk * unit
+        walk[:TAPER] = config.walk * unit, config.walk, config.width_walk * unit
         walk[TAPER] = ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES)
         self._walk: Floats = (walk**2).astype(dtype)
         floor = np.full(size, 1e-4 * bend)
