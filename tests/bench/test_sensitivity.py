@@ -21,7 +21,7 @@ def choice_of(*only: str) -> SensitivityChoice:
 
 
 def test_one_number_matters_and_another_does_not() -> None:
-    rows = measure(CarConfig(), choice_of("SlidingWindows.WIDTH", "image_motion.MAX_GAP_S"), 1)
+    rows = measure(CarConfig(), choice_of("SlidingWindows.WIDTH", "road.MAX_GAP_S"), 1)
     width, gap = rows  # what matters most comes first
     assert (width["number"].split(".")[-1], gap["number"].split(".")[-1]) == ("WIDTH", "MAX_GAP_S")
     assert width["changed_pct"] > 0.0

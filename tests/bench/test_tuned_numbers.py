@@ -19,7 +19,7 @@ def one(path: str) -> TunedNumber:
 def test_fields_attributes_and_parts_of_tuples_are_found() -> None:
     assert one("tracking.belief.RoadModel.width_sigma").value == 0.12
     assert one("perception.markings.binary_views.WhiteAreas.NARROW").value == 0.45  # NARROW, WIDE = 0.45, 2.4
-    assert one("estimation.image_motion.MAX_GAP_S").value == 0.5
+    assert one("estimation.road.MAX_GAP_S").value == 0.5
     assert one("perception.line_scan.ScanConfig.bar_lanes[1]").value == 0.4
 
 
@@ -49,8 +49,8 @@ def test_every_exemption_is_of_something() -> None:
 
 
 def test_patterns_choose() -> None:
-    assert {number.path for number in tuned_numbers(["frame_motion", "clothoid*_walk_rad"])} == {
-        path for path in ALL if "frame_motion" in path or ("clothoid" in path and path.endswith("_walk_rad"))
+    assert {number.path for number in tuned_numbers(["frame_motion", "clothoid*width_walk"])} == {
+        path for path in ALL if "frame_motion" in path or ("clothoid" in path and path.endswith("width_walk"))
     }
     assert not tuned_numbers(["no such number"])
 
@@ -58,7 +58,7 @@ def test_patterns_choose() -> None:
 def test_whole_numbers_stay_whole() -> None:
     count = one("tracking.hypotheses.HypothesesConfig.most")
     assert [count.moved(share) for share in (-0.5, -0.1, 0.2, 0.5)] == [2, None, 5, 6]
-    assert one("estimation.image_motion.MAX_GAP_S").moved(0.5) == 0.75
+    assert one("estimation.road.MAX_GAP_S").moved(0.5) == 0.75
 
 
 def test_users_are_those_that_import_a_module_through_others_too() -> None:
@@ -89,7 +89,7 @@ def test_what_is_derived_follows() -> None:
 
 
 def test_a_number_is_put_back_after_an_error() -> None:
-    name, number = "automodel.estimation.image_motion", one("estimation.image_motion.MAX_GAP_S")
+    name, number = "automodel.estimation.road", one("estimation.road.MAX_GAP_S")
     before = importlib.import_module(name)
 
     def fail() -> None:
