@@ -179,14 +179,10 @@ class ClothoidTracker:
         self.forget()
         guess = np.full(len(self._one), mean[2], self.pair.dtype)
         guess[:CURVATURE] = *mean[[0, 1, 3]], 0.0
-        near = self._road[0] / self._road[0, 0]  # how much of the curvature beside the car each station has
-        of = np.zeros((len(guess), 4))
-        of[[OFFSET, HEADING, WIDTH], [0, 1, 3]] = 1.0
-        of[CURVATURE:, 2] = near
-        spread = (of @ covariance @ of.T).astype(guess.dtype)
+        spread = np.zeros_like(self._one)
+        spread[:TAPER, :TAPER] = covariance[np.ix_((0, 1, 3), (0, 1, 3))]
         spread[TAPER, TAPER] = ROAD_TAPER**2
-        spread[CURVATURE:, CURVATURE:] += self._road - self._road[0, 0] * np.outer(near, near)
-        spread.flat[:: len(guess) + 1] += self._floor
+        spread[CURVATURE:, CURVATURE:] = self._road
         self.parameters, self.covariance = guess, spread
         self._prior = guess, spread
 
