@@ -14,19 +14,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 
-from automodel.curves.foot import foot_on_circle
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, log_likelihood, posterior, settled, whitened
-from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row
+from automodel.tracking.lane_motion import Drift, line_beside, moved
+from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.types import FloatArray
 
 STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later
-BEND_RATE = 0.2  # per lane width of road: places where a bend begins or ends at once
 STATIONS = 13  # from behind the car to six lane widths ahead, beyond which the road goes on as it does there
 
 
@@ -76,15 +75,21 @@ class RoadModel:
     any_turn_rad: float = 0.4
     any_bend: float = 0.3
 
-    @overload
-    def same_bend(self, lanes: float) -> float: ...
-
-    @overload
-    def same_bend(self, lanes: FloatArray) -> FloatArray: ...
-
-    def same_bend(self, lanes: float | FloatArray) -> float | FloatArray:
-        """How much of a curvature is left so many lane widths farther on: all roads turn straight again."""
-        return np.exp(-lanes * self.bend_walk / (2.0 * self.any_bend**2))
+    def drift(self) -> Drift:
+        """What gets uncertain on the way."""
+        return Drift(
+            unit_m=self.lane_width_m,
+            step=self.step,
+            turn_rad=self.turn_rad,
+            pace=self.pace,
+            lost_step=self.lost_step,
+            lost_turn_rad=self.lost_turn_rad,
+            lost_pace=self.lost_pace,
+            width_sigma=self.width_sigma,
+            width_walk=self.width_walk,
+            any_bend=self.any_bend,
+            forgets=self.bend_walk / (2.0 * self.any_bend**2),  # all roads turn straight again
+        )
 
 
 class Bends:
@@ -174,7 +179,7 @@ class LaneBelief:
     @property
     def curvature_per_m(self) -> float:
         """The centerline's curvature beside the car [1/m]."""
-        return float(self.weights(np.zeros(1))[0] @ self.state[ROAD:])
+        return curvature(self.state, self.start_m, STATION * self.road.lane_width_m)
 
     @property
     def width_m(self) -> float:
@@ -208,71 +213,24 @@ class LaneBelief:
     def beside(self, s_m: FloatArray, role: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where a line runs at arc lengths (n,): points (n, 2) [m], headings (n,) [rad], sigmas (n,) [m]."""
         spacing = STATION * self.road.lane_width_m
-        path = lane_path(self.state, self.start_m, spacing, self.reference_x_m)
-        rows, foot = np.empty((len(s_m), len(self.state))), np.empty((len(s_m), 3))
-        for i, s in enumerate(s_m.tolist()):
-            foot[i] = path_row(rows[i], path, self.start_m, spacing, self.reference_x_m, s)
-        rows[:, WIDTH] = role
-        x, y, heading = foot.T
-        left = role * self.width_m
-        points = np.column_stack((x - left * np.sin(heading), y + left * np.cos(heading)))
-        return points, heading, np.sqrt(np.maximum(np.einsum("ni,ij,nj->n", rows, self.covariance, rows), 0.0))
+        return line_beside(self.state, self.covariance, self.start_m, spacing, self.reference_x_m, role, s_m)
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""
-        road, unit = self.road, self.road.lane_width_m
-        state, along = self.state.copy(), 0.0
-        step = abs(distance_m) / unit
-        f = np.eye(len(state))
-        if known:
-            half = 0.5 * turn_rad
-            chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-            x = chord * math.cos(half) + self.reference_x_m * (math.cos(turn_rad) - 1.0)
-            y = chord * math.sin(half) + self.reference_x_m * math.sin(turn_rad)
-            d, theta = state[:2].tolist()
-            cos, sin = math.cos(theta), math.sin(theta)
-            between = self.weights(np.array((0.5 * distance_m,)))[0]
-            kappa = float(between @ state[ROAD:])
-            along, d = foot_on_circle(x * cos + y * sin, y * cos - x * sin + d, kappa, 0.05)
-            state[OFFSET], state[THETA] = d, math.remainder(theta + kappa * along - turn_rad, math.tau)
-            f[OFFSET, THETA], f[OFFSET, ROAD:] = -along, -0.5 * along * along * between
-            f[THETA, ROAD:] = along * between
-        kept = math.exp(-step * road.width_walk**2 / (2.0 * road.width_sigma**2))
-        f[WIDTH, WIDTH] = kept
-        state[WIDTH] += (1.0 - kept) * (unit - state[WIDTH])
-        covariance = f @ self.covariance @ f.T
-        covariance[OFFSET, OFFSET] += (road.step * unit) ** 2 * step
-        covariance[THETA, THETA] += road.turn_rad**2 * step
-        covariance[WIDTH, WIDTH] += (road.width_sigma * unit) ** 2 * (1.0 - kept * kept)
-        if not known:
-            covariance[OFFSET, OFFSET] += (road.lost_step * unit) ** 2 * dt_s
-            covariance[THETA, THETA] += road.lost_turn_rad**2 * dt_s
-        # By so many lane widths the road may lie elsewhere; what lay there before is known as well as that allows.
-        same = road.same_bend(road.pace * step if known else road.lost_pace * dt_s)
-        state[ROAD:] *= same
-        covariance[ROAD:] *= same
-        covariance[:, ROAD:] *= same
-        covariance.flat[ROAD * (len(state) + 1) :: len(state) + 1] += (road.any_bend / unit) ** 2 * (1.0 - same * same)
-        return replace(self, state=state, covariance=covariance, start_m=self.start_m + along)._rolled()
-
-    def _rolled(self) -> LaneBelief:
-        """The belief with its first station behind the foot by less than a station: the last ones are new, or gone."""
-        spacing = STATION * self.road.lane_width_m
-        passed = math.floor(self.start_m / spacing)
-        if passed == 0:
-            return self
-        at = np.arange(STATIONS) + passed
-        order = np.clip(at, 0, STATIONS - 1)
-        beyond = STATION * (at - order)  # lane widths from the known road, where it ends
-        turn = np.zeros((len(self.state), len(self.state)))
-        turn[:ROAD, :ROAD] = np.eye(ROAD)
-        turn[ROAD + np.arange(STATIONS), ROAD + order] = same = self.road.same_bend(np.abs(beyond))
-        covariance = turn @ self.covariance @ turn.T
-        between = self.road.same_bend(np.abs(beyond[:, None] - beyond))
-        new = np.where(beyond[:, None] * beyond > 0.0, between - np.outer(same, same), 0.0)
-        covariance[ROAD:, ROAD:] += (self.road.any_bend / self.road.lane_width_m) ** 2 * new
-        start = self.start_m - passed * spacing
-        return replace(self, state=turn @ self.state, covariance=covariance, start_m=start)
+        spacing, drift = STATION * self.road.lane_width_m, self.road.drift()
+        after = moved(
+            self.state,
+            self.covariance,
+            self.start_m,
+            spacing,
+            self.reference_x_m,
+            drift,
+            distance_m,
+            turn_rad,
+            dt_s,
+            known,
+        )
+        return LaneBelief(*after, self.road, self.reference_x_m)
 
     def update(self, assigned: Sequence[Assigned], way: float = math.inf) -> tuple[LaneBelief, float]:
         """The belief after a frame's lines, and the logarithm of how likely they are [nats].
@@ -333,17 +291,13 @@ class Evidence:
     def __init__(self, belief: LaneBelief) -> None:
         self.belief = belief
         road, unit = belief.road, belief.road.lane_width_m
-        root, jumps = whitened(np.ascontiguousarray(belief.covariance))
         point_variance = (road.point_markings * road.marking_width_m) ** 2
         self._prior = Prior(
             state=belief.state,
             start_m=belief.start_m,
             spacing_m=STATION * unit,
             reference_x_m=belief.reference_x_m,
-            root=root,
-            jumps=jumps,
-            jump_variance=road.bend_walk / unit**2 / BEND_RATE,
-            jump_odds=BEND_RATE * STATION,
+            root=whitened(np.ascontiguousarray(belief.covariance)),
             point_variance=point_variance,
             line_share=(road.line_sigma * unit) ** 2 / point_variance,
             eye_m=road.eye_m,
@@ -387,3 +341,4 @@ def warm_up() -> None:
     belief = LaneBelief.arc(np.array((0.0, 0.0, 0.0, 1.0)), 0.01 * np.eye(len(Part)), road, 0.0)
     points, _, _ = belief.beside(np.linspace(0.0, 3.0, 4), 0.5)
     belief.update((Assigned(SightedLine(points_m=points, painted_m=3.0, span_m=3.0), 0.5),))
+    belief.moved(0.1, 0.0, 0.01, True)

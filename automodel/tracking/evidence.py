@@ -17,23 +17,20 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.tracking.lane_path import PITCH, ROAD, WIDTH, foot_on, lane_path, path_row
+from automodel.tracking.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
 ROUNDS = 6  # of linearisation, and halvings of a step, at most
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
-MOST_NATS = 500.0  # an exponential that does not overflow
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
 
 class Prior(NamedTuple):
     """A belief as lines are weighed against it; the last coordinate is the camera's nod, its pitch in this frame alone.
 
-    `root` (n + 1, n + 1): square root of the covariance, in the order of the state and the nod. `jumps`
-    (stations - 1, n + 1): what a bend that begins at once at one of the stations but the first changes in the whitened
-    coordinates, per curvature; `jump_variance` [1/m^2], `jump_odds`: how sharp and how likely each is. `point_variance`
-    [m^2]: of a point's error, `line_share`: of the error that a line's points have in common, in units of it. `eye_m`:
-    the camera's place ahead and above; `pitch_rad`: sigma of its pitch.
+    `root` (n + 1, n + 1): square root of the covariance, in the order of the state and the nod. `point_variance` [m^2]:
+    of a point's error, `line_share`: of the error that a line's points have in common, in units of it. `eye_m`: the
+    camera's place ahead and above; `pitch_rad`: sigma of its pitch.
     """
 
     state: FloatArray
@@ -41,9 +38,6 @@ class Prior(NamedTuple):
     spacing_m: float
     reference_x_m: float
     root: FloatArray
-    jumps: FloatArray
-    jump_variance: float
-    jump_odds: float
     point_variance: float
     line_share: float
     eye_m: tuple[float, float]
@@ -117,20 +111,15 @@ def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 @compiled
-def whitened(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Square root of a covariance (n, n) with the nod (n + 1, n + 1), and the jumps of a `Prior` for it."""
+def whitened(covariance: FloatArray) -> FloatArray:
+    """Square root of a covariance (n, n) with the nod (n + 1, n + 1)."""
     size = len(covariance)
     full = np.zeros((size + 1, size + 1))
     full[:size, :size] = covariance
     full[size, size] = 1.0  # the nod, in sigmas of the pitch
     for i in range(size + 1):
         full[i, i] += CERTAIN * full[i, i] + CERTAIN**2
-    root = factor(full)
-    jumps = np.zeros((size - ROAD - 1, size + 1))
-    for i in range(len(jumps)):
-        jumps[i, ROAD + 1 + i : size] = 1.0
-        jumps[i] = forward(root, jumps[i])
-    return root, jumps
+    return factor(full)
 
 
 @compiled
@@ -160,45 +149,31 @@ def _equations(
     prior: Prior, path: FloatArray, state: FloatArray, points: FloatArray, role: float
 ) -> tuple[FloatArray, FloatArray, float]:
     """Information, vector and misfit of a line, linearised about a state with its path."""
-    size = len(state)
-    columns = np.empty((len(points), size + 2))
-    sums = np.zeros(size + 2)
+    size, full = len(state), len(prior.root)
     away = state - prior.state
-    for i in range(len(points)):
-        x, y = points[i, 0], points[i, 1]
+    row, white, rest = np.empty(full), np.empty((len(points), full)), np.empty(len(points))
+    white_sum, rest_sum = np.zeros(full), 0.0
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
         s, left = foot_on(path, x, y)
-        row = columns[i]
         heading = path_row(row[:size], path, prior.start_m, prior.spacing_m, prior.reference_x_m, s)[2]
         tilt = _tilt(prior, x, y, heading)
         row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
-        rest = left - role * state[WIDTH] - state[PITCH] * tilt
-        for k in range(size):
-            rest += row[k] * away[k]
-        row[size + 1] = rest
-        sums += row
+        rest[k] = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
+        rest_sum += rest[k]
+        for j in range(full):  # the root is triangular
+            white[k, j] = dot(row[j:], prior.root[j:, j])
+        white_sum += white[k]
     shared = prior.line_share / (1.0 + len(points) * prior.line_share)
-    gram = np.empty((size + 2, size + 2))
-    for i in range(size + 2):
+    information, vector, misfit = np.empty((full, full)), np.empty(full), -shared * rest_sum * rest_sum
+    for k in range(len(points)):
+        misfit += rest[k] * rest[k]
+    for i in range(full):
+        vector[i] = (dot(white[:, i], rest) - shared * white_sum[i] * rest_sum) / prior.point_variance
         for j in range(i + 1):
-            total = -shared * sums[i] * sums[j]
-            for k in range(len(points)):
-                total += columns[k, i] * columns[k, j]
-            gram[i, j] = gram[j, i] = total / prior.point_variance
-    full = size + 1
-    half = np.zeros((full, full))  # gram times root, which is triangular
-    for i in range(full):
-        for j in range(full):
-            for k in range(j, full):
-                half[i, j] += gram[i, k] * prior.root[k, j]
-    information, vector = np.zeros((full, full)), np.zeros(full)
-    for i in range(full):
-        for k in range(i, full):
-            vector[i] += prior.root[k, i] * gram[k, full]
-            for j in range(i + 1):
-                information[i, j] += prior.root[k, i] * half[k, j]
-        for j in range(i):
-            information[j, i] = information[i, j]
-    return information, vector, gram[full, full]
+            total = dot(white[:, i], white[:, j]) - shared * white_sum[i] * white_sum[j]
+            information[i, j] = information[j, i] = total / prior.point_variance
+    return information, vector, misfit / prior.point_variance
 
 
 @compiled
@@ -262,69 +237,24 @@ def settled(
 
 
 @compiled
-def _bends(
-    prior: Prior, information: FloatArray, vector: FloatArray, root: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """A bend that begins or ends at once at each station but the first: odds to none, curvature [1/m], its variance.
-
-    The walk of the curvature has what such bends do on average: one counts by how much more than likely it is. Last,
-    the directions (stations - 1, n + 1) in which each moves the whitened state, per curvature.
-    """
-    count = len(prior.jumps)
-    odds, means, variances = np.empty(count), np.empty(count), np.empty(count)
-    directions, white = np.empty(prior.jumps.shape), forward(root, vector)
-    for i in range(count):
-        jump = prior.jumps[i]
-        seen = times(information, jump)
-        across = forward(root, seen)
-        known = 1.0 / prior.jump_variance + dot(jump, seen) - dot(across, across)
-        pull = dot(vector, jump) - dot(white, across)
-        gain = 0.5 * (pull * pull / known - math.log(prior.jump_variance * known))
-        odds[i] = prior.jump_odds * max(math.expm1(min(gain, MOST_NATS)), 0.0)
-        means[i], variances[i] = pull / known, 1.0 / known
-        directions[i] = jump - backward(root, across)
-    return odds, means, variances, directions
-
-
-@compiled
 def log_likelihood(prior: Prior, equations: Equations) -> float:
     """The logarithm of how likely lines are [nats]."""
-    information, vector, root = _together(equations, 1.0)
+    _, vector, root = _together(equations, 1.0)
     white = forward(root, vector)
     volume = equations.log_volume.sum()
     for i in range(len(root)):
         volume += 2.0 * math.log(root[i, i])
-    sudden = math.log1p(_bends(prior, information, vector, root)[0].sum())
-    return sudden - 0.5 * (equations.misfit.sum() - dot(white, white) + volume)
+    return -0.5 * (equations.misfit.sum() - dot(white, white) + volume)
 
 
 @compiled
 def posterior(prior: Prior, equations: Equations, z: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
-    """State (n,) and covariance (n, n), the moments of a mixture, after lines that count by a `share` and put it at z.
-
-    The mixture: no bend begins at once, or one at one of the stations.
-    """
-    information, vector, root = _together(equations, share)
-    odds, means, variances, directions = _bends(prior, information, vector, root)
-    shares = odds / (1.0 + odds.sum())
-    full = len(root)
-    away, spread = np.zeros(full), np.empty((full, full))
-    for i in range(full):
-        unit = np.zeros(full)
-        unit[i] = 1.0
-        spread[i] = backward(root, forward(root, unit))
-    for i in range(len(odds)):
-        away += shares[i] * means[i] * directions[i]
-        spread += shares[i] * (variances[i] + means[i] ** 2) * np.outer(directions[i], directions[i])
-    spread -= np.outer(away, away)
-    size = full - 1
-    half, covariance = np.empty((full, full)), np.empty((size, size))
-    for i in range(full):
-        half[i] = times(prior.root, spread[i])
+    """State (n,) and covariance (n, n) after lines that count by a `share` and put it at z."""
+    root = _together(equations, share)[2]
+    size = len(root) - 1
+    half, covariance = np.empty((size, size + 1)), np.empty((size, size))
     for i in range(size):
+        half[i] = forward(root, prior.root[i])
         for j in range(i + 1):
-            total = 0.0
-            for k in range(i + 1):
-                total += prior.root[i, k] * half[k, j]
-            covariance[i, j] = covariance[j, i] = total
-    return prior.state + times(prior.root, z + away)[:size], covariance
+            covariance[i, j] = covariance[j, i] = dot(half[i], half[j])
+    return prior.state + times(prior.root, z)[:size], covariance

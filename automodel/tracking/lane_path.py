@@ -1,7 +1,8 @@
 """The centerline whose curvature is linear between stations, as short arcs, and how it moves with what is believed.
 
-A path (arcs, 5) has, of each arc, its start's arc length [m] from the reference point's foot, x, y [m] and heading
-[rad] in the body frame, and its curvature [1/m]. The state (4 + stations,) is that of `belief.LaneBelief`.
+A path (arcs, 9) has, of each arc, its start's arc length [m] from the reference point's foot, x, y [m] and heading
+[rad] in the body frame, its curvature [1/m], the cosine and sine of that heading, and x, y [m] of the arc's middle. The
+state (4 + stations,) is that of `belief.LaneBelief`.
 """
 
 from __future__ import annotations
@@ -36,14 +37,17 @@ def curvature(state: FloatArray, at_m: float, spacing_m: float) -> float:
 def lane_path(state: FloatArray, start_m: float, spacing_m: float, reference_x_m: float) -> FloatArray:
     """The centerline of a state, whose first station lies `start_m` behind the reference point's foot."""
     arcs = ARCS * (len(state) - ROAD - 1)
-    path, step = np.empty((arcs, 5)), spacing_m / ARCS
+    path, step = np.empty((arcs, 9)), spacing_m / ARCS
     heading = state[THETA]
     x, y = reference_x_m + state[OFFSET] * math.sin(heading), -state[OFFSET] * math.cos(heading)
     for i in range(arcs):
         kappa = curvature(state, (i + 0.5) * step + start_m, spacing_m)
         path[i, 0], path[i, 1], path[i, 2], path[i, 3], path[i, 4] = i * step, x, y, heading, kappa
-        along, aside = _on_arc(kappa, step)
         cos, sin = math.cos(heading), math.sin(heading)
+        along, aside = _on_arc(kappa, 0.5 * step)
+        path[i, 5], path[i, 6] = cos, sin
+        path[i, 7], path[i, 8] = x + along * cos - aside * sin, y + along * sin + aside * cos
+        along, aside = _on_arc(kappa, step)
         x, y = x + along * cos - aside * sin, y + along * sin + aside * cos
         heading += kappa * step
     return path
@@ -63,7 +67,7 @@ def place_on(path: FloatArray, s_m: float) -> tuple[float, float, float]:
     arc = min(max(int(s_m / path[1, 0]), 0), len(path) - 1)
     beyond = s_m - path[arc, 0]
     along, aside = _on_arc(path[arc, 4], beyond)
-    cos, sin = math.cos(path[arc, 3]), math.sin(path[arc, 3])
+    cos, sin = path[arc, 5], path[arc, 6]
     return (
         path[arc, 1] + along * cos - aside * sin,
         path[arc, 2] + along * sin + aside * cos,
@@ -74,15 +78,13 @@ def place_on(path: FloatArray, s_m: float) -> tuple[float, float, float]:
 @compiled
 def foot_on(path: FloatArray, x_m: float, y_m: float) -> tuple[float, float]:
     """Arc length of the foot of a point, and the point's distance to the left of the path [m]."""
-    nearest, arc, half = np.inf, 0, 0.5 * path[1, 0]
+    nearest, arc = np.inf, 0
     for i in range(len(path)):
-        middle = path[i, 3] + 0.5 * path[i, 4] * half
-        away_x = x_m - path[i, 1] - half * math.cos(middle)
-        away_y = y_m - path[i, 2] - half * math.sin(middle)
+        away_x, away_y = x_m - path[i, 7], y_m - path[i, 8]
         square = away_x * away_x + away_y * away_y
         if square < nearest:
             nearest, arc = square, i
-    cos, sin, kappa = math.cos(path[arc, 3]), math.sin(path[arc, 3]), path[arc, 4]
+    cos, sin, kappa = path[arc, 5], path[arc, 6], path[arc, 4]
     x, y = x_m - path[arc, 1], y_m - path[arc, 2]
     ahead, left = x * cos + y * sin, y * cos - x * sin
     if abs(kappa) < 1e-9:
@@ -110,12 +112,13 @@ def path_row(
         passed = s_m - path[i, 0]
         if passed <= 0.0:
             break
-        if i < last:
-            passed = min(passed, step)
-        along, aside = _on_arc(path[i, 4], 0.5 * passed)
-        first_cos, first_sin = math.cos(path[i, 3]), math.sin(path[i, 3])
-        turns_x = path[i, 1] + along * first_cos - aside * first_sin
-        turns_y = path[i, 2] + along * first_sin + aside * first_cos
+        turns_x, turns_y = path[i, 7], path[i, 8]
+        if passed < step or i == last:
+            along, aside = _on_arc(path[i, 4], 0.5 * passed)
+            turns_x = path[i, 1] + along * path[i, 5] - aside * path[i, 6]
+            turns_y = path[i, 2] + along * path[i, 6] + aside * path[i, 5]
+        else:
+            passed = step
         moved = passed * ((x - turns_x) * cos + (y - turns_y) * sin)
         first, share = station(path[i, 0] + 0.5 * step + start_m, spacing_m, len(row) - ROAD)
         row[ROAD + first] += (1.0 - share) * moved

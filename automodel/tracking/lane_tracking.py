@@ -142,7 +142,7 @@ class LaneTracking:
         if moved is None:
             self.forget()
             return None
-        if self._hypotheses.all or self._belief is not None:
+        if self._hypotheses.all or self._belief is not None:  # a lane, or what may become one
             step = moved.distance_m, moved.turn_rad, moved.dt_s, moved.known
             self._hypotheses.move(*step)
             if self._belief is not None:
@@ -280,11 +280,10 @@ class LaneTracking:
         if not self._possible(pose):
             self.forget()
             return self.lost_estimate(frame)
-        measured = self._measured(pose)
         if self._belief is None:
-            self._belief = measured
+            self._belief = self._measured(pose)
         elif not self.in_doubt:
-            self._check(measured, followed)
+            self._check(followed)
         if count:
             self._bends.see(pose.curvature_per_m)
             self._seen_ns, self._blind_m = frame.t_ns, 0.0
@@ -293,7 +292,7 @@ class LaneTracking:
             return self.lost_estimate(frame)
         return self._estimate(frame, STATUS[count], followed)
 
-    def _check(self, measured: LaneBelief, followed: Followed) -> None:
+    def _check(self, followed: Followed) -> None:
         """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
         belief = self._belief
         assert belief is not None
@@ -305,7 +304,7 @@ class LaneTracking:
                 self._doubt(belief.without_road())
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
                 belief = evidence.update(assigned, self._news_m / self._unit)
-                self._learn(belief, measured, True)
+                self._learn(belief, self._measured(followed.pose), True)
         if not self.in_doubt and self._confusable(belief):
             self._doubt(belief)
 
@@ -381,13 +380,15 @@ class LaneTracking:
     def _believe(self, belief: LaneBelief) -> None:
         """The doubt is over."""
         self._belief, self._reckoned, self.in_doubt, self._news_m = belief, None, False, 0.0
+        self._hypotheses.start(())
         self._innovations.reset()
 
     def _apart(self, one: LaneBelief, other: LaneBelief) -> float:
         """Squared difference of offset and heading over its covariance: chi-square with two degrees of freedom."""
-        off = (one.state - other.state)[:2]
-        systematic = np.diag((self._errors.offset_m**2, self._errors.heading_rad**2))
-        return float(off @ np.linalg.solve((one.covariance + other.covariance)[:2, :2] + systematic, off))
+        d, theta = (one.state[:2] - other.state[:2]).tolist()
+        (offset, both), (_, heading) = (one.covariance[:2, :2] + other.covariance[:2, :2]).tolist()
+        offset, heading = offset + self._errors.offset_m**2, heading + self._errors.heading_rad**2
+        return float((d * d * heading - 2.0 * d * theta * both + theta * theta * offset) / (offset * heading - both**2))
 
     def lost_estimate(self, frame: Frame) -> LaneEstimate:
         """An estimate that says that there is none."""
