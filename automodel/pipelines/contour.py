@@ -25,8 +25,9 @@ from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import WhiteAreas, road_view
+from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import SEEN, StageClock
@@ -59,6 +60,7 @@ class Contour:
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
+    VIEW_PIECES = 9  # of the view's length, in each of which paint is told from reflections
     PIECES = 7  # maximum number of the pair's stations ahead
 
     def __init__(self, car: CarConfig) -> None:
@@ -93,6 +95,10 @@ class Contour:
         view = road_view(self._camera, ahead_m, half_m, marking_m / self.MARKING_PX)
         self._birdseye = BirdsEye(self._camera, view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, self._car.lane.markings)
+        self._paint_check = TemporalPaintCheck(self._camera, view, self._white_areas.mask, unit, marking_m)
+        self._reflections = Reflections(
+            self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings, self.VIEW_PIECES
+        )
         self._scan = LineScan(view, unit, marking_m)
 
     @property
@@ -199,6 +205,10 @@ class Contour:
         if self._odometry_rejected:
             self._tracking.mistrust()
             self._odometry_rejected = False
+        if moved is not None and moved.known:
+            self._paint_check.move(moved.before_from_after, moved.distance_m)
+        else:
+            self._paint_check.forget()
         if self._tracking.lost or moved is None:
             self._tracker.forget()
             return
@@ -230,7 +240,9 @@ class Contour:
             grey = np.ascontiguousarray(pixels[..., CHANNELS[colour]])
         else:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        return self._white_areas.step(self._birdseye.warp(np.asarray(grey, dtype=np.uint8))).lines
+        view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
+        areas = self._white_areas.step(view)
+        return self._reflections.step(view, areas.lines, self._paint_check.step(areas))
 
     def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""

@@ -151,7 +151,7 @@ def _equations(
     """Information, vector and misfit of a line, linearised about a state with its path."""
     size, full = len(state), len(prior.root)
     away = state - prior.state
-    row, white, rest = np.empty(full), np.empty((len(points), full)), np.empty(len(points))
+    row, white, rest = np.empty(full), np.zeros((full, len(points))), np.empty(len(points))
     white_sum, rest_sum = np.zeros(full), 0.0
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
@@ -161,17 +161,18 @@ def _equations(
         row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
         rest[k] = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
         rest_sum += rest[k]
-        for j in range(full):  # the root is triangular
-            white[k, j] = dot(row[j:], prior.root[j:, j])
-        white_sum += white[k]
+        for i in range(full):  # the root is triangular
+            for j in range(i + 1):
+                white[j, k] += row[i] * prior.root[i, j]
+        white_sum += white[:, k]
     shared = prior.line_share / (1.0 + len(points) * prior.line_share)
     information, vector, misfit = np.empty((full, full)), np.empty(full), -shared * rest_sum * rest_sum
     for k in range(len(points)):
         misfit += rest[k] * rest[k]
     for i in range(full):
-        vector[i] = (dot(white[:, i], rest) - shared * white_sum[i] * rest_sum) / prior.point_variance
+        vector[i] = (dot(white[i], rest) - shared * white_sum[i] * rest_sum) / prior.point_variance
         for j in range(i + 1):
-            total = dot(white[:, i], white[:, j]) - shared * white_sum[i] * white_sum[j]
+            total = dot(white[i], white[j]) - shared * white_sum[i] * white_sum[j]
             information[i, j] = information[j, i] = total / prior.point_variance
     return information, vector, misfit / prior.point_variance
 

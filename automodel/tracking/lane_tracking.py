@@ -107,7 +107,8 @@ class LaneTracking:
         """Forget everything but the configuration."""
         self._motions.reset()
         self._bends.reset()
-        self._seen_ns = 0
+        self._t_ns = self._started_ns = 0
+        self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
         self.forget()
 
     def forget(self) -> None:
@@ -138,6 +139,7 @@ class LaneTracking:
 
         A motion that is not `trusted` counts as unknown.
         """
+        self._t_ns = t_ns
         moved = self._motions.step(t_ns, motion, trusted)
         if moved is None:
             self.forget()
@@ -151,8 +153,9 @@ class LaneTracking:
                 self._reckoned = self._reckoned.moved(*step)
             driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
-            self._news_m += max(driven, STILL_LANES * self._unit * moved.dt_s)
-            self._around_m += driven
+            passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
+            self._news_m += passed
+            self._around_m += passed
             self._bends.move(driven)
         self._reckons = moved.known and motion.source is not MotionSource.IMAGES
         return moved
@@ -182,7 +185,8 @@ class LaneTracking:
             self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
         else:
             return None
-        self._seen_ns, self._pair_m = t_ns, self._unit if roles >= {LEFT, RIGHT} else 0.0
+        self._started_ns = self._seen_ns = t_ns
+        self._pair_m = self._unit if roles >= {LEFT, RIGHT} else 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:
@@ -190,7 +194,7 @@ class LaneTracking:
 
         It is in doubt, unless its `pose` may be that of the lane that `start` returned for the same frame.
         """
-        self._seen_ns, known = t_ns, self._belief
+        self._started_ns, self._seen_ns, known = t_ns, t_ns, self._belief
         if known is not None and self._apart(self._measured(pose), known) < self.config.gate:
             return
         self._pair_m, self._belief = 0.0, None
@@ -317,8 +321,8 @@ class LaneTracking:
         assert belief is not None
         self._around_m = 0.0
         own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
-        around = Hypotheses()
-        around.start(((replace(belief, road=self._bends.road), 0.0),))
+        around, known = Hypotheses(), replace(belief, road=self._bends.road)
+        around.start(((known, 0.0), (known.without_road(), -self.config.exists)))  # its bends may be another thing's
         around.update((*lines, *own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
@@ -328,7 +332,17 @@ class LaneTracking:
             if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)
                 return best.belief
+            if best.line(LEFT) or best.line(RIGHT):
+                self._borne_out_ns, self._blind_m = self._t_ns, 0.0
+        if not own and not self.in_doubt and self._strays(measured):
+            return self._belief
         return None
+
+    def _strays(self, measured: LaneBelief) -> bool:
+        """Whether an estimator that sees no line has left the road that is remembered."""
+        belief = self._belief
+        assert belief is not None
+        return self._reckons and not self._confusable(belief) and self._apart(measured, belief) > self.config.differs
 
     def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.
@@ -425,8 +439,8 @@ class LaneTracking:
         )
 
     def _too_long(self, t_ns: int, count: int) -> bool:
-        blind_s = (t_ns - self._seen_ns) * 1e-9
-        if blind_s == 0.0 and count == 0:  # the estimator does not see what the lane was to start with
+        blind_s = (t_ns - max(self._seen_ns, self._borne_out_ns)) * 1e-9
+        if t_ns == self._started_ns and count == 0:  # the estimator does not see what the lane was to start with
             return True
         return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
 

@@ -14,7 +14,7 @@ from automodel.curves import GraphCurve
 from automodel.estimation.road import MAX_GAP_S
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
-from automodel.tracking import evidence, lane_path
+from automodel.tracking import evidence, lane_motion, lane_path
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.tracking.lane_path import ROAD
@@ -328,7 +328,12 @@ def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are
 
 def test_nothing_is_compiled_while_a_car_drives() -> None:
     driving()
-    functions = [one for module in (evidence, lane_path) for one in vars(module).values() if hasattr(one, "signatures")]
+    functions = [
+        one
+        for module in (evidence, lane_motion, lane_path)
+        for one in vars(module).values()
+        if hasattr(one, "signatures")
+    ]
     before = [len(one.signatures) for one in functions]
     assert len(before) > 10
     drive = driving(0.02)
@@ -345,6 +350,25 @@ def test_without_a_lane_a_wrong_odometry_is_no_matter() -> None:
     drive = Drive()
     drive.tracking.mistrust()
     assert not drive.doubted
+
+
+def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembered() -> None:
+    drive = driving()
+    assert drive.follow(said(0.0, NONE), sights(0.0)).status is LaneStatus.COASTING
+    for _ in range(6):
+        drive.follow(said(0.1 * LANE_M, NONE), ())
+        if drive.anew is not None:
+            break
+    assert drive.anew is not None
+    assert drive.anew.offset_m == pytest.approx(0.0, abs=0.02 * LANE_M)
+
+
+def test_an_estimator_that_sees_no_line_lives_on_lines_that_are_in_view() -> None:
+    drive = driving()
+    for _ in range(round(2.0 * CONFIG.coast_s / (1e-9 * STEP_NS))):
+        estimate = drive.follow(said(0.0, NONE), sights(0.0))
+    assert estimate.pose is not None
+    assert bound(estimate) < 0.2 * LANE_M
 
 
 def test_an_estimator_that_drifts_after_a_wrong_line_is_noticed_by_the_lines_in_view() -> None:

@@ -1,12 +1,13 @@
-"""Binary images of line markings: from a network's mask, or from a grey bird's-eye view.
+"""Binary images of line markings: from a network's mask, from a grey bird's-eye view, and their check over time.
 
 `centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (Balbuena Palma et al. 2020)
-uses `WhiteAreas`.
+uses `WhiteAreas` and `TemporalPaintCheck`.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import deque
+from dataclasses import dataclass, replace
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -14,10 +15,10 @@ import cv2
 import numpy as np
 
 from automodel.config import CameraConfig, Intrinsics
-from automodel.geometry import BirdsEye, GroundCamera, View
+from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.markings.ridge import ridge_image
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
-from automodel.types import Image
+from automodel.types import Bools, Image
 
 ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
@@ -190,3 +191,80 @@ class WhiteAreas:
         if self._markings == "both":
             ridges = np.asarray(cv2.max(ridges, ridge_image(view, 1, 1, self._reach)), dtype=np.uint8)
         return ridges
+
+
+@dataclass(slots=True)
+class _PastView:
+    """An earlier view's contrast, the largest within the tolerance; the car's pose and the distance driven then."""
+
+    contrast: Image
+    start_from_then: SE2
+    driven_m: float
+
+
+class TemporalPaintCheck:
+    """Removes reflections: compares a filtered view with the contrast a lane width of distance earlier.
+
+    Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
+    odometry gives each place in the earlier view. Where that showed less than half of the present contrast, there is no
+    paint. Only ground counts where a nodding camera and the odometry's error move a place by less than a marking; other
+    places pass, and so does everything until the car has driven far enough.
+    """
+
+    EVERY_LANES = 0.1  # distance between two remembered views
+    BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
+    NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
+
+    def __init__(
+        self, camera: GroundCamera, view: View, visible: Image, lane_width_m: float, marking_width_m: float
+    ) -> None:
+        self.view, self._unseen = view, cv2.bitwise_not(visible)
+        self._unseen[~self._reliable(camera, marking_width_m)] = 255
+        self._distance_m, self._every_m = lane_width_m, self.EVERY_LANES * lane_width_m
+        across = 2 * round(marking_width_m / view.m_per_px) + 1
+        along = 2 * round(marking_width_m / view.m_per_row) + 1
+        self._kernel = np.ones((along, across), np.uint8)
+        self._past: deque[_PastView] = deque()
+        self.forget()
+
+    def _reliable(self, camera: GroundCamera, marking_m: float) -> Bools:
+        """Where (h, w) in the view a marking keeps its place."""
+        rows, columns = np.arange(self.view.height_px), np.arange(self.view.width_px)
+        y = self.view.to_body(np.column_stack((columns, np.zeros(len(columns)))))[:, 1]
+        ahead = self.view.to_body(np.column_stack((np.zeros(len(rows)), rows)))[:, :1] - camera.centre_m[0]
+        moved = np.hypot(np.abs(y) * ahead * (self.NOD_RAD / camera.centre_m[2]), self.TURN_RAD * ahead)
+        return np.asarray(moved < marking_m)
+
+    def forget(self) -> None:
+        """Forget all views."""
+        self._past.clear()
+        self._start_from_now, self._driven_m = SE2(), 0.0
+
+    def move(self, before_from_after: SE2, distance_m: float) -> None:
+        """Move the car."""
+        self._start_from_now = self._start_from_now @ before_from_after
+        self._driven_m += abs(distance_m)
+        while len(self._past) > 1 and self._driven_m - self._past[1].driven_m >= self._distance_m:
+            self._past.popleft()
+
+    def step(self, views: MarkingViews) -> Image:
+        """The part (h, w) of the lines that may be paint. The contrast is kept if the car has driven on enough."""
+        painted = self._painted(views)
+        if not self._past or self._driven_m - self._past[-1].driven_m >= self._every_m:
+            contrast = cv2.bitwise_or(cv2.dilate(views.contrast, self._kernel), self._unseen)
+            self._past.append(_PastView(np.asarray(contrast, np.uint8), self._start_from_now, self._driven_m))
+        return painted
+
+    def _painted(self, views: MarkingViews) -> Image:
+        if not self._past or self._driven_m - self._past[0].driven_m < self._distance_m:
+            return views.lines
+        past = self._past[0]
+        now = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
+        then_from_now = past.start_from_then.inverse() @ self._start_from_now
+        then = self.view.to_px(then_from_now.apply(self.view.to_body(now)))
+        affine = cv2.getAffineTransform(now.astype(np.float32), then.astype(np.float32))
+        size = (self.view.width_px, self.view.height_px)
+        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+        contrast = cv2.warpAffine(past.contrast, affine, size, flags=flags, borderValue=[255])
+        bare = cv2.compare(contrast, cv2.convertScaleAbs(views.contrast, alpha=self.BARE), cv2.CMP_LT)
+        return np.asarray(cv2.subtract(views.lines, bare), dtype=np.uint8)
