@@ -26,6 +26,8 @@ class TrackedLane:
     """
 
     KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
+    NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
+    GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
         self.unit, self.reference_x_m = lane_width_m, reference_x_m
@@ -105,15 +107,22 @@ class TrackedLane:
             lateral = 0.5 * side * self.pose.width_m
             points[:, 0] -= lateral * np.sin(theta)
             points[:, 1] += lateral * np.cos(theta)
-        return points, theta, model.s_max_m - first
+        return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
 
     def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
         return tracked.line if tracked.unseen_m < self.KEPT_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
-        enough = 1 if tracked.line is not None else MIN_POINTS
+        enough = 1 if tracked.line is not None else self._first_points(seen)
         return len(seen.points_m) >= enough and tracked.update(seen)
+
+    def _first_points(self, seen: SeenLine) -> int:
+        """How many points make a new line: more where it has to be extrapolated far back to the car."""
+        if not len(seen.points_m):
+            return MIN_POINTS
+        away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
+        return MIN_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
     def _correct(self, seen: tuple[bool, bool]) -> None:
         """Update the pose by the points in which the seen lines meet the perpendicular, eq. (22)-(25)."""
@@ -123,8 +132,9 @@ class TrackedLane:
         last = max((t.line.s_max_m for t in there if t.line is not None), default=math.inf)
         self._fusion.rls.line = self.centerline.ending(last, arc)
         theta = self.centerline.heading_at(0.0)
-        direction = theta, self._fusion.rls.heading_variance_here()
-        self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), direction)
+        hidden = min((tracked.heading_sigma_rad for tracked in there), default=0.0)
+        variance = self._fusion.rls.heading_variance_here() + hidden * hidden
+        self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance))
 
     def _point(self, tracked: TrackedLine | None, theta_rad: float) -> LinePoint | None:
         if tracked is None or tracked.line is None:
@@ -134,6 +144,6 @@ class TrackedLane:
             tracked.line.reference_m,
             theta_rad,
             distance,
-            tracked.rls.lateral_variance_m2,
-            tracked.rls.heading_variance_here(),
+            tracked.rls.lateral_variance_m2 + tracked.lateral_sigma_m**2,
+            tracked.rls.heading_variance_here() + tracked.heading_sigma_rad**2,
         )

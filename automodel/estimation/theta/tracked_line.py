@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.curves.foot import nearest_samples
-from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, NODE, WALK
+from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, WALK
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
@@ -42,11 +42,13 @@ class TrackedLine:
 
     The camera sees the ground only ahead of the car. So that points lie beside the car too, the nearest ones of each
     frame are remembered, moved by the odometry, and dropped some distance behind the car. `line` is None until `update`
-    has made one; `unseen_m` is the distance driven since.
+    has made one; `unseen_m` is the distance driven since. `lateral_sigma_m`, `heading_sigma_rad`: uncertainty due to a
+    bend that cannot be seen where no points lie beside the car.
     """
 
     KEEP_POINTS = 4  # per round: the nearest, which leave the image next
-    STEP_LANES = 0.12  # spacing of the spline's samples, and of remembered points
+    HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
+    STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples, and of remembered points; of its knots
     BEND_LANES = 0.6  # [1 / lane width] usual change of curvature over a lane width
 
     def __init__(self, config: ThetaRlsConfig) -> None:
@@ -62,6 +64,7 @@ class TrackedLine:
         self._memory: FloatArray = np.empty((0, 3))  # x, y, sigma
         self._since_kept_m = np.inf
         self.unseen_m = 0.0
+        self.lateral_sigma_m = self.heading_sigma_rad = 0.0
 
     @property
     def line(self) -> HeadingPolynomial | None:
@@ -90,11 +93,12 @@ class TrackedLine:
             order = np.argsort(s, kind="stable")
             points, sigma = points[order], sigma[order]
         unit = self.unit
-        sampled = smooth(points, sigma, self.STEP_LANES * unit, NODE * unit, self.BEND_LANES / unit**2)
+        sampled = smooth(points, sigma, self.STEP_LANES * unit, self.KNOT_LANES * unit, self.BEND_LANES / unit**2)
         if sampled is None:
             return False
         self.rls.take(sampled)
         self.end(seen.ended, float(s.max()))
+        self._set_hidden_bend(s)
         self.unseen_m = 0.0
         if self._since_kept_m >= self.STEP_LANES * unit:
             kept = slice(0, self.KEEP_POINTS)
@@ -107,6 +111,15 @@ class TrackedLine:
         if self.rls.line is None:
             return
         self.rls.line = self.rls.line.ending(last_m, 0.0 if ended else math.inf)
+
+    def _set_hidden_bend(self, s_m: FloatArray) -> None:
+        """Uncertainty by a bend between the car and the points next to it."""
+        ahead, behind = s_m[s_m >= 0.0], -s_m[s_m < 0.0]
+        b = float(ahead.min()) if len(ahead) else math.inf
+        a = float(behind.min()) if len(behind) else math.inf
+        near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
+        kappa = self.HIDDEN_BEND_LANES / self.unit
+        self.lateral_sigma_m, self.heading_sigma_rad = 0.5 * kappa * near * far, kappa * near
 
     def _along(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) along the known line, accurate enough to sort points."""

@@ -154,6 +154,33 @@ def test_motion_that_is_not_known_forgets_the_points() -> None:
     assert run.tracked.update(seen(run.lane, run.car, run.s_m))
 
 
+def test_doubt_grows_with_the_way_from_the_points() -> None:
+    """Half a hidden curvature times the squared distance of the nearest point, and the curvature times it."""
+    run = Drive(arc(0.0), s_m=2.0)
+    doubts = []
+    for from_m in (0.2, 0.4, 0.8):
+        points = run.lane.seen_from(run.car, np.arange(run.s_m + from_m, run.s_m + 1.8, 0.05), 1)
+        tracked = TrackedLine(RLS)
+        assert tracked.update(SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004)))
+        again = SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004))
+        assert tracked.update(again)  # only now is there a line to measure along
+        doubts.append((tracked.lateral_sigma_m, tracked.heading_sigma_rad))
+    lateral, heading = np.array(doubts).T
+    assert (np.diff(lateral) > 0.0).all()
+    assert (np.diff(heading) > 0.0).all()
+    assert heading[1] / heading[0] == pytest.approx(2.0, rel=0.2)
+    assert lateral[1] / lateral[0] == pytest.approx(4.0, rel=0.4)
+
+
+def test_there_is_little_doubt_where_points_lie_beside_the_car() -> None:
+    run = Drive(arc(0.5))
+    run.drive(1)
+    first = run.tracked.lateral_sigma_m, run.tracked.heading_sigma_rad
+    run.drive(45)
+    assert run.tracked.lateral_sigma_m < 0.05 * first[0]
+    assert run.tracked.heading_sigma_rad < 0.2 * first[1]
+
+
 def test_a_line_that_ended_goes_straight_on() -> None:
     lane = arc(1.0)
     run = Drive(lane)
@@ -181,6 +208,7 @@ def test_forget_is_a_new_line() -> None:
     assert run.tracked.line is None
     assert len(remembered(run.tracked)) == 0
     assert run.tracked.unseen_m == 0.0
+    assert (run.tracked.lateral_sigma_m, run.tracked.heading_sigma_rad) == (0.0, 0.0)
     fresh = TrackedLine(RLS)
     for tracked in (run.tracked, fresh):
         assert tracked.update(seen(run.lane, run.car, run.s_m))
