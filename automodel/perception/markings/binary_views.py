@@ -1,7 +1,7 @@
 """Binary images of line markings: from a network's mask, from a grey bird's-eye view, and their check over time.
 
 `centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (Balbuena Palma et al. 2020)
-uses `WhiteAreas` and `TemporalPaintCheck`.
+uses `WhiteAreas`; `contour` looks around with `WhiteAreas` and `TemporalPaintCheck`.
 """
 
 from __future__ import annotations
