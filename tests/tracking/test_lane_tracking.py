@@ -371,6 +371,30 @@ def test_an_estimator_that_sees_no_line_lives_on_lines_that_are_in_view() -> Non
     assert bound(estimate) < 0.2 * LANE_M
 
 
+def test_a_car_that_stands_looks_around_by_time() -> None:
+    drive, lone = driving(), said(0.0, (LEFT,))
+    drive.follow(lone, sights(0.0))
+    assert not drive.tracking.looks_around(lone)
+    for _ in range(12):
+        drive.predict(speed_mps=0.0)
+    assert drive.tracking.looks_around(lone)
+
+
+def test_lines_in_view_correct_a_bend_that_was_remembered_wrongly() -> None:
+    drive = driving()
+    believed = drive.tracking._belief
+    assert believed is not None
+    state, covariance = believed.state.copy(), believed.covariance.copy()
+    state[ROAD + 2 :] = 1.5  # a bend from one lane width on, and sure of it
+    covariance[ROAD + 2 :, :] = covariance[:, ROAD + 2 :] = 0.0
+    covariance[range(ROAD + 2, len(state)), range(ROAD + 2, len(state))] = 0.05**2
+    drive.tracking._belief = replace(believed, state=state, covariance=covariance)
+    drive.follow(said(0.0, NONE), sights(0.0))
+    assert not drive.doubted
+    assert drive.tracking._belief is not None
+    assert abs(drive.tracking._belief.state[ROAD + 4]) < 0.5
+
+
 def test_an_estimator_that_drifts_after_a_wrong_line_is_noticed_by_the_lines_in_view() -> None:
     drive, off = driving(), 0.0
     while off < 0.5 * LANE_M:
