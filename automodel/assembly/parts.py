@@ -164,7 +164,7 @@ def build_run(
         recorder=recorder,
         motion=MotionEstimator(car.vehicle),
         loop=loop,
-        safety=Safety(car.safety, auto_arm=auto_arm),
+        safety=Safety(car.safety, auto_arm, blind_m=car.vehicle.free_space_m(car.lane.width_m)),
         clock=clock,
     )
 

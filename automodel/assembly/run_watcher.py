@@ -13,7 +13,7 @@ from automodel.interfaces import Source, VehicleLink
 from automodel.output_files import output_text
 from automodel.runtime.input_checks import UNCERTAIN
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
-from automodel.runtime.safety import SafetyMode
+from automodel.runtime.safety import OVERLOADED, SafetyMode
 from automodel.signals import Command, Frame, StereoFrame, VehicleState
 from automodel.sim.world import Scene
 
@@ -88,8 +88,9 @@ class Watcher:
         }
 
     def ending(self, result: RunResult) -> str:
-        """In words how the run went: what went wrong and where, or what was driven; and how often it was uncertain."""
-        return "; ".join([self._outcome(result), *_uncertain_holds(result)])
+        """In words how the run went: what went wrong and where, or what was driven; and why it was held."""
+        held = ((UNCERTAIN, "its offset was uncertain"), (OVERLOADED, "the machine was overloaded"))
+        return "; ".join([self._outcome(result), *(text for what in held for text in _holds(result, *what))])
 
     def _outcome(self, result: RunResult) -> str:
         wrong = [*self._left_lane(), *self._stops(result)]
@@ -149,10 +150,10 @@ class Watcher:
                 table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
 
 
-def _uncertain_holds(result: RunResult) -> list[str]:
-    """How often the car was held because it might have left its lane."""
-    held = sum(event.kind == "hold" and UNCERTAIN in event.text for event in result.events)
-    return [f"held {held} time{'s' if held > 1 else ''} because its offset was uncertain"] if held else []
+def _holds(result: RunResult, word: str, reason: str) -> list[str]:
+    """How often the car was held with `word` in the event's text, and for what `reason`, in words."""
+    held = sum(event.kind == "hold" and word in event.text for event in result.events)
+    return [f"held {held} time{'s' if held > 1 else ''} because {reason}"] if held else []
 
 
 class Stopwatch:

@@ -33,7 +33,7 @@ from automodel.runtime.run_types import (
     RunResult,
     TickRecord,
 )
-from automodel.runtime.safety import Action, SafetyDecision, SafetyInputs, SafetyMode, Seen
+from automodel.runtime.safety import CYCLE_S, Action, SafetyDecision, SafetyInputs, SafetyMode, Seen
 from automodel.runtime.supervised_link import SupervisedLink
 from automodel.runtime.supervised_source import SupervisedSource
 from automodel.signals import (
@@ -52,7 +52,7 @@ from automodel.sources.errors import EndOfSource
 
 __all__ = ["MotionStage", "RunConfig", "RunEnd", "RunObserver", "RunParts", "RunResult", "Runner", "TickRecord"]
 
-SLICE_NS = 20_000_000  # the longest wait for a frame in one cycle: a signal goes unanswered no longer
+SLICE_NS = round(CYCLE_S * NS_PER_S)
 SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual time pass
 
 
@@ -165,7 +165,9 @@ class Runner:
         arm = self._arm_requested is not None and self._arm_requested()
         was_at_rest = self._at_rest()
         state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next cycle
-        inputs = SafetyInputs(seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm)
+        inputs = SafetyInputs(
+            seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm, speed_mps=self._fastest_mps(state)
+        )
         decision = self._safety.step(inputs, self._clock.now_ns())
         sent, sent_ns = self._send(decision, tick)
         own = frame is not None and tick is not None and sent is tick.command
@@ -185,6 +187,11 @@ class Runner:
             self._observer.on_tick(record)
         self._run_log.flush_events()
         self._tidy(record, was_at_rest)
+
+    def _fastest_mps(self, state: VehicleState | None) -> float:
+        """The greater of the speed that the vehicle reports and the one that it was given."""
+        reported_mps = 0.0 if state is None or state.speed_mps is None else abs(state.speed_mps)
+        return max(reported_mps, abs(self._on_wire.speed_mps))
 
     def _await_frame(self) -> Frame | StereoFrame | None:
         now_ns = self._clock.now_ns()

@@ -4,9 +4,13 @@
 before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
 that cannot be true or a lane that is too uncertain (`runtime.input_checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
-should not), a command stale before it was sent, a loop that stood still for longer than a command lives, a clock that
-went back. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop,
-and a board that no longer obeys says so by being disarmed.
+should not), a clock that went back, a loop that stood still for longer than a command lives (or took that long from a
+frame to its command) while the car was fast. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a
+damaged byte is no reason to stop, and a board that no longer obeys says so by being disarmed.
+
+A loop that stood still is only *unwell* where it did so for less than `STALL_S` and the car cannot have come farther in
+that time than the free space beside it (`blind_m`): whatever its direction was, it is still inside its lane. A board
+disarms itself in such a pause, as it must: for `STALL_S` from then on it is asked to arm again while the car is held.
 
     mode              | on                                                       | next     | sent
     ------------------|----------------------------------------------------------|----------|---------------
@@ -16,6 +20,7 @@ and a board that no longer obeys says so by being disarmed.
     ARMING            | unwell, broken or ARM_TIMEOUT_S over                     | DISARMED | NEUTRAL, disarm
     ARMING            | the vehicle says it is armed, healthy frame in this cycle | DRIVING  | PASS
     DRIVING           | broken                                                   | STOPPED  | NEUTRAL, disarm
+    DRIVING           | unwell, and held holds_max times in holds_window_s       | STOPPED  | NEUTRAL, disarm
     DRIVING           | unwell                                                   | HOLD     | HOLD_STEERING
     HOLD              | broken, or hold_s over                                   | STOPPED  | NEUTRAL, disarm
     HOLD              | healthy frame in this cycle                               | DRIVING  | PASS
@@ -31,12 +36,17 @@ Event kinds: arming, driving, hold, stop, disarmed (arming given up), arm-refuse
 from __future__ import annotations
 
 import enum
+import math
+from collections import deque
 from dataclasses import dataclass
 
 from automodel.config import SafetyConfig
 from automodel.runtime.clocks import NS_PER_S
 from automodel.signals import Event, LaneStatus, VehicleState
 
+OVERLOADED = "overloaded"  # what the reason begins with where frames are too old once they have been looked at
+CYCLE_S = 0.02  # the longest wait for a frame in one cycle: a signal goes unanswered no longer
+STALL_S = 0.3  # after a longer pause of the loop a person must look, however slow the car was: as after a HOLD
 FUTURE_S = 0.05  # a frame further ahead of the clock than this carries a wrong time
 LINK_SILENCE_S = 0.1  # a vehicle that has said nothing for so long is gone: of 150 ms for a stop 45 are left then
 ARM_TIMEOUT_S = 1.0  # the vehicle's time to say that it is armed
@@ -80,6 +90,7 @@ class SafetyInputs:
     """One cycle of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
 
     `faults` are texts of what was found wrong in this cycle; `arm` is a person's request made in this cycle.
+    `speed_mps` is the greatest speed that the car may have had since the cycle before.
     """
 
     seen: Seen | None
@@ -87,6 +98,7 @@ class SafetyInputs:
     link_up: bool = True
     faults: tuple[str, ...] = ()
     arm: bool = False
+    speed_mps: float = math.inf
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,14 +114,22 @@ class SafetyDecision:
 
 
 class Safety:
-    """The state machine; `auto_arm` counts as one request made by a person at the start."""
+    """The state machine; `auto_arm` counts as one request made by a person at the start.
 
-    def __init__(self, config: SafetyConfig, auto_arm: bool = False) -> None:
+    `blind_m` is the distance that the car may drive while the loop stands still without having to be stopped for it.
+    """
+
+    def __init__(self, config: SafetyConfig, auto_arm: bool = False, blind_m: float = 0.0) -> None:
         self._frame_timeout_ns = round(config.frame_timeout_s * NS_PER_S)
         self._validity_ns = round(config.command_validity_s * NS_PER_S)
         self._hold_ns = round(config.hold_s * NS_PER_S)
         self._rearm_ns = round(config.rearm_s * NS_PER_S)
+        self._holds_max = config.holds_max
+        self._holds_window_ns = round(config.holds_window_s * NS_PER_S)
         self._auto_arm = auto_arm
+        self._blind_m = blind_m
+        self._held_ns: deque[int] = deque()  # when the car was held in the last `holds_window_s`
+        self._excused_ns: int | None = None  # until when a vehicle that has disarmed itself may be armed again
         self._mode = SafetyMode.DISARMED
         self._since_ns = 0  # when the mode was entered
         self._must_disarm = False
@@ -139,8 +159,11 @@ class Safety:
 
     def step(self, inputs: SafetyInputs, now_ns: int) -> SafetyDecision:
         """One cycle at `now_ns`; call it at least every 20 ms, with or without a frame."""
-        broken = self._clock_fault(inputs, now_ns) or self._vehicle_fault(inputs, now_ns)
-        unwell = self._chain_fault(inputs, now_ns)
+        stall, broken = self._clock_fault(inputs, now_ns)
+        disarmed, trouble = self._vehicle_fault(inputs, now_ns)
+        broken = broken or trouble
+        unwell = self._chain_fault(inputs, now_ns)  # always asked: it remembers the frame
+        unwell = stall or disarmed or unwell
         self._last_ns = now_ns
         reason = broken or unwell
         if reason is not None:
@@ -156,7 +179,7 @@ class Safety:
             events = self._enter(SafetyMode.STOPPED, "stop", broken, now_ns)
         elif self._mode is SafetyMode.DRIVING:
             if unwell is not None:
-                events = self._enter(SafetyMode.HOLD, "hold", unwell, now_ns)
+                events = self._hold(unwell, now_ns)
         else:
             events = self._held(inputs, unwell, now_ns)
         return self._decide(inputs, reason, events, now_ns)
@@ -184,6 +207,17 @@ class Safety:
             return self._enter(SafetyMode.DRIVING, "driving", "the vehicle is armed", now_ns)
         return ()
 
+    def _hold(self, unwell: str, now_ns: int) -> tuple[Event, ...]:
+        """Hold the car; stop it where it has been held too often."""
+        while self._held_ns and now_ns - self._held_ns[0] >= self._holds_window_ns:
+            self._held_ns.popleft()
+        if len(self._held_ns) >= self._holds_max:
+            window_s = self._holds_window_ns / NS_PER_S
+            often = f"held {self._holds_max} times within {window_s:g} s, and again: {unwell}"
+            return self._enter(SafetyMode.STOPPED, "stop", often, now_ns)
+        self._held_ns.append(now_ns)
+        return self._enter(SafetyMode.HOLD, "hold", unwell, now_ns)
+
     def _held(self, inputs: SafetyInputs, unwell: str | None, now_ns: int) -> tuple[Event, ...]:
         held_ns = now_ns - self._since_ns
         if held_ns >= self._hold_ns:
@@ -196,6 +230,8 @@ class Safety:
         if mode in (SafetyMode.STOPPED, SafetyMode.DISARMED):
             self._boot_id = None
             self._must_disarm = True
+            self._excused_ns = None
+            self._held_ns.clear()
         if mode is not SafetyMode.HOLD:
             self._asked_ns = None  # so that the vehicle is asked at once
         self._mode = mode
@@ -210,23 +246,38 @@ class Safety:
             action = Action.PASS
         elif self._mode is SafetyMode.HOLD:
             action = Action.HOLD_STEERING
-        else:
-            due = self._asked_ns is None or now_ns - self._asked_ns >= REPEAT_S * NS_PER_S
-            armed = inputs.state is not None and inputs.state.armed
-            arm = due and self._mode is SafetyMode.ARMING
-            disarm = due and self._mode is not SafetyMode.ARMING and (armed or self._must_disarm)
-            if arm or disarm:
-                self._asked_ns = now_ns
-                self._must_disarm = False
+        due = self._asked_ns is None or now_ns - self._asked_ns >= REPEAT_S * NS_PER_S
+        armed = inputs.state is not None and inputs.state.armed
+        if self._mode is SafetyMode.ARMING or (self._mode is SafetyMode.HOLD and not armed):
+            arm = due
+        elif self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED):
+            disarm = due and (armed or self._must_disarm)
+        if arm or disarm:
+            self._asked_ns = now_ns
+            self._must_disarm = False
         return SafetyDecision(mode=self._mode, action=action, arm=arm, disarm=disarm, reason=reason, events=events)
 
-    def _clock_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
-        """Whether time itself went wrong: it stepped back, or the loop spent it so that a command went stale."""
-        if self._last_ns is not None:
-            if now_ns < self._last_ns:
-                return f"the clock went back by {_s(self._last_ns - now_ns)} s"
-            if now_ns - self._last_ns > self._validity_ns:
-                return f"the loop stood still for {_s(now_ns - self._last_ns)} s"
+    def _clock_fault(self, inputs: SafetyInputs, now_ns: int) -> tuple[str | None, str | None]:
+        """How the loop has stood still where the car can be held for it, and what is wrong with time where it cannot.
+
+        Time itself went wrong (it stepped back), or the loop spent it so that a command went stale.
+        """
+        stood_ns = 0 if self._last_ns is None else now_ns - self._last_ns
+        if stood_ns < 0:
+            return None, f"the clock went back by {_s(-stood_ns)} s"
+        text = self._stall(inputs, stood_ns, now_ns)
+        if text is None:
+            return None, None
+        near = inputs.speed_mps * stood_ns <= self._blind_m * NS_PER_S
+        if stood_ns >= STALL_S * NS_PER_S or not near:
+            return None, text
+        self._excused_ns = now_ns + round(STALL_S * NS_PER_S)
+        return text, None
+
+    def _stall(self, inputs: SafetyInputs, stood_ns: int, now_ns: int) -> str | None:
+        """Why the vehicle may have got no command for longer than one lives, `stood_ns` after the cycle before."""
+        if stood_ns > self._validity_ns:
+            return f"the loop stood still for {_s(stood_ns)} s"
         seen = inputs.seen
         if seen is None or seen.valid_until_ns is None or now_ns < seen.valid_until_ns:
             return None
@@ -234,9 +285,19 @@ class Safety:
             return None  # it was late when it came: the camera's doing, which may pass
         return f"the command went stale in the loop, {_s(now_ns - seen.taken_ns)} s after the frame was taken up"
 
-    def _vehicle_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
-        state = inputs.state
-        if not inputs.link_up:
+    def _vehicle_fault(self, inputs: SafetyInputs, now_ns: int) -> tuple[str | None, str | None]:
+        """That the vehicle has disarmed itself while the loop stood still, which it may; and what it may not."""
+        broken = self._vehicle_broken(inputs.state, inputs.link_up, now_ns)
+        if broken is not None or inputs.state is None or inputs.state.armed:
+            return None, broken
+        if self._mode not in (SafetyMode.DRIVING, SafetyMode.HOLD):
+            return None, None
+        if self._excused_ns is None or now_ns >= self._excused_ns:
+            return None, "the vehicle has disarmed itself"
+        return "the vehicle has disarmed itself while the loop stood still", None
+
+    def _vehicle_broken(self, state: VehicleState | None, link_up: bool, now_ns: int) -> str | None:
+        if not link_up:
             return "the link to the vehicle is down"
         if state is None:
             return "the vehicle has not said hello"
@@ -244,8 +305,6 @@ class Safety:
             return f"the vehicle has said nothing for {_s(now_ns - state.t_ns)} s"
         if self._boot_id is not None and state.boot_id != self._boot_id:
             return "the vehicle's controller has restarted"
-        if self._mode in (SafetyMode.DRIVING, SafetyMode.HOLD) and not state.armed:
-            return "the vehicle has disarmed itself"
         if self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED) and state.armed:
             return "the vehicle is still armed"
         return None
@@ -264,8 +323,18 @@ class Safety:
         if self._frame_fault is None and self._frame_t_ns is not None:
             age_ns = now_ns - self._frame_t_ns
             if age_ns >= self._frame_timeout_ns:
-                return f"the newest frame is {_s(age_ns)} s old"
+                return self._too_old(seen, age_ns)
         return self._frame_fault
+
+    def _too_old(self, seen: Seen | None, age_ns: int) -> str:
+        """Why the newest frame is too old: the machine took too long for it, or the camera gives none in time."""
+        if seen is not None:
+            in_time = seen.taken_ns - seen.frame_t_ns < self._frame_timeout_ns
+            waited_ns = 0 if self._last_ns is None else seen.taken_ns - self._last_ns
+            if in_time or waited_ns > 2 * CYCLE_S * NS_PER_S:  # nobody woke the loop when its wait was over
+                limit_ms = self._frame_timeout_ns // 1_000_000
+                return f"{OVERLOADED}: frames {age_ns // 1_000_000} ms late (limit {limit_ms})"
+        return f"the newest frame is {_s(age_ns)} s old"
 
 
 def _s(duration_ns: int) -> str:

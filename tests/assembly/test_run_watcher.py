@@ -60,6 +60,11 @@ def test_departures_are_the_same_in_figures_and_in_words(reaches_m: list[float],
     assert watcher.ending(result()) == text
 
 
+def test_holds_of_an_overloaded_machine_are_counted_in_words() -> None:
+    ending = watched([0.1, 0.1]).ending(result(("hold", "overloaded: frames 97 ms late (limit 60)")))
+    assert ending == "drove 1.0 m and stayed in its lane; held 1 time because the machine was overloaded"
+
+
 @pytest.mark.parametrize(("times", "text"), [(1, "held 1 time"), (3, "held 3 times")])
 def test_holds_for_an_uncertain_offset_are_counted_in_words(times: int, text: str) -> None:
     hold = ("hold", "offset uncertain: 0.14 m (limit 0.10)")

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.realtime
 TRIES = 5  # a machine that does something else for a third of a second stops the car, rightly
 LATE = (
     "the newest frame is ",
+    "overloaded: ",
     "no frame",
     "the loop stood still for ",
     "the command went stale in the loop",
@@ -76,7 +77,8 @@ def left_behind(tmp_path: Path, leader: int) -> tuple[list[str], list[str]]:
 
 def reasons(err: str) -> list[str]:
     """Why the car was held or stopped."""
-    found = (re.search(r": (?:hold|stop): (?:held for [0-9.]+ s: )?(.*)", line) for line in err.splitlines())
+    held = r"(?:held (?:for [0-9.]+ s|[0-9]+ times within 10 s, and again): )?"
+    found = (re.search(f": (?:hold|stop): {held}(.*)", line) for line in err.splitlines())
     return [match[1] for match in found if match]
 
 

@@ -175,7 +175,16 @@ def test_units_are_in_every_name() -> None:
         "_per_s",
         "_lanes",
     )
-    plain = {"device", "distortion", "baud", "jpeg_quality", "contrast", "view_ahead_lanes", "view_half_lanes"}
+    plain = {
+        "device",
+        "distortion",
+        "baud",
+        "jpeg_quality",
+        "holds_max",
+        "contrast",
+        "view_ahead_lanes",
+        "view_half_lanes",
+    }
     plain |= {"one_line_speed", "coasting_speed", "uncertain_speed"}
     plain |= {"providers", "threads", "threshold", "nodes"}
     for path, value in leaves(CarConfig()):

@@ -39,7 +39,7 @@ def test_request_before_healthy_time_is_refused_and_forgotten() -> None:
     [
         ({"status": LaneStatus.LOST}, "the lane is lost"),
         ({"faults": ("the pose is not finite",)}, "the pose is not finite"),
-        ({"age_ms": 61.0, "step_ms": 70.0}, "the newest frame is 0.061 s old"),
+        ({"age_ms": 61.0, "step_ms": 70.0}, "overloaded: frames 61 ms late (limit 60)"),
         ({"age_ms": -51.0}, "the frame's time lies 0.051 s ahead"),
         ({"age_ms": 30.0}, "the frame's time is not after the one before: -0.018 s"),
         ({"age_ms": 12.0}, "the frame's time is not after the one before: 0.000 s"),
@@ -150,6 +150,113 @@ def test_broken_stops_at_once(mode: SafetyMode, how: dict[str, object], text: st
     assert rig.events[-1][0] == "stop"
     assert rig.events[-1][1].startswith(text)
     assert rig.turns(300).mode is SafetyMode.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("how", "text"),
+    [
+        ({"age_ms": 97.5, "work_ms": 50.0, "step_ms": 99.0}, "overloaded: frames 97 ms late (limit 60)"),
+        ({"age_ms": 70.0, "work_ms": 5.0, "step_ms": 90.0}, "overloaded: frames 70 ms late (limit 60)"),  # woken late
+        ({"age_ms": 70.0, "work_ms": 5.0, "step_ms": 45.0}, "the newest frame is 0.070 s old"),  # the camera's doing
+        ({"age_ms": None, "step_ms": 60.0}, "the newest frame is 0.062 s old"),
+    ],
+)
+def test_frames_that_are_late_are_the_machines_doing_or_the_cameras(how: dict[str, object], text: str) -> None:
+    rig = Rig().drive()
+    if how["step_ms"] == 45.0:
+        rig.turns(2, step_ms=40.0, age_ms=75.0)  # held already, by frames that came as late
+        rig.events.clear()
+        assert rig.turn(**how).reason == text  # type: ignore[arg-type]
+        return
+    held = rig.turn(**how)  # type: ignore[arg-type]
+    assert (held.mode, rig.events[-1]) == (SafetyMode.HOLD, ("hold", text))
+
+
+STALLS = [
+    ({"step_ms": 120.0}, "the loop stood still for 0.120 s"),
+    ({"work_ms": 60.0, "age_ms": 100.0, "step_ms": 99.0}, "the command went stale in the loop, 0.060 s after"),
+]
+
+
+@pytest.mark.parametrize(("how", "text"), STALLS)
+@pytest.mark.parametrize("disarms", [True, False])
+def test_a_loop_that_stood_still_holds_a_slow_car_and_arms_it_again(
+    how: dict[str, object], text: str, disarms: bool
+) -> None:
+    rig = Rig().drive()
+    rig.speed_mps = 0.83  # 0.1 m in 120 ms
+    if disarms:
+        rig.state = replace(rig.state, armed=False)  # its own timer ran out
+    held = rig.turn(**how)  # type: ignore[arg-type]
+    assert (held.mode, held.action, held.arm) == (SafetyMode.HOLD, Action.HOLD_STEERING, disarms)
+    assert rig.events[-1][1].startswith(text)
+    assert (rig.turn().mode, rig.events[-1][0]) == (SafetyMode.DRIVING, "driving")
+    assert rig.state.armed
+    assert rig.turns(50).mode is SafetyMode.DRIVING
+
+
+def test_a_vehicle_that_says_late_that_it_disarmed_while_the_loop_stood_still_is_armed_again() -> None:
+    rig = Rig().drive()
+    rig.speed_mps = 0.5
+    rig.turn(step_ms=120.0)
+    assert rig.turn().mode is SafetyMode.DRIVING
+    rig.state = replace(rig.state, armed=False)
+    held = rig.turn()
+    assert (held.mode, held.arm) == (SafetyMode.HOLD, True)
+    assert rig.events[-1] == ("hold", "the vehicle has disarmed itself while the loop stood still")
+    assert rig.turn().mode is SafetyMode.DRIVING
+    rig.turns(28)  # 300 ms after the pause it must have said so
+    rig.state = replace(rig.state, armed=False)
+    assert rig.turn().mode is SafetyMode.STOPPED
+
+
+def test_a_vehicle_that_does_not_arm_again_stops_when_the_hold_is_over() -> None:
+    rig = Rig().drive()
+    rig.speed_mps, rig.obeys = 0.0, False
+    rig.state = replace(rig.state, armed=False)
+    rig.turn(step_ms=120.0)
+    held = [rig.turn() for _ in range(29)]
+    assert {decision.mode for decision in held} == {SafetyMode.HOLD}
+    assert [n for n, decision in enumerate(held) if decision.arm] == [9, 19]  # again every 100 ms
+    assert rig.turn().mode is SafetyMode.STOPPED
+
+
+@pytest.mark.parametrize(("step_ms", "speed_mps"), [(120.0, 0.84), (101.0, 1.0), (300.0, 0.0), (120.0, float("nan"))])
+def test_a_loop_that_stood_still_stops_a_fast_car_and_any_after_the_time_of_a_hold(
+    step_ms: float, speed_mps: float
+) -> None:
+    rig = Rig().drive()
+    rig.speed_mps = speed_mps
+    stopped = rig.turn(step_ms=step_ms)
+    assert (stopped.mode, stopped.disarm, rig.events[-1][0]) == (SafetyMode.STOPPED, True, "stop")
+
+
+def test_a_restarted_board_is_not_armed_again_after_a_pause() -> None:
+    rig = Rig().drive()
+    rig.speed_mps = 0.0
+    rig.state = replace(rig.state, armed=False, boot_id=4)
+    assert rig.turn(step_ms=120.0).mode is SafetyMode.STOPPED
+
+
+def test_holds_that_return_too_often_stop() -> None:
+    rig = Rig().drive()
+    for _ in range(CONFIG.holds_max):
+        assert rig.turn(status=LaneStatus.LOST).mode is SafetyMode.HOLD
+        assert rig.turns(198).mode is SafetyMode.DRIVING  # about 2 s: five take 9.95 s
+    assert rig.turn(status=LaneStatus.LOST).mode is SafetyMode.STOPPED
+    assert rig.events[-1] == ("stop", "held 5 times within 10 s, and again: the lane is lost")
+
+
+def test_holds_that_are_rare_stop_nothing_and_a_person_clears_the_count() -> None:
+    rig = Rig().drive()
+    for _ in range(3 * CONFIG.holds_max):
+        assert rig.turn(status=LaneStatus.LOST).mode is SafetyMode.HOLD
+        assert rig.turns(200).mode is SafetyMode.DRIVING
+    rig.turns(3, link_up=False)
+    rig.drive()
+    for _ in range(CONFIG.holds_max):
+        assert rig.turn(status=LaneStatus.LOST).mode is SafetyMode.HOLD
+        assert rig.turn().mode is SafetyMode.DRIVING
 
 
 @pytest.mark.parametrize("mode", [SafetyMode.DRIVING, SafetyMode.HOLD])

@@ -22,6 +22,7 @@ class AnyHistory(RuleBasedStateMachine):
         self.last: SafetyDecision | None = None
         self.unwell_ms = 0.0
         self.good_turns = 0
+        self.stood_ms = 1e9  # since the loop stood still while the car was slow
         self.before = SafetyMode.DISARMED
 
     def play(self, good: bool, step_ms: float, **how: object) -> None:
@@ -44,6 +45,8 @@ class AnyHistory(RuleBasedStateMachine):
             assert decision.mode is not SafetyMode.HOLD
         if decision.mode is SafetyMode.DRIVING:
             assert self.rig.state.armed
+        stood = how.get("age_ms") is None and step_ms > 100.0 and self.rig.speed_mps * step_ms <= 100.0
+        self.stood_ms = 0.0 if stood or how.get("work_ms") else self.stood_ms + step_ms
         self.unwell_ms = 0.0 if decision.reason is None else self.unwell_ms + step_ms
 
     @rule(step_ms=st.floats(5.0, 40.0), count=st.integers(1, 40))
@@ -84,6 +87,10 @@ class AnyHistory(RuleBasedStateMachine):
         for _ in range(count):
             self.play(False, step_ms, age_ms=None, arm=arm)
 
+    @rule(speed_mps=st.sampled_from([0.0, 0.6, 3.0]))
+    def car_has_a_speed(self, speed_mps: float) -> None:
+        self.rig.speed_mps = speed_mps
+
     @rule(obeys=st.booleans())
     def vehicle_follows(self, obeys: bool) -> None:
         self.rig.obeys = obeys
@@ -106,7 +113,9 @@ class AnyHistory(RuleBasedStateMachine):
         if self.last.mode is SafetyMode.DRIVING:
             assert self.last.reason is None
         assert not (self.last.arm and self.last.disarm)
-        assert not self.last.arm or self.last.mode is SafetyMode.ARMING
+        if self.last.arm and self.last.mode is not SafetyMode.ARMING:
+            assert self.last.mode is SafetyMode.HOLD
+            assert self.stood_ms < 300.0  # the loop stood still a moment ago
 
     @invariant()
     def a_trouble_ends_in_neutral_in_bounded_time(self) -> None:

@@ -32,6 +32,14 @@ def check_stop_by_the_timer(bench: Bench, asked_ns: int) -> None:
     assert (stopped_ns - bench.last_drive_ns(stopped_ns)) / MS <= TIMER_MS
 
 
+def check_pause_by_the_timer(bench: Bench, asked_ns: int) -> None:
+    """Neutral in time after the last command before the pause, and driving again without a person."""
+    bench.until(lambda: not bench.driving, "it drives on")
+    bench.until(lambda: bench.driving, "it does not drive again")
+    neutral_ns = next(t_ns for t_ns, drives in bench.pulses() if t_ns > asked_ns and not drives)
+    assert (neutral_ns - bench.last_drive_ns(neutral_ns)) / MS <= TIMER_MS
+
+
 def check_never_drives(bench: Bench, since_ns: float) -> None:
     """Not once from `since_ns` until now."""
     pulses = bench.pulses()

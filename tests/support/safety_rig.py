@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from automodel.config import SafetyConfig
@@ -14,10 +15,14 @@ T0 = 50_000 * MS
 
 
 class Rig:
-    """A safety machine and a vehicle that obeys it, in turns of `step_ms`; every turn brings a fresh good frame."""
+    """A safety machine and a vehicle that obeys it, in turns of `step_ms`; every turn brings a fresh good frame.
+
+    The car is as fast as can be (`speed_mps`), and may drive 0.1 m while the loop stands still.
+    """
 
     def __init__(self, auto_arm: bool = False) -> None:
-        self.safety = Safety(CONFIG, auto_arm)
+        self.safety = Safety(CONFIG, auto_arm, blind_m=0.1)
+        self.speed_mps = math.inf
         self.now_ns = T0
         self.state = VehicleState(t_ns=T0, armed=False, boot_id=3)
         self.obeys = True
@@ -45,7 +50,14 @@ class Rig:
             taken_ns = self.now_ns - round(work_ms * MS)
             seen = Seen(frame_t_ns=t_ns, taken_ns=taken_ns, status=status, valid_until_ns=t_ns + 100 * MS)
         decision = self.safety.step(
-            SafetyInputs(seen=seen, state=self.state if hello else None, link_up=link_up, faults=faults, arm=arm),
+            SafetyInputs(
+                seen=seen,
+                state=self.state if hello else None,
+                link_up=link_up,
+                faults=faults,
+                arm=arm,
+                speed_mps=self.speed_mps,
+            ),
             self.now_ns,
         )
         if self.obeys and (decision.arm or decision.disarm):

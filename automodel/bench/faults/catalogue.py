@@ -185,8 +185,8 @@ LOOP = (
           hooks=lambda random, end_ns: Hooks(
               stall=Stall(at=At.PIPELINE, seconds=random.uniform(0.020, 0.035), again=True))),
     Fault(name="loop-stall", kind=Kind.SLOW, must=Must.STOP, recovery_s=1.0,
-          text="the loop stands still for 0.1 to 0.4 s, in the pipeline or after the command",
-          hooks=lambda random, end_ns: _stalled(random, random.uniform(0.1, 0.4))),
+          text="the loop stands still for 0.2 to 0.4 s, in the pipeline or after the command",
+          hooks=lambda random, end_ns: _stalled(random, random.uniform(0.2, 0.4))),
     Fault(name="loop-collector", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
           text="a garbage collection of 10 to 40 ms after a command",
           hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.AFTER, seconds=random.uniform(0.010, 0.040)))),
