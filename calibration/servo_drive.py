@@ -30,7 +30,7 @@ from calibration.servo import ServoError, ServoLog, ServoTable, fit_table, witho
 from calibration.visual_odometry import floor_view, motion_of
 from firmware_link.pulses import PulseTable
 
-LOOP_AND_WIRE_S = 0.025  # from a frame to the pulse at the pin: loop, wire, and half a servo frame of 20 ms
+WIRE_S = 0.022  # from a command to the pulse at the pin: 2 ms of wire, and the servo frame of 20 ms that is under way
 VIEW_NS = 49_000_000  # between two views of the floor that are kept
 
 
@@ -150,7 +150,7 @@ def _write(car_file: Path, table: ServoTable, actuator: Actuator, options: AutoO
         car_file,
         {
             "link.servo": {"pulse_us": table.pulse_us, "steering_rad": table.steering_rad},
-            "control": {"actuator_delay_s": round(actuator.total_s + LOOP_AND_WIRE_S, 3)},
+            "control": {"actuator_delay_s": round(actuator.total_s + WIRE_S, 3)},
         },
         residual=residual,
         method=f"a drive at {options.speed_mps:g} m/s, yaw rate from the {'camera' if options.camera else 'gyro'}",

@@ -121,18 +121,21 @@ class ControlConfig:
     stanley_gain_per_s: float = 2.5
     stanley_softening_mps: float = 0.3
     feed_forward: bool = True  # steer for the centerline's curvature
-    actuator_delay_s: float = 0.07  # frame to wheels: loop, wire, servo frame, dead time, lag; made good by prediction
+    # from the command to wheels that have turned: wire, servo frame, dead time, lag; made good by prediction, as is the
+    # measured time from a frame to its command
+    actuator_delay_s: float = 0.067
     obstacle_stop_m: float = 0.35  # stop when the ultrasonic range ahead is below this
     obstacle_go_m: float = 0.45  # and go on above this
     one_line_speed: float = 1.0  # share of the speed with one line seen
     coasting_speed: float = 0.7  # share of the speed while coasting
+    late_lanes: float = 0.1  # driven at most from a frame to its command: at 1 m/s slower from 40 ms on, at 2 from 20
     uncertain_speed: float = 0.3  # share that is left however uncertain the offset is: a standing car learns nothing
 
     def __post_init__(self) -> None:
         CONTROLLERS.check("controller", self.controller)
         positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
         positive(self, "stanley_gain_per_s", "stanley_softening_mps")
-        positive(self, "one_line_speed", "coasting_speed", "uncertain_speed")
+        positive(self, "one_line_speed", "coasting_speed", "uncertain_speed", "late_lanes")
         not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
         if self.obstacle_go_m < self.obstacle_stop_m:
             raise ValueError(f"obstacle_go_m: {self.obstacle_go_m} is less than obstacle_stop_m")

@@ -22,8 +22,8 @@ _FORGET_NS = 300_000_000  # after a longer gap between frames the commands in fl
 class SteeringInFlight:
     """Steering commands that do not act yet: a Smith predictor on the kinematic bicycle.
 
-    The command for the frame at t acts from t + delay on. One pure delay stands for wire, servo frame, dead time and
-    lag. Raises ValueError for a negative delay.
+    A command that goes out at t acts from t + delay on. One pure delay stands for wire, servo frame, dead time and lag.
+    When a command goes out is measured: a slow machine's commands act later. Raises ValueError for a negative delay.
     """
 
     def __init__(self, delay_s: float, wheelbase_m: float) -> None:
@@ -31,39 +31,46 @@ class SteeringInFlight:
             raise ValueError(f"delay_s: expected a number >= 0, got {delay_s}")
         self._delay_ns = round(delay_s * 1e9)
         self._wheelbase_m = wheelbase_m
-        self._commands: deque[tuple[int, float]] = deque()
+        self._commands: deque[tuple[int, float]] = deque()  # from when it acts
+        self._frame_ns: int | None = None
 
-    def add(self, frame_ns: int, steering_rad: float) -> None:
-        """Remember the command for the frame at `frame_ns`."""
-        if self._commands and not 0 < frame_ns - self._commands[-1][0] < _FORGET_NS:
+    def add(self, frame_ns: int, sent_ns: int, steering_rad: float) -> None:
+        """Remember the command for the frame at `frame_ns`, which goes out at `sent_ns`."""
+        if self._frame_ns is not None and not 0 < frame_ns - self._frame_ns < _FORGET_NS:
             self._commands.clear()
-        self._commands.append((frame_ns, steering_rad))
-        while len(self._commands) > 1 and self._commands[1][0] <= frame_ns - self._delay_ns:
+        self._frame_ns = frame_ns
+        acts_ns = sent_ns + self._delay_ns
+        while self._commands and self._commands[-1][0] >= acts_ns:  # this one takes its place
+            self._commands.pop()
+        self._commands.append((acts_ns, steering_rad))
+        while len(self._commands) > 1 and self._commands[1][0] <= frame_ns:
             self._commands.popleft()
 
-    def predict(self, frame_ns: int, speed_mps: float, steering_before_rad: float) -> SE2:
+    def predict(self, frame_ns: int, sent_ns: int, speed_mps: float, steering_before_rad: float) -> SE2:
         """`frame_from_then`: the pose, in the body frame at `frame_ns`, that the car will have when its command acts.
 
-        `steering_before_rad` applies to the time before the first remembered command.
+        That command goes out at `sent_ns`. `steering_before_rad` applies to the time before the first remembered one.
         """
         then = SE2()
-        steering, since = steering_before_rad, frame_ns - self._delay_ns
-        for start, value in self._commands:
-            until = min(max(start, since), frame_ns)
+        steering, since, end = steering_before_rad, frame_ns, max(sent_ns + self._delay_ns, frame_ns)
+        for acts_ns, value in self._commands:
+            until = min(max(acts_ns, since), end)
             then = then @ arc_motion(speed_mps, steering, self._wheelbase_m, (until - since) * 1e-9)
             steering, since = value, until
-        return then @ arc_motion(speed_mps, steering, self._wheelbase_m, (frame_ns - since) * 1e-9)
+        return then @ arc_motion(speed_mps, steering, self._wheelbase_m, (end - since) * 1e-9)
 
     def reset(self) -> None:
         """Forget every command."""
         self._commands.clear()
+        self._frame_ns = None
 
 
 class LaneController:
     """Drives along the estimated centerline; implements `interfaces.Controller`.
 
     The control laws act on the pose that the car will have when the command takes effect: that of the frame, moved by
-    the bicycle model with the steering in flight (`SteeringInFlight`, `control.actuator_delay_s`). A lost lane keeps
+    the bicycle model with the steering in flight (`SteeringInFlight`, `control.actuator_delay_s` after the time at
+    which the command goes out, the `t_ns` of `step`). A lost lane keeps
     the steering and requests speed 0. A command is valid for `safety.command_validity_s` from its frame on.
     """
 
@@ -94,7 +101,7 @@ class LaneController:
             valid_until_ns=estimate.t_ns + self._validity_ns,
         )
         self._last = command
-        self._in_flight.add(estimate.t_ns, self._expected.step(command, motion, t_ns).command.steering_rad)
+        self._in_flight.add(estimate.t_ns, t_ns, self._expected.step(command, motion, t_ns).command.steering_rad)
         return command
 
     def reset(self) -> None:
@@ -119,7 +126,7 @@ class LaneController:
     def _follow(self, lane: LanePath, estimate: LaneEstimate, motion: Motion, t_ns: int) -> tuple[float, float]:
         """Steering [rad] and speed [m/s] along a valid lane."""
         speed = motion.speed_mps if motion.known else (0.0 if self._last is None else self._last.speed_mps)
-        then = self._in_flight.predict(estimate.t_ns, speed, self._applied_rad)
+        then = self._in_flight.predict(estimate.t_ns, t_ns, speed, self._applied_rad)
         steering_max = self._car.safety.steering_max_rad
         steering = self._lateral.steer(lane, then, max(speed, 0.0))
         s_m, _ = lane.foot(then.x_m, then.y_m)

@@ -87,7 +87,8 @@ class SpeedPlanner:
     allows sqrt(2 a_dec x) for the distance x to the stopping distance, and 0 below it. A pose whose bound fills the
     space beside the car allows `speed_in_free_space`, but never less than the share `control.uncertain_speed`: a car
     that stands sees nothing new and cannot steer back; whether it may go on at all is for `runtime.input_checks` to
-    say. The requested speed changes along ramps; only a stop for an obstacle is immediate.
+    say. While a machine that is too slow works on a frame the car drives `control.late_lanes` lane widths at most. The
+    requested speed changes along ramps; only a stop for an obstacle is immediate.
     """
 
     def __init__(self, control: ControlConfig, speed_max_mps: float, vehicle: VehicleConfig) -> None:
@@ -107,6 +108,7 @@ class SpeedPlanner:
         requested = min(
             self._speed_mps * self._shares.get(estimate.status, 1.0),
             self._for_pose(estimate, t_ns),
+            self._for_delay(estimate, t_ns),
             self._for_bends(lane, s_m, speed_mps),
             self._for_obstacle(speed_mps),
         )
@@ -138,6 +140,12 @@ class SpeedPlanner:
         free_m = self._vehicle.free_space_m(pose.width_m)
         allowed = speed_in_free_space(pose, free_m, delay_s)
         return max(allowed, control.uncertain_speed * self._speed_mps)
+
+    def _for_delay(self, estimate: LaneEstimate, t_ns: int) -> float:
+        """v T <= `late_lanes` of the lane's width, for the time T from the frame to its command."""
+        if estimate.pose is None or t_ns <= estimate.t_ns:
+            return math.inf
+        return self._control.late_lanes * estimate.pose.width_m / ((t_ns - estimate.t_ns) * 1e-9)
 
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
         control = self._control

@@ -121,10 +121,10 @@ class Loop:
         return str(getattr(self._pipeline, "warning", ""))
 
     def tick(self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None, t_ns: int) -> Tick:
-        """The chain for one frame; `motion` is the car's since the frame before, `t_ns` the time of the command.
+        """The chain for one frame; `motion` is the car's since the frame before.
 
-        A value that is not finite makes the motion unknown, the estimate LOST or the command a standstill; `faults`
-        says so.
+        `t_ns` is the time at which the command goes out, as far as it is known before. A value that is not finite makes
+        the motion unknown, the estimate LOST or the command a standstill; `faults` says so.
         """
         valid_until_ns = min(frame.t_ns, t_ns) + self._validity_ns
         start = self._stopwatch()

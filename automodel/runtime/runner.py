@@ -53,6 +53,7 @@ from automodel.sources.errors import EndOfSource
 __all__ = ["MotionStage", "RunConfig", "RunEnd", "RunObserver", "RunParts", "RunResult", "Runner", "TickRecord"]
 
 SLICE_NS = round(CYCLE_S * NS_PER_S)
+WORK_SHARE = 0.125  # of the newest measurement in the mean time of work: a slow machine is known after 8 frames
 SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual time pass
 
 
@@ -90,6 +91,7 @@ class Runner:
         self._said: VehicleState | None = None  # the vehicle's last word, right or wrong
         self._state: VehicleState | None = None  # the last one that made sense
         self._end = "an error"
+        self._work_ns = 0.0  # mean time from taking a frame up to its command on the wire
         self._index: int | None = None
         self._frames = self._skipped = self._overruns = self._stops = 0
         self._latencies_ns = array("q")
@@ -226,7 +228,7 @@ class Runner:
         try:
             measured = self._motion.step(self._state, self._on_wire, frame.t_ns)
             motion = motion if motion_faults(measured) else measured
-            return self._loop.tick(frame, measured, self._state, now_ns)
+            return self._loop.tick(frame, measured, self._state, now_ns + round(self._work_ns))
         except Exception as error:  # noqa: BLE001 - the one place that catches everything: the car must be held first
             self._error = error
             nothing = self._standstill(0.0, now_ns)
@@ -275,6 +277,8 @@ class Runner:
         if self._index is not None:
             self._skipped += max(record.frame.index - self._index - 1, 0)
         self._index = record.frame.index
+        # a pause is no measure of the work: what is longer than a command lives counts as that long
+        self._work_ns += WORK_SHARE * (min(record.t_ns - taken_ns, self._validity_ns) - self._work_ns)
         self._overruns += record.t_ns - taken_ns > self._config.period_s * NS_PER_S
         if record.latency_ns is not None:
             self._latencies_ns.append(record.latency_ns)

@@ -22,8 +22,9 @@ from automodel.sources.errors import SourceError
 class LockStepSource:
     """Implements `Source`: each `read` advances the virtual clock to the next capture plus `latency_ns`.
 
-    The clock's `on_advance` moves the board and the world. `latency_ns` is the simulated time from the capture to the
-    command on the wire. `on_scene` gets the ground truth of each frame. Deterministic, and as fast as the machine.
+    The clock's `on_advance` moves the board and the world. `latency_ns` is the simulated time from taking up a frame to
+    its command on the wire. A reader that took longer than a frame's period gets the newest frame, as from
+    `CaptureThread`. `on_scene` gets the ground truth of each frame. Deterministic, and as fast as the machine.
     """
 
     def __init__(
@@ -37,8 +38,8 @@ class LockStepSource:
     def read(self, timeout_s: float) -> Frame | None:
         """The next frame; None, with `timeout_s` elapsed, if none is due within it."""
         now_ns = self.clock.now_ns()
-        if self._time_of(self._index + 1) < now_ns:  # the reader was late: frames are lost as with a camera
-            self._index = int((now_ns - self._start_ns) * 1e-9 * self._rate_hz)
+        taken = int((now_ns - self._start_ns) * 1e-9 * self._rate_hz)
+        self._index = max(self._index, taken - 1)  # the reader was late: older frames are lost as with a camera
         t_ns = self._time_of(self._index + 1)
         deadline_ns = now_ns + round(timeout_s * 1e9)
         if t_ns > deadline_ns:
@@ -48,7 +49,7 @@ class LockStepSource:
         self.clock.advance_to(max(t_ns, now_ns))
         image, scene = self.world.capture(t_ns, self._index)
         self._on_scene(scene)
-        self.clock.advance_to(max(t_ns + self._latency_ns, now_ns))
+        self.clock.advance_to(max(t_ns, now_ns) + self._latency_ns)
         return Frame(t_ns=t_ns, index=self._index, image=image)
 
     def _time_of(self, index: int) -> int:

@@ -40,7 +40,7 @@ def test_a_drive_writes_table_delay_record_and_picture(car: Path, pins: list, at
     written = load_car(car)
     assert written.link.servo.pulse_us[0] >= 1050.0
     assert max(written.link.servo.steering_rad) == pytest.approx(row["left_deg"] * 0.0174533, abs=1e-3)
-    assert written.control.actuator_delay_s == pytest.approx((row["dead_ms"] + row["lag_ms"]) * 1e-3 + 0.025, abs=1e-3)
+    assert written.control.actuator_delay_s == pytest.approx((row["dead_ms"] + row["lag_ms"]) * 1e-3 + 0.022, abs=1e-3)
     assert (car.parent / "calibration_pictures" / "servo.png").stat().st_size > 10_000
     assert at_rest()
     assert max(motor for _, _, motor in pins) == 1550.0

@@ -37,7 +37,7 @@ def seen(
     return LaneEstimate(t_ns=t_ns, status=status, pose=pose, centerline=line(-0.3, 0.0, 0.0, 5.0))
 
 
-TRACKING = seen()
+TRACKING = seen(t_ns=3600 * 1000 * MS)  # never late
 
 
 def heard(t_ns: int, *ranges_m: float | None) -> VehicleState:
@@ -115,6 +115,12 @@ def test_falls_no_faster_than_the_ramp() -> None:
 def test_share_of_the_speed_by_status(status: LaneStatus, share: float) -> None:
     planner = SpeedPlanner(ControlConfig(speed_mps=1.0, one_line_speed=0.9, coasting_speed=0.5), 2.0, CAR)
     assert settle(planner, STRAIGHT, 1.0, seen(status)) == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("age_ms", "mps"), [(5, 2.0), (20, 2.0), (40, 1.0), (80, 0.5)])
+def test_a_machine_that_is_late_makes_the_car_slower(age_ms: int, mps: float) -> None:
+    planner = SpeedPlanner(ControlConfig(speed_mps=2.0, late_lanes=0.1), 2.0, CAR)
+    assert settle(planner, STRAIGHT, 2.0, age_ns=age_ms * MS) == pytest.approx(mps)  # 0.04 m in that time
 
 
 @pytest.mark.parametrize("offset_m", [-0.03, 0.0, 0.05])

@@ -94,32 +94,50 @@ def test_path_of_a_polynomial_and_of_joined_pieces() -> None:
 def test_prediction_is_the_drive_that_the_commands_in_flight_make() -> None:
     flight = SteeringInFlight(0.06, L)
     for t, steering in ((0, 0.1), (20, 0.2), (40, 0.3), (60, 0.4)):
-        flight.add(t * MS, steering)
+        flight.add(t * MS, t * MS, steering)
     # from 80 ms to 140 ms the wheels do what was commanded for 20 .. 80 ms
     expected = arc_motion(1.5, 0.2, L, 0.02) @ arc_motion(1.5, 0.3, L, 0.02) @ arc_motion(1.5, 0.4, L, 0.02)
-    got = flight.predict(80 * MS, 1.5, -9.0)
+    got = flight.predict(80 * MS, 80 * MS, 1.5, -9.0)
+    assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
+
+
+def test_prediction_reaches_to_when_a_late_command_acts() -> None:
+    flight = SteeringInFlight(0.06, L)
+    flight.add(0, 10 * MS, 0.1)
+    flight.add(20 * MS, 60 * MS, 0.2)  # the machine took 40 ms
+    expected = arc_motion(1.5, 0.0, L, 0.03) @ arc_motion(1.5, 0.1, L, 0.05) @ arc_motion(1.5, 0.2, L, 0.02)
+    got = flight.predict(40 * MS, 80 * MS, 1.5, 0.0)  # the first acts from 70 ms on, the second from 120
+    assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
+
+
+def test_a_command_that_acts_earlier_than_the_one_before_takes_its_place() -> None:
+    flight = SteeringInFlight(0.06, L)
+    flight.add(0, 50 * MS, 0.1)
+    flight.add(20 * MS, 25 * MS, 0.2)
+    got, expected = flight.predict(40 * MS, 45 * MS, 1.0, 0.0), arc_motion(1.0, 0.0, L, 0.045)
+    expected = expected @ arc_motion(1.0, 0.2, L, 0.02)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
 
 
 def test_prediction_begins_with_the_steering_from_before() -> None:
     flight = SteeringInFlight(0.06, L)
-    got, expected = flight.predict(100 * MS, 1.0, 0.25), arc_motion(1.0, 0.25, L, 0.06)
+    got, expected = flight.predict(100 * MS, 100 * MS, 1.0, 0.25), arc_motion(1.0, 0.25, L, 0.06)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
-    flight.add(100 * MS, -0.3)
-    got = flight.predict(120 * MS, 1.0, 0.25)
+    flight.add(100 * MS, 100 * MS, -0.3)
+    got = flight.predict(120 * MS, 120 * MS, 1.0, 0.25)
     expected = arc_motion(1.0, 0.25, L, 0.04) @ arc_motion(1.0, -0.3, L, 0.02)
     assert (got.x_m, got.y_m, got.yaw_rad) == pytest.approx((expected.x_m, expected.y_m, expected.yaw_rad), abs=1e-12)
 
 
 def test_prediction_forgets_over_a_gap_and_on_reset() -> None:
     flight = SteeringInFlight(0.06, L)
-    flight.add(0, 0.4)
-    flight.add(1000 * MS, 0.1)
-    assert flight.predict(1000 * MS, 1.0, 0.0).yaw_rad == pytest.approx(0.0)
-    flight.add(1010 * MS, 0.1)
+    flight.add(0, 0, 0.4)
+    flight.add(1000 * MS, 1000 * MS, 0.1)
+    assert flight.predict(1000 * MS, 1000 * MS, 1.0, 0.0).yaw_rad == pytest.approx(0.0)
+    flight.add(1010 * MS, 1010 * MS, 0.1)
     flight.reset()
-    assert flight.predict(1020 * MS, 1.0, 0.0).x_m == pytest.approx(0.06)
-    assert flight.predict(1020 * MS, 1.0, 0.0).yaw_rad == 0.0
-    assert SteeringInFlight(0.0, L).predict(5, 1.0, 0.4) == SE2()
+    assert flight.predict(1020 * MS, 1020 * MS, 1.0, 0.0).x_m == pytest.approx(0.06)
+    assert flight.predict(1020 * MS, 1020 * MS, 1.0, 0.0).yaw_rad == 0.0
+    assert SteeringInFlight(0.0, L).predict(5, 5, 1.0, 0.4) == SE2()
     with pytest.raises(ValueError, match="delay_s"):
         SteeringInFlight(-0.1, L)
