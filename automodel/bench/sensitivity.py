@@ -24,11 +24,12 @@ from automodel.bench.accuracy import AccuracyMeter, Case, RenderedDrive, Row
 from automodel.bench.random_worlds import RATE_HZ, build_world, views
 from automodel.bench.tuned_numbers import TunedNumber, moved, pipelines_of, tuned_numbers
 from automodel.bench.tusimple import LABELS, assumed_car, clip_of, read_labels
-from automodel.config import PIPELINE_NAMES, CarConfig, CenterlineConfig, ConfigError
+from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.config.parts import PIPELINES
 from automodel.console.workers import Tick, spread
 from automodel.interfaces import Pipeline
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
+from automodel.pipelines.centerline import network_config
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.random_worlds import kind_of
 from automodel.sim.track_files import load_track
@@ -257,12 +258,12 @@ def _made(car: CarConfig, name: str) -> Pipeline:
     if name != "centerline" or car.pipeline.centerline.markings != "unet":
         return make_pipeline(name, car)
     make: Callable[..., Pipeline] = find_part(PIPELINES, name)
-    return make(car, markings=_network(car.pipeline.centerline, car.lane.markings))
+    return make(car, markings=_network(replace(network_config(car), threads=1), car.lane.markings))
 
 
 @functools.cache
-def _network(options: CenterlineConfig, markings: str) -> MarkingNetwork:
-    return RememberingNetwork(UnetConfig(model=options.model, size=options.network, threads=1), markings)
+def _network(config: UnetConfig, markings: str) -> MarkingNetwork:
+    return RememberingNetwork(config, markings)
 
 
 class RememberingNetwork(MarkingNetwork):

@@ -19,7 +19,7 @@ from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view
+from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view, share_above
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
@@ -56,9 +56,19 @@ def make_markings(car: CarConfig) -> Markings:
     if options.markings == "ridge":
         camera = GroundCamera.from_config(car.camera)
         return RidgeFilter.of_camera(camera, car.lane.marking_width_m, markings=car.lane.markings)
-    return MarkingNetwork(
-        UnetConfig(model=options.model, size=options.network, providers=options.providers, threads=options.threads),
-        car.lane.markings,
+    return MarkingNetwork(network_config(car), car.lane.markings)
+
+
+def network_config(car: CarConfig) -> UnetConfig:
+    """The network of car.toml; it looks at the image's rows that show the road up to the far end of the view."""
+    options, unit, camera = car.pipeline.centerline, car.lane.width_m, GroundCamera.from_config(car.camera)
+    view = road_view(camera, options.view_ahead_lanes * unit, options.view_half_lanes * unit, car.lane.marking_width_m)
+    return UnetConfig(
+        model=options.model,
+        size=options.network,
+        providers=options.providers,
+        threads=options.threads,
+        above=share_above(camera, view),
     )
 
 

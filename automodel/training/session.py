@@ -24,8 +24,9 @@ from automodel.training.unet import MarkingNet, with_metadata
 HEADER = f"""\
 # The marking networks
 
-They find lane markings in grey images. Input `image`, uint8 (1, 1, height, width); output `marking`, uint8 of the
-same shape: the probability of "lane marking" of each pixel times 255.
+They find lane markings in grey images. Input `image`, uint8 (1, 1, rows, width); output `marking`, uint8 of the
+same shape: the probability of "lane marking" of each pixel times 255. The number of rows is open (a multiple of 8): in
+the car a network sees the rows that show the road, of an image stretched to its size.
 
 - **Made by** `automodel train`: a U-Net of two levels on the image packed to half size
   (`automodel/training/unet.py`), after P. Cudrano et al. 2020.

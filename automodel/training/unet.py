@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from automodel.perception.markings.onnx_check import INPUT, OPSET, OUTPUT
+from automodel.perception.markings.onnx_check import INPUT, OPSET, OUTPUT, ROWS
 
 CHANNELS = (16, 48, 96)  # at 1/2, 1/4 and 1/8 of the image size; multiples of 16 fill the vector registers
 DILATIONS = (1, 2, 4, 8, 4, 2)  # of the blocks at the bottom
@@ -135,7 +135,7 @@ class ProbabilityNet(nn.Module):
 
 
 def onnx_bytes(net: MarkingNet, width_px: int, height_px: int, metadata: Mapping[str, object]) -> bytes:
-    """The network as ONNX: fixed shapes, batch normalisation folded into the weights, `metadata` inside."""
+    """The network as ONNX: batch normalisation folded into the weights, the height open, `metadata` inside."""
     import onnx
 
     whole = ProbabilityNet(copy.deepcopy(net).to("cpu").eval())
@@ -152,6 +152,8 @@ def onnx_bytes(net: MarkingNet, width_px: int, height_px: int, metadata: Mapping
             output_names=[OUTPUT],
         )
     model = onnx.load_from_string(buffer.getvalue())
+    for value in (*model.graph.input, *model.graph.output):  # no layer knows the height
+        value.type.tensor_type.shape.dim[2].dim_param = ROWS
     onnx.checker.check_model(model, full_check=True)
     return with_metadata(model.SerializeToString(), metadata)
 

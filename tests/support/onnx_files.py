@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 WIDTH, HEIGHT = 256, 128  # the small size, for speed
+OPEN = (1, 1, "rows", WIDTH)  # a shape whose height is open
 UINT8, FLOAT, INT64 = 2, 1, 7
 
 
@@ -82,3 +83,8 @@ def graph(
 def model(body: bytes | None = None, opset: int = 17, domain: str = "", more: bytes = b"") -> bytes:
     versions = field(8, (field(1, domain) if domain else b"") + field(2, opset))
     return field(1, 8) + field(7, graph() if body is None else body) + versions + more
+
+
+def open_model() -> bytes:
+    """The network of `NODES` for images of any height."""
+    return model(graph(inputs=(value("image", shape=OPEN),), outputs=(value("marking", shape=OPEN),)))

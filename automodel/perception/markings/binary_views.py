@@ -37,6 +37,21 @@ def road_view(camera: GroundCamera, ahead_m: float, half_width_m: float, m_per_p
     )
 
 
+def share_above(camera: GroundCamera, view: View) -> float:
+    """The share of the image's height, from its top, of which `FeaturePoints` needs no mask for that view.
+
+    It is what lies above the view's ground, less what `adaptive_threshold` and the warp look at around a pixel of a
+    mask that is twice as wide as it is high.
+    """
+    rows, columns = (np.linspace(-0.5, size - 0.5, 100) for size in (view.height_px, view.width_px))
+    pixels = camera.ground_to_px(view.to_body(np.stack(np.meshgrid(columns, rows), axis=-1)))
+    seen = pixels[camera.camera.inside(pixels)]
+    if not len(seen):
+        return 0.0
+    around = (0.5 * AROUND_PX + 2.0) / 256.0
+    return max((float(seen[:, 1].min()) + 0.5) / camera.camera.height_px - around, 0.0)
+
+
 def adaptive_threshold(probability: Image) -> Image:
     """The mask (h, w), 0 .. 255, with markings raised to 128 or more, and the rest lowered to 127 or less.
 

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 INPUT, OUTPUT = "image", "marking"
+ROWS = "rows"  # a height of this name is open: the network takes any multiple of STRIDE
+STRIDE = 8  # rows: the coarsest level of a network has one row for so many of the image
 OPSET = 17
 OPSETS = range(11, 24)
 UINT8, FLOAT = 2, 1
@@ -49,8 +51,11 @@ _ATTRIBUTE_KNOWN = frozenset((1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 20))  # 6, 11: gra
 _TENSOR_KNOWN = frozenset((1, 2, 4, 5, 7, 8, 9, 10, 11, 12, 14, 16))  # 3 segment, 6 strings, 13 external data
 
 
-def check_onnx(data: bytes, width_px: int, height_px: int) -> None:
-    """Raise ValueError with one line that says what is wrong, unless `data` is a network for images of that size."""
+def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
+    """Whether the network's height is open; it is for images of that width and that height, or of `ROWS` rows.
+
+    Raises ValueError with one line that says what is wrong where `data` is no such network.
+    """
     if data[4:8] == b"ORTM":
         raise MalformedError("is in onnxruntime's own format; give an ONNX file")
     model = Message(memoryview(data), "the file", PartBudget())
@@ -64,9 +69,12 @@ def check_onnx(data: bytes, width_px: int, height_px: int) -> None:
         _check_node(node)
     for tensor in graph.messages(5, "a weight"):
         _check_tensor(tensor)
-    shape = (1, 1, height_px, width_px)
-    _check_value(graph.messages(11, "an input"), "input", INPUT, shape)
-    _check_value(graph.messages(12, "an output"), "output", OUTPUT, shape)
+    inputs, outputs = graph.messages(11, "an input"), graph.messages(12, "an output")
+    is_open = any(ROWS in _shape(value) for value in inputs)
+    shape = (1, 1, ROWS if is_open else height_px, width_px)
+    _check_value(inputs, "input", INPUT, shape)
+    _check_value(outputs, "output", OUTPUT, shape)
+    return is_open
 
 
 def _only(message: Message, known: frozenset[int]) -> None:
@@ -110,14 +118,19 @@ def _check_tensor(tensor: Message) -> None:
                 raise MalformedError(f"has weights in {tensor.text(8)!r} that are not finite numbers")
 
 
-def _check_value(values: list[Message], kind: str, name: str, shape: tuple[int, ...]) -> None:
+def _shape(value: Message) -> tuple[int | str, ...]:
+    """A value's size along each dimension: a number, or the name of one that is open; 0 where there is neither."""
+    tensor = value.message(2, "the type").message(1, "a tensor type")
+    return tuple(dim.text(2) or dim.number(1) for dim in tensor.message(2, "the shape").messages(1, "a dimension"))
+
+
+def _check_value(values: list[Message], kind: str, name: str, shape: tuple[int | str, ...]) -> None:
     """Raise MalformedError unless there is one `kind`, called `name`, of type uint8 and this shape."""
     names = [value.text(1) for value in values]
     if names != [name]:
         raise MalformedError(f"expected one {kind}, {name!r}, got {', '.join(map(repr, names)) or 'none'}")
     tensor = values[0].message(2, "the type").message(1, "a tensor type")
-    dims = tensor.message(2, "the shape").messages(1, "a dimension")
-    found = tuple(dim.number(1) for dim in dims)  # 0 where a dimension is left open or is a name
+    found = _shape(values[0])
     if tensor.number(1) != UINT8 or found != shape:
         kinds = {UINT8: "uint8", FLOAT: "float32"}
         got = f"{kinds.get(tensor.number(1), 'another type')} {found}"

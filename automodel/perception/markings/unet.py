@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from automodel.config.toml_reader import ConfigError, not_negative
-from automodel.perception.markings.onnx_check import INPUT, OUTPUT, check_onnx
+from automodel.perception.markings.onnx_check import INPUT, OUTPUT, ROWS, STRIDE, check_onnx
 from automodel.types import Image
 
 SIZES = {"512x256": (512, 256), "256x128": (256, 128)}  # width, height [px]
@@ -39,14 +39,22 @@ class UnetConfig:
     size: str = "512x256"  # the network's input; "256x128" is for small boards
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order tensorrt, cuda, cpu
     threads: int = 0  # on the CPU; 0: half of the cores
+    above: float = 0.0  # share of the image's height, from its top, in which no marking is looked for
     engine_cache: str = ""  # folder for TensorRT's compiled engines; empty: compiled at each start, which takes minutes
 
     def __post_init__(self) -> None:
-        not_negative(self, "threads")
+        not_negative(self, "threads", "above")
         if self.size not in SIZES:
             raise ValueError(f"size: {self.size!r} is none of {', '.join(SIZES)}")
         if not self.providers or not set(self.providers) <= set(PROVIDERS):
             raise ValueError(f"providers: expected some of {', '.join(PROVIDERS)}, got {list(self.providers)}")
+        if self.above >= 1.0:
+            raise ValueError(f"above: expected a share below 1, got {self.above}")
+
+    @property
+    def first_row(self) -> int:
+        """The first of the network's rows that is looked at, a multiple of its stride."""
+        return min(int(self.above * SIZES[self.size][1]), SIZES[self.size][1] - 1) // STRIDE * STRIDE
 
 
 class MarkingNetwork:
@@ -57,7 +65,8 @@ class MarkingNetwork:
     fails the test on all providers.
 
     The network knows light `markings`; for "dark" ones it gets the negative, for "both" it runs on both, and the larger
-    probability counts.
+    probability counts. It sees the rows from `first_row` on, above which the mask is empty: those that `config.above`
+    leaves, if its height is open, else all.
     """
 
     def __init__(self, config: UnetConfig | None = None, markings: str = "light") -> None:
@@ -67,10 +76,11 @@ class MarkingNetwork:
         self.faults = 0
         name, data = read_network(config)
         try:
-            check_onnx(data, self.width_px, self.height_px)
+            is_open = check_onnx(data, self.width_px, self.height_px)
         except ValueError as error:
             raise ConfigError(f"{name}: {error}") from None
-        self.provider, self._session, self.notice = _first_session(config, name, data)
+        self.first_row = config.first_row if is_open else 0
+        self.provider, self._session, self.notice = _first_session(config, name, data, self.first_row)
 
     def step(self, grey: Image) -> Image:
         """The probability of a marking times 255, uint8 (height_px, width_px), of a grey image (h, w) of any size.
@@ -80,12 +90,17 @@ class MarkingNetwork:
         if grey.dtype != np.uint8 or grey.ndim != 2 or not grey.size:
             return self._no_mask()
         try:
-            return self._run(self._resized(grey))
+            rows = self._run(self._resized(grey)[self.first_row :])
         except session_errors():
             return self._no_mask()
+        if not self.first_row:
+            return rows
+        mask = np.empty((self.height_px, self.width_px), np.uint8)
+        mask[: self.first_row], mask[self.first_row :] = 0, rows
+        return mask
 
     def _run(self, grey: Image) -> Image:
-        """The mask of an image of the network's size."""
+        """The mask of the rows that the network sees."""
         if self._markings == "light":
             return run_network(self._session, grey)
         mask = run_network(self._session, np.asarray(cv2.bitwise_not(grey), dtype=np.uint8))
@@ -98,7 +113,8 @@ class MarkingNetwork:
         h, w = grey.shape
         if (w, h) == (self.width_px, self.height_px):
             return grey
-        method = cv2.INTER_AREA if w >= self.width_px and h >= self.height_px else cv2.INTER_LINEAR
+        skips = w > 2 * self.width_px or h > 2 * self.height_px  # linear interpolation would leave out pixels
+        method = cv2.INTER_AREA if skips else cv2.INTER_LINEAR
         return np.asarray(cv2.resize(grey, (self.width_px, self.height_px), interpolation=method), dtype=np.uint8)
 
     def _no_mask(self) -> Image:
@@ -125,16 +141,17 @@ def read_network(config: UnetConfig) -> tuple[str, bytes]:
     return name, data
 
 
-def _first_session(config: UnetConfig, name: str, data: bytes) -> tuple[str, Any, str]:
+def _first_session(config: UnetConfig, name: str, data: bytes, first_row: int) -> tuple[str, Any, str]:
     """The first provider on which the network passes its test, its session, and a notice of one line."""
     available, failed = _runtime().get_available_providers(), []
+    width, height = SIZES[config.size]
     for provider in (p for p in PROVIDERS if p in config.providers):
         if PROVIDERS[provider] not in available:
             failed.append(f"{provider}: not in this onnxruntime")
             continue
         try:
-            session = open_session(data, provider, config.threads, config.engine_cache)
-            self_test(functools.partial(run_network, session), *SIZES[config.size])
+            session = open_session(data, provider, config.threads, config.engine_cache, rows=height - first_row)
+            self_test(functools.partial(run_network, session), width, height, first_row)
         except session_errors() as error:
             failed.append(f"{provider}: {' '.join(str(error).split())[:300]}")
             continue
@@ -143,17 +160,19 @@ def _first_session(config: UnetConfig, name: str, data: bytes) -> tuple[str, Any
     raise ConfigError(f"{name}: runs on none of the configured providers: {'; '.join(failed)}")
 
 
-def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "") -> Any:
+def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "", *, rows: int = 0) -> Any:
     """An onnxruntime session of checked bytes on one of PROVIDERS; raises one of `session_errors()`.
 
     `threads` 0 is half of the cores: camera, recorder and link need the others, and a thread that waits for a core
-    delays all threads.
+    delays all threads. `rows` is the height of the images, for a network whose height is open; 0: it may change.
     """
     onnxruntime = _runtime()
     onnxruntime.set_default_logger_severity(_ERRORS)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads or max(1, _cores() // 2), 1
     options.log_severity_level = _ERRORS
+    if rows:
+        options.add_free_dimension_override_by_name(ROWS, rows)
     options.add_session_config_entry("session.load_model_format", "ONNX")
     options.add_session_config_entry("session.force_spinning_stop", "1")  # frees its cores between images
     cache = {"trt_engine_cache_enable": True, "trt_engine_cache_path": engine_cache} if engine_cache else {}
@@ -197,9 +216,12 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def self_test(network: Callable[[Image], Image], width_px: int, height_px: int) -> None:
-    """Raise ValueError unless `network` marks the lines of `drawn_lines` and little else, and nothing in black."""
-    image, lines = drawn_lines(width_px, height_px)
+def self_test(network: Callable[[Image], Image], width_px: int, height_px: int, first_row: int = 0) -> None:
+    """Raise ValueError unless `network` marks the lines of `drawn_lines` and little else, and nothing in black.
+
+    It is shown the rows from `first_row` on.
+    """
+    image, lines = (np.ascontiguousarray(whole[first_row:]) for whole in drawn_lines(width_px, height_px))
     mask = network(image)
     around = cv2.dilate(lines, np.ones((9, 9), np.uint8))
     found = float((mask[lines > 0] >= _MARKING).mean())

@@ -19,6 +19,7 @@ from automodel.perception.markings.binary_views import (
     TemporalPaintCheck,
     adaptive_threshold,
     resized_camera,
+    share_above,
 )
 from tests.support.drawn_roads import MARKING_M, Road
 from tests.support.drawn_views import Shape, binary, disc, line_at, seen_from, share
@@ -117,6 +118,39 @@ def test_only_what_the_camera_sees_counts() -> None:
     assert (full[points.visible == 0] > 0).mean() < 0.01  # the edge itself, at another size
     assert (full[points.visible > 0] > 0).mean() > 0.99
     assert not points.step(np.zeros((256, 512), np.uint8)).any()
+
+
+def turned(**angles: float) -> CameraConfig:
+    return replace(CAMERA, extrinsics=replace(CAMERA.extrinsics, **angles))
+
+
+@pytest.mark.parametrize(
+    ("camera", "least"),
+    [
+        (CAMERA, 0.2),
+        (FISHEYE, 0.1),
+        (turned(pitch_rad=0.1), 0.4),
+        (turned(roll_rad=0.1), 0.15),
+        (turned(yaw_rad=0.3), 0.2),
+        (turned(pitch_rad=0.7), 0.0),
+    ],
+    ids=["default", "fisheye", "looks far", "rolled", "looks left", "looks down"],
+)
+def test_what_lies_above_the_views_ground_is_not_needed(camera: CameraConfig, least: float) -> None:
+    """A mask without the rows above gives the same features; without some more rows it does not."""
+    above = share_above(GroundCamera.from_config(camera), VIEW)
+    assert above >= least
+    rng, points = np.random.default_rng(3), FeaturePoints(camera, VIEW, MARKING_M)
+    for width, height in SIZES[1:]:  # the networks'
+        noise = cv2.GaussianBlur(rng.integers(0, 256, (height, width), dtype=np.uint8), (5, 5), 0).astype(np.float64)
+        mask = np.clip(4.0 * (noise - 127.0) + 127.0, 0.0, 255.0).astype(np.uint8)
+        whole = points.step(adaptive_threshold(mask))
+        assert whole.any()
+        cut, more = mask.copy(), mask.copy()
+        cut[: int(above * height)] = 0
+        more[: int(above * height + 0.12 * height)] = 0
+        np.testing.assert_array_equal(points.step(adaptive_threshold(cut)), whole)
+        assert (points.step(adaptive_threshold(more)) != whole).any()
 
 
 @pytest.mark.parametrize("marking_px", [3.0, 3.75, 5.0, 6.0, 7.5, 10.0])

@@ -88,14 +88,29 @@ HOSTILE = {
         files.model(files.graph(inputs=(value("image", shape=(1, 1, 64, 64)),))),
         "as uint8 (1, 1, 128, 256), got uint8 (1, 1, 64, 64)",
     ),
-    "an open size": (files.model(files.graph(inputs=(value("image", shape=("n", 1, 128, 256)),))), "uint8 (0, 1, 128"),
+    "an open size": (
+        files.model(files.graph(inputs=(value("image", shape=("n", 1, 128, 256)),))),
+        "uint8 ('n', 1, 128",
+    ),
+    "an open width": (
+        files.model(files.graph(inputs=(value("image", shape=(1, 1, 128, "rows")),))),
+        "as uint8 (1, 1, 'rows', 256), got uint8 (1, 1, 128, 'rows')",
+    ),
+    "an open height of the input alone": (
+        files.model(files.graph(inputs=(value("image", shape=files.OPEN),))),
+        "expected output 'marking' as uint8 (1, 1, 'rows', 256), got uint8 (1, 1, 128, 256)",
+    ),
     "no shape": (files.model(files.graph(inputs=(field(1, "image") + field(2, field(1, field(1, 2))),))), "the shape"),
     "a sequence": (files.model(files.graph(inputs=(field(1, "image") + field(2, field(4, b"")),))), "a tensor type"),
 }
 
 
 def test_a_good_file_passes() -> None:
-    check_onnx(GOOD, files.WIDTH, files.HEIGHT)
+    assert not check_onnx(GOOD, files.WIDTH, files.HEIGHT)
+
+
+def test_a_height_may_be_open() -> None:
+    assert check_onnx(files.open_model(), files.WIDTH, files.HEIGHT)
 
 
 @pytest.mark.parametrize("name", HOSTILE)

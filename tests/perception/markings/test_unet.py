@@ -81,6 +81,49 @@ def test_pictures_of_any_size_are_stretched_to_the_networks(path: Path, factor: 
     assert np.median(np.flatnonzero(mask[64])) == pytest.approx(0.415 * files.WIDTH - 0.5, abs=1.0)
 
 
+def test_only_rows_that_show_the_road_are_looked_at(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path.write_bytes(files.open_model())
+    seen: list[tuple[int, ...]] = []
+    real = unet.run_network
+
+    def run_network(session: Any, grey: Any) -> Any:
+        seen.append(grey.shape)
+        return real(session, grey)
+
+    monkeypatch.setattr(unet, "run_network", run_network)
+    grey = np.full(SMALL, 80, np.uint8)
+    grey[:, 100:104] = 230
+    for above, first_row in ((0.0, 0), (0.05, 0), (0.4, 48), (0.999, 120)):
+        network = MarkingNetwork(config(path, above=above))
+        seen.clear()
+        mask = network.step(grey)
+        assert seen == [(files.HEIGHT - first_row, files.WIDTH)]
+        assert mask.shape == SMALL
+        assert not mask[:first_row].any()
+        assert (mask[first_row:, 100:104] == 255).all()
+        assert not mask[first_row:, :100].any()
+        assert network.step(grey) is not mask  # a caller may keep it
+
+
+def test_a_network_of_a_fixed_height_sees_all_rows(path: Path) -> None:
+    grey = np.full(SMALL, 80, np.uint8)
+    grey[:, 100:104] = 230
+    mask = MarkingNetwork(config(path, above=0.4)).step(grey)
+    assert (mask[:, 100:104] == 255).all()
+
+
+@pytest.mark.parametrize("scale", [1.5, 2.0, 2.5, 4.0])
+def test_no_thin_line_is_left_out_by_resizing(path: Path, scale: float) -> None:
+    """A line two pixels wide of a large image keeps its contrast, wherever it lies."""
+    height, width = round(files.HEIGHT * scale), round(files.WIDTH * scale)
+    network = MarkingNetwork(config(path))
+    for column in range(width // 2, width // 2 + 6):
+        grey = np.full((height, width), 60, np.uint8)
+        grey[:, column : column + 2] = 255
+        least = 195.0 * min(1.0, 0.9 / scale)  # its share of a pixel of the network's
+        assert int(network._resized(grey)[64].max()) - 60 >= least
+
+
 @pytest.mark.parametrize(
     "picture",
     [np.zeros(SMALL, np.uint8), np.full(SMALL, 255, np.uint8), np.zeros((1, 1), np.uint8)],
@@ -231,11 +274,11 @@ ALL = list(unet.PROVIDERS.values())
 def test_a_provider_that_fails_gives_way_to_the_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[str] = []
 
-    def open_session(data: bytes, provider: str, *options: Any) -> Any:
+    def open_session(data: bytes, provider: str, *options: Any, **more: Any) -> Any:
         opened.append(provider)
         if provider == "tensorrt":
             raise RuntimeError("no engine\nfor this board")
-        session = real(data, "cpu", *options)
+        session = real(data, "cpu", *options, **more)
         if provider == "cuda":  # it starts, and gives wrong masks
             return types.SimpleNamespace(run=lambda *_: [np.zeros((1, 1, *SMALL), np.uint8)])
         return session
@@ -273,6 +316,8 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
         ({"providers": ()}, "providers: "),
         ({"providers": ("cpu", "tpu")}, "providers: "),
         ({"threads": -1}, "threads: expected a number >= 0, got -1"),
+        ({"above": -0.1}, "above: expected a number >= 0, got -0.1"),
+        ({"above": 1.0}, "above: expected a share below 1, got 1.0"),
     ],
 )
 def test_a_wrong_configuration_is_refused(keys: dict[str, Any], said: str) -> None:
