@@ -43,17 +43,21 @@ def with_pipeline(car: CarConfig, name: str | None) -> CarConfig:
         raise ConfigError(f"--pipeline {error}") from None
 
 
-def read_car(path: Path | None, pipeline: str | None, speed_mps: float | None) -> tuple[CarConfig, str]:
+def read_car(
+    path: Path | None, pipeline: str | None, speed_mps: float | None, lossless: bool = False
+) -> tuple[CarConfig, str]:
     """What is driven, and the text of car.toml that says so: a replay of the recording must find what was in force.
 
-    `pipeline` and `speed_mps` override the file's.
+    `pipeline` and `speed_mps` override the file's; `lossless` records every bit of the frames, whatever the file says.
     """
     text = "" if path is None else read_text(path)
     name = "car.toml" if path is None else str(path)
     car = parse_car(text, name)
     if speed_mps is not None and speed_mps > car.safety.speed_max_mps:
         raise ConfigError(f"--speed {speed_mps}: {name} allows {car.safety.speed_max_mps} ([safety] speed_max_mps)")
-    for section, key, value in (("pipeline", "name", pipeline), ("control", "speed_mps", speed_mps)):
+    image = "png" if lossless else None
+    wanted = (("pipeline", "name", pipeline), ("control", "speed_mps", speed_mps), ("recording", "image", image))
+    for section, key, value in wanted:
         if value is not None:
             text = _with_key(text, section, key, value)
     return parse_car(text, name), text

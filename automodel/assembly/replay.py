@@ -1,6 +1,6 @@
 """Something recorded through the loop that drives, with recorded time and motion: lane poses, a CSV, a video.
 
-No vehicle link is imported, let alone opened. The same input gives the same estimates to the bit.
+No vehicle link is imported, let alone opened. The same frames give the same estimates to the bit.
 """
 
 from __future__ import annotations

@@ -50,6 +50,9 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
 )
 @click.option("--arm", is_flag=True, help="Real car: arm once without asking, as soon as all is well.")
 @click.option("--record", type=FILE, help="Write the run here (.mcap); a real car always records.")
+@click.option(
+    "--lossless", is_flag=True, help="Record every bit of the frames (PNG): a replay is the drive to the bit."
+)
 @click.option("--truth", type=FILE, help="Simulated: write truth.csv here.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
@@ -59,6 +62,7 @@ def command(
     car_file: Path | None,
     pipeline: str | None,
     speed_mps: float | None,
+    lossless: bool,
     as_json: bool,
     **rest: object,
 ) -> int:
@@ -68,7 +72,7 @@ def command(
     from automodel.console.messages import say
     from automodel.console.tables import show
 
-    car, text = read_car(car_file, pipeline, speed_mps)
+    car, text = read_car(car_file, pipeline, speed_mps, lossless)
     options = RunOptions(**rest)  # type: ignore[arg-type]
     check_outputs({"--truth": options.truth}, {"--car": car_file, "--record": options.record})
     name = str(car_file)

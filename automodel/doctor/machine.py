@@ -30,7 +30,7 @@ LITTLE_MIN, SCARCE_MIN = 2.0, 15.0  # free space in minutes of recording: FAIL, 
 SPARE = 2.0  # ratio of the disk's speed to the recording's
 MONOTONIC_STEP_S = 1e-3  # coarsest resolution of the clock
 _CHIEF = ("numpy", "opencv-python-headless", "onnxruntime", "pyserial")
-_IMAGE_SHARE = {"png": 0.6, "jpeg": 0.15}  # compressed size over raw size, without a measured image
+_IMAGE_SHARE = {"png": 0.6, "jpeg": 0.2}  # compressed size over raw size, without a measured image
 
 
 def wanted_packages(requirements: Sequence[str]) -> dict[str, str]:
@@ -122,12 +122,12 @@ def judge_disk(folder: str, free_bytes: int, written_bytes_per_s: float, needed_
     if minutes < LITTLE_MIN:
         return fail(name, what, "free space: a full disk ends the recording (old recordings, apt-get clean)")
     if speed < needed:
-        do = 'recordings lose frames: use another disk, or [recording] image = "jpeg"'
+        do = "recordings lose frames: use another disk, or a lower [recording] jpeg_quality"
         return fail(name, what, do)
     if minutes < SCARCE_MIN:
         return warn(name, what, "free space, or set [recording] directory to another disk")
     if speed < SPARE * needed:
-        return warn(name, what, 'hardly fast enough: use another disk, or [recording] image = "jpeg"')
+        return warn(name, what, "hardly fast enough: use another disk, or a lower [recording] jpeg_quality")
     return okay(name, what)
 
 

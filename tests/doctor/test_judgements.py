@@ -288,7 +288,7 @@ def test_clock() -> None:
 def test_disk() -> None:
     needed = machine.recording_bytes_per_s(CAR.camera, RecordingConfig(), 100_000)
     assert needed == 6e6
-    assert machine.recording_bytes_per_s(CAR.camera, RecordingConfig(), None) == pytest.approx(640 * 360 * 0.6 * 60)
+    assert machine.recording_bytes_per_s(CAR.camera, RecordingConfig(), None) == pytest.approx(640 * 360 * 0.2 * 60)
 
     def verdict(minutes: float, mbps: float) -> Verdict:
         return machine.judge_disk("x", round(minutes * 60 * needed), mbps * 1e6, needed).verdict

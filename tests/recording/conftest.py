@@ -14,7 +14,7 @@ from tests.support.recorded_values import CAR_TEXT, record_turn
 def recorded_run(tmp_path: Path) -> Callable[[int], Path]:
     def make(turns: int) -> Path:
         path = tmp_path / "run.mcap"
-        recorder = McapRecorder(path, CAR_TEXT, RecordingConfig())
+        recorder = McapRecorder(path, CAR_TEXT, RecordingConfig(image="png"))
         for index in range(turns):
             record_turn(recorder, index)
         recorder.close()

@@ -110,7 +110,7 @@ def test_file_is_indexed_mcap_with_known_schemas(recorded_run: Run) -> None:
 
 
 def test_stereo_frames_come_back(tmp_path: Path) -> None:
-    recorder = McapRecorder(tmp_path / "run.mcap", "", RecordingConfig())
+    recorder = McapRecorder(tmp_path / "run.mcap", "", RecordingConfig(image="png"))
     pairs = [(make_frame(2 * i).image, make_frame(2 * i + 1).image) for i in range(3)]
     for index, (left, right) in enumerate(pairs):
         recorder.frame(StereoFrame(t_ns=index, index=index, left=left, right=right))

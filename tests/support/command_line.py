@@ -55,6 +55,6 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
 def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with run.mcap and truth.csv: two seconds on the oval in lock-step, once for all tests; leave them."""
     folder = tmp_path_factory.mktemp("driven")
-    arguments = ["--track", "oval", "--duration", "2", "--seed", "3"]
+    arguments = ["--track", "oval", "--duration", "2", "--seed", "3", "--lossless"]
     assert run(["run", *arguments, "--record", f"{folder}/run.mcap", "--truth", f"{folder}/truth.csv"]) == 0
     return folder

@@ -80,6 +80,27 @@ def test_a_replay_gives_the_same_estimates_to_the_bit(driven: Path, cli, ticks: 
     assert row["frames"] == row["tracking"] + row["one_line"] + row["coasting"] + row["lost"] == 120
 
 
+@pytest.mark.parametrize("pipeline", ["contour", "windows", "centerline"])
+def test_a_replay_of_jpeg_is_within_2_mm_while_the_car_drives(
+    pipeline: str, tmp_path: Path, cli, ticks: list[Tick]
+) -> None:
+    """The recording holds the estimates of the drive itself, made from the frames as they were."""
+    path = tmp_path / "run.mcap"
+    drive = ("--track", "oval", "--pipeline", pipeline, "--duration", "2.5", "--record", path)
+    assert cli("run", *drive).code == 0
+    assert cli("replay", path).code == 0
+    steps = [step for step in Recording(path).steps() if step.estimate is not None]
+    assert len(ticks) == len(steps) == 150
+    pairs = [
+        (tick.estimate.pose, step.estimate.pose)
+        for tick, step in zip(ticks, steps, strict=True)
+        if step.estimate is not None and step.motion.speed_mps > 0.1
+    ]
+    differ_m = [abs(a.offset_m - b.offset_m) for a, b in pairs if a is not None and b is not None]
+    assert len(differ_m) == len(pairs) > 60
+    assert 0.0 < max(differ_m) <= 0.002
+
+
 @pytest.mark.slow
 def test_another_pipeline_setting_gives_other_estimates(driven: Path, tmp_path: Path, cli, ticks: list[Tick]) -> None:
     """The comparison above can fail."""
