@@ -12,6 +12,7 @@ from click.core import ParameterSource
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
+from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
 from automodel.sim.random_worlds import KINDS
 from automodel.sim.trajectory import STYLES
@@ -169,9 +170,13 @@ def sensitivity(
 @JSON
 def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, threads: int, as_json: bool) -> int:
     """Milliseconds a frame, by stage, on rendered frames of tmr."""
+    from automodel.bench.machine import described, this_machine
     from automodel.bench.speed import COLUMNS, measure
 
-    show("bench speed", measure(car_of(car_file), pipelines, frames, threads), as_json, COLUMNS)
+    rows, machine = measure(car_of(car_file), pipelines, frames, threads), this_machine()
+    show("bench speed", rows, as_json, COLUMNS, machine)
+    if not as_json:
+        say(described(machine))
     return 0
 
 
@@ -187,11 +192,15 @@ def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int,
     """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse."""
     from automodel.assembly.simulated_car import has_our_firmware
     from automodel.bench.latency import COLUMNS, measure
+    from automodel.bench.machine import described, this_machine
 
     car = car_of(car_file, pipeline)
     if not has_our_firmware(car):
         raise ConfigError(f"{car_file}: [link] kind {car.link.kind!r}: only a board with our firmware can be measured")
-    show("bench latency", measure(car, link, frames, commands), as_json, COLUMNS)
+    rows, machine = measure(car, link, frames, commands), this_machine()
+    show("bench latency", rows, as_json, COLUMNS, machine)
+    if not as_json:
+        say(described(machine))
     return 0
 
 

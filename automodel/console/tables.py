@@ -24,15 +24,19 @@ GAP = "  "
 TEXT_WIDTH = 30  # the least width of a column of sentences, which are wrapped
 
 
-def show(command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str] | None = None) -> None:
+def show(
+    command: str, rows: Sequence[Row], as_json: bool, columns: Sequence[str] | None = None, machine: Row | None = None
+) -> None:
     """Print `rows`, all with the same keys: as one JSON object, as lines (one row) or as a table (several).
 
     `columns` are the chief ones, the most important first; the others follow in their own order. A table has as many
     as fit the terminal, 80 characters where there is none; its last line names those that are only in the JSON. Where
-    there are chief columns, others without any value are left out.
+    there are chief columns, others without any value are left out. `machine` is what they were measured on, for the
+    JSON.
     """
     if as_json:
-        click.echo(json.dumps({"version": __version__, "command": command, "rows": [dict(row) for row in rows]}))
+        on = {} if machine is None else {"machine": dict(machine)}
+        click.echo(json.dumps({"version": __version__, "command": command, "rows": [dict(row) for row in rows], **on}))
         return
     if not rows:
         return

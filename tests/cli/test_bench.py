@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -8,6 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+from automodel.bench.machine import this_machine
 
 ACCURACY_KEYS = [
     "pipeline", "track", "style", "seed", "frames", "heading_mae_deg", "heading_p99_deg", "offset_mae_m",
@@ -44,6 +47,15 @@ def test_speed_has_its_keys(cli) -> None:
     assert all(list(row) == SPEED_KEYS for row in said.rows)
     assert said.rows[0]["stage"] == "total"
     assert all(0 <= row["p50_ms"] <= row["p99_ms"] for row in said.rows)
+    machine = json.loads(said.out)["machine"]
+    assert machine == {**this_machine(), "load_1min": machine["load_1min"]}
+
+
+def test_the_machine_is_said_to_people_too(cli) -> None:
+    said = cli("bench", "speed", "--frames", "10", "--pipeline", "contour")
+    assert said.code == 0
+    machine = this_machine()
+    assert f"{machine['cores_usable']} of {machine['cores']} cores" in said.line()
 
 
 @pytest.mark.slow
