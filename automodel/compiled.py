@@ -1,4 +1,4 @@
-"""Functions compiled to machine code by numba: the loops of `contour` and of the tracking, too small for numpy's calls.
+"""Functions compiled to machine code by numba: loops of the pipelines and of the tracking, too small for numpy's calls.
 
 They are compiled when they are first called and kept for the next run in the user's cache folder: $NUMBA_CACHE_DIR
 where set, otherwise `automodel/` in $XDG_CACHE_HOME or ~/.cache. Where nothing can be written there, they are compiled
@@ -82,7 +82,7 @@ class _Announcement(numba_event.Listener):
         """Called before any function is compiled that was not found on disk."""
         if not self.done and str(event.data["dispatcher"].__module__).startswith("automodel."):
             self.done = True
-            logging.getLogger("automodel").info("compiling (once, takes some seconds)")
+            logging.getLogger("automodel").info("compiling (once, takes half a minute, on a small board some minutes)")
 
     def on_end(self, event: Any) -> None:
         """Nothing."""

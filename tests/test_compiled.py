@@ -21,7 +21,22 @@ from automodel.estimation.clothoid.solvers import posterior
 logging.basicConfig(level=logging.INFO, format="%(message)s")
 print(posterior(np.diag([3.0, 1.0]), np.array([[1.0, 0.5], [0.5, 2.0]])).tolist())
 """
-COMPILING = "compiling (once, takes some seconds)\n"
+DRIVE = """
+import gc
+from numba.core.dispatcher import Dispatcher
+from automodel.assembly.parts import make_pipeline
+from automodel.sim.track_files import load_track
+from tests.support.rendered_drives import CAR, RenderedDrive
+def loaded():
+    ours = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
+    return {each.py_func.__qualname__: len(each.signatures) for each in ours if "automodel." in each.py_func.__module__}
+pipeline = make_pipeline("windows", CAR)
+before = loaded()
+RenderedDrive(track=load_track("oval"), pipeline=pipeline, rate_hz=20.0).run(0.8, 2.6)
+after = loaded()
+print(sorted(name for name in after if after[name] != before.get(name, 0)), len(after) > 10)
+"""
+COMPILING = "compiling (once, takes half a minute, on a small board some minutes)\n"
 
 
 def run(**environment: object) -> subprocess.CompletedProcess[str]:
@@ -29,6 +44,12 @@ def run(**environment: object) -> subprocess.CompletedProcess[str]:
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
     env = kept | {name: str(value) for name, value in environment.items()}
     return subprocess.run([sys.executable, "-c", POSTERIOR], capture_output=True, text=True, env=env, check=True)
+
+
+def test_no_frame_waits_for_a_function_to_be_compiled() -> None:
+    """What a frame calls is compiled, or loaded, when the pipeline is built."""
+    done = subprocess.run([sys.executable, "-c", DRIVE], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout == "[] True\n"
 
 
 def machine_code(folder: Path) -> set[Path]:

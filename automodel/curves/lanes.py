@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from automodel.curves.foot import nearest_samples
-from automodel.curves.sampled import TabulatedCurve, beside
+from automodel.curves.sampled import DeferredCurve, Table, beside
 from automodel.types import FloatArray
 
 
@@ -36,11 +37,14 @@ class LaneShape:
         out[:, 1] = self.points_m[:, 1] + lateral_m * np.cos(self.theta_rad)
         return out
 
-    def curve(self, lateral_m: float = 0.0, stride: int = 2) -> TabulatedCurve:
+    def curve(self, lateral_m: float = 0.0, stride: int = 2) -> DeferredCurve:
         """The centerline, or the curve `lateral_m` to its left, over the whole grid."""
+        return DeferredCurve(partial(self._table, lateral_m, stride))
+
+    def _table(self, lateral_m: float, stride: int) -> Table:
         table = self.s_m - self.s_m[0], self.points_m, self.theta_rad, self.kappa_per_m
         s, points, theta, kappa = beside(table, lateral_m) if lateral_m else table
-        return TabulatedCurve(s[::stride], points[::stride], theta[::stride], kappa[::stride])
+        return s[::stride], points[::stride], theta[::stride], kappa[::stride]
 
     def nearest_s(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) of the grid point nearest to each of `points_m` (n, 2)."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
@@ -143,3 +145,20 @@ class GraphCurve(Curve):
 
     def _sample_step(self) -> float:
         return self.length_m / 40.0
+
+
+class DeferredGraphCurve(GraphCurve):
+    """A `GraphCurve` of the arguments that `make` returns: coefficients, x0, x1.
+
+    Most curves of a run are never evaluated. `make` runs once, at the first use, and must not depend on values that
+    change until then.
+    """
+
+    def __init__(self, make: Callable[[], tuple[FloatArray, float, float]]) -> None:
+        self._make = make
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in ("coefficients", "x0_m", "x1_m", "_slope", "_bend"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        super().__init__(*self._make())
+        return self.__dict__[name]

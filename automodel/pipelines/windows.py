@@ -9,12 +9,13 @@ because no line is visible at a crossing.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import cv2
 import numpy as np
 
 from automodel.config import CarConfig
-from automodel.curves import Curve, GraphCurve
+from automodel.curves import Curve, DeferredGraphCurve
 from automodel.curves.regression import fit_polynomial
 from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
@@ -251,8 +252,7 @@ class Windows:
         """The paper's regression of degree 2 through a line that is seen, else the lane's edge."""
         curve: Curve
         if seen and float(points_m[-1, 0] - points_m[0, 0]) > 2 * self.view.m_per_row:
-            x = points_m[:, 0]
-            curve = GraphCurve(fit_polynomial(x, points_m[:, 1], 2), float(x.min()), float(x.max()))
+            curve = DeferredGraphCurve(partial(_regression, points_m))
         else:
             shape = self._tracker.shape
             curve = shape.curve(side * 0.5 * shape.width_m)
@@ -267,3 +267,9 @@ class Windows:
 
     def _forget(self) -> None:
         self._tracker.forget()
+
+
+def _regression(points_m: FloatArray) -> tuple[FloatArray, float, float]:
+    """The regression of degree 2 through points (n, 2) [m], and the x [m] of its ends."""
+    x = points_m[:, 0]
+    return fit_polynomial(x, points_m[:, 1], 2), float(x.min()), float(x.max())

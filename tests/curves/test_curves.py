@@ -10,6 +10,7 @@ from scipy.special import fresnel
 
 from automodel.curves import (
     Curve,
+    DeferredGraphCurve,
     GraphCurve,
     JoinedCurve,
     OffsetCurve,
@@ -217,6 +218,24 @@ def test_graph_curve_inverts_arc_length_beyond_its_ends() -> None:
     assert curve.x_of([-0.5, curve.length_m + 0.5]) == pytest.approx(
         [-0.5 / math.hypot(1, 0.5), 2.0 + 0.5 / math.hypot(1, 0.5)]
     )
+
+
+def test_a_deferred_graph_curve_is_made_once_when_it_is_used() -> None:
+    made = []
+
+    def make() -> tuple[np.ndarray, float, float]:
+        made.append(1)
+        return np.array([0.1, -0.3, 0.8]), -0.5, 1.0
+
+    deferred, curve = DeferredGraphCurve(make), GraphCurve((0.1, -0.3, 0.8), -0.5, 1.0)
+    assert not made
+    s = np.linspace(-0.1, 1.9, 9)
+    np.testing.assert_array_equal(deferred.position(s), curve.position(s))
+    np.testing.assert_array_equal(deferred.curvature(s), curve.curvature(s))
+    assert deferred.length_m == curve.length_m
+    assert made == [1]
+    with pytest.raises(AttributeError, match="colour"):
+        deferred.colour  # noqa: B018
 
 
 def test_joined_curve_is_continuous_over_joints_and_laps() -> None:

@@ -4,22 +4,29 @@ The centerline is c(s) with c(0) = p_ref - d n(theta0), c' = (cos theta, sin the
 and kappa piecewise linear between nodes: a chain of clothoids. A point of the line on side sigma (+1 left, -1 right)
 should lie at the signed distance sigma (w + w' s) / 2 from it: a lane that narrows or widens has no parallel lines.
 Gauss-Newton with an analytic Jacobian minimises the robust weighted sum of squared distances plus a prior, the last
-solution moved by the odometry, over the parameters (d, theta0, kappa_0 .. kappa_m, w, w').
+solution moved by the odometry, over the parameters (d, theta0, kappa_0 .. kappa_m, w, w'). The loops over samples and
+nodes are compiled.
 
 Body frame: d is the car's offset (left positive) at the reference point, -theta0 its heading in the lane.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from automodel.curves.foot import nearest_samples, newton_steps
+from automodel.compiled import compiled
+from automodel.curves.foot import LEAST_STRETCH, newton_step
 from automodel.curves.lanes import LaneShape
+from automodel.estimation.elimination import solve
 from automodel.estimation.road import BEHIND, NODE
 from automodel.geometry import SE2
 from automodel.types import Bools, FloatArray
+
+_newton_step = compiled(newton_step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +92,38 @@ class LaneSolution:
         return float(self.parameters[-2])
 
 
+class Grid(NamedTuple):
+    """Where the centerline is computed: `s_m` (n,), evenly spaced, and at the `middle` (n - 1,) of its intervals.
+
+    Of each node's hat function there (n, nodes): `hats` its values, `turn` and `turn_middle` its integral from s = 0,
+    which is d theta / d kappa. `zero` is the index of s = 0; the reference point lies at x = `reference_x_m`.
+    """
+
+    s_m: FloatArray
+    hats: FloatArray
+    turn: FloatArray
+    turn_middle: FloatArray
+    zero: int
+    reference_x_m: float
+
+
+class Measured(NamedTuple):
+    """`LineSamples` as the compiled loops take them."""
+
+    points_m: FloatArray
+    side: FloatArray
+    sigma_m: FloatArray
+
+
+class Limits(NamedTuple):
+    """Residuals that count: Tukey's `cut_m`, `far_cuts` times that beyond `sure_lanes` of `unit_m` at first."""
+
+    cut_m: float
+    far_cuts: float
+    sure_lanes: float
+    unit_m: float
+
+
 class LaneFit:
     """The fit on fixed grids of nodes and points: `solve` in each frame."""
 
@@ -99,17 +138,17 @@ class LaneFit:
             int(np.ceil(config.ahead_lanes * unit / spacing)),
         )
         self.nodes_m: FloatArray = np.arange(-behind, ahead + 1, dtype=np.float64) * spacing
-        self._fine = spacing / 4.0
-        self.grid_m: FloatArray = np.arange(-4 * behind, 4 * ahead + 1, dtype=np.float64) * self._fine
-        self._zero = 4 * behind  # the grid's index of s = 0
-        middle = 0.5 * (self.grid_m[1:] + self.grid_m[:-1])
-        self._hats = _hats(self.nodes_m, self.grid_m)
-        self._turn = _hat_integrals(self.nodes_m, self.grid_m)  # d theta / d kappa on the grid
-        self._turn_middle = _hat_integrals(self.nodes_m, middle)
-        count = len(self.grid_m)
-        below = np.tril(np.ones((count, count - 1)), -1)
-        self._sum = (below - below[self._zero]) * self._fine  # int_0^s on the grid, of values at the middles
+        self.grid_m: FloatArray = np.arange(-4 * behind, 4 * ahead + 1, dtype=np.float64) * (spacing / 4.0)
+        self._grid = Grid(
+            s_m=self.grid_m,
+            hats=_hats(self.nodes_m, self.grid_m),
+            turn=_hat_integrals(self.nodes_m, self.grid_m),
+            turn_middle=_hat_integrals(self.nodes_m, 0.5 * (self.grid_m[1:] + self.grid_m[:-1])),
+            zero=4 * behind,
+            reference_x_m=config.reference_x_m,
+        )
         self._smooth = self._smoothness(spacing)
+        self._warm_up()
 
     @property
     def size(self) -> int:
@@ -122,12 +161,12 @@ class LaneFit:
 
     def shape(self, parameters: FloatArray) -> LaneShape:
         """The centerline of the parameters."""
-        points, theta, _ = self._curve(parameters)
+        points, theta, kappa = _centerline(parameters, self._grid)
         return LaneShape(
             s_m=self.grid_m,
             points_m=points,
             theta_rad=theta,
-            kappa_per_m=self._hats @ parameters[2:-2],
+            kappa_per_m=kappa,
             width_m=float(parameters[-2]),
             taper=float(parameters[-1]),
         )
@@ -137,14 +176,11 @@ class LaneFit:
 
         The origin moves along s to the new foot of the reference point, and the body frame turns.
         """
-        reference = after_from_before.inverse().apply((self.config.reference_x_m, 0.0))[None]
-        at = nearest_samples(shape.points_m, reference)
-        ahead, left = newton_steps(reference - shape.points_m[at], shape.theta_rad[at], shape.kappa_per_m[at])
-        s, d = float((shape.s_m[at] + ahead)[0]), float((left - 0.5 * shape.kappa_per_m[at] * ahead**2)[0])
+        x, y = after_from_before.inverse().apply((self.config.reference_x_m, 0.0)).tolist()
+        s, d, theta = _foot(x, y, shape.points_m, shape.theta_rad, shape.kappa_per_m, self.grid_m)
         kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-2])
         width = parameters[-2] + s * parameters[-1]
-        heading = float(np.interp(s, self.grid_m, shape.theta_rad)) + after_from_before.yaw_rad
-        return np.concatenate(([d, heading], kappa, [width, parameters[-1]]))
+        return np.concatenate(([d, theta + after_from_before.yaw_rad], kappa, [width, parameters[-1]]))
 
     def solve(
         self,
@@ -164,59 +200,27 @@ class LaneFit:
             row[1], row[2:-2] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
             fixed = fixed + np.outer(row, row) / bearing.sigma_rad**2
             pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
-        parameters = (prior.mean if guess is None else guess).copy()
-        cut = self.config.outlier_lanes * unit
-        for turn in range(rounds):
-            residual, jacobian = self.residuals(parameters, samples)
-            if turn == 0:
-                wide = self._first_limits(jacobian, samples, fixed, cut)
-            limit = np.maximum(wide * 0.5**turn, np.maximum(cut, 3.0 * samples.sigma_m))
-            keep = np.maximum(1.0 - (residual / limit) ** 2, 0.0) ** 2
-            weighted = jacobian * (keep / samples.sigma_m**2)[:, None]
-            information = weighted.T @ jacobian + fixed
-            gradient = weighted.T @ residual + fixed @ parameters - pull
-            parameters = parameters - np.linalg.solve(information, gradient)
-        return LaneSolution(parameters=parameters, information=information, inliers=keep > 0.1)
-
-    def _first_limits(self, jacobian: FloatArray, samples: LineSamples, fixed: FloatArray, cut: float) -> FloatArray:
-        """Limits (n,) [m] of the residuals in the first iteration.
-
-        Near the car they follow from the prior's covariance; far ahead they are wider, because a new bend contradicts
-        the prior there.
-        """
-        spread = np.linalg.solve(fixed, jacobian.T)
-        open_m = np.sqrt(np.einsum("nm,mn->n", jacobian, spread) + samples.sigma_m**2)
-        unit = self.config.lane_width_m
-        far = np.clip((samples.points_m[:, 0] - self.config.reference_x_m) / unit - self.config.sure_lanes, 0.0, 1.0)
-        return np.maximum(np.maximum(cut, 3.0 * open_m), self.FAR_CUTS * cut * far)
+        config = self.config
+        parameters, information, inliers = _robust_fit(
+            prior.mean if guess is None else guess,
+            Measured(samples.points_m, samples.side, samples.sigma_m),
+            fixed,
+            pull,
+            self._grid,
+            Limits(config.outlier_lanes * unit, self.FAR_CUTS, config.sure_lanes, unit),
+            rounds,
+        )
+        return LaneSolution(parameters=parameters, information=information, inliers=inliers)
 
     def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
         """Signed distance minus sigma w / 2 (n,) [m], to second order in the grid's step, and its Jacobian (n, m)."""
-        points, theta, jacobian = self._curve(parameters, want_jacobian=True)
-        q = samples.points_m
-        nearest = nearest_samples(points, q)
-        theta, kappa = theta[nearest], self._hats[nearest] @ parameters[2:-2]
-        ahead, left = newton_steps(q - points[nearest], theta, kappa)
-        s = self.grid_m[nearest] + ahead
-        half = 0.5 * (parameters[-2] + parameters[-1] * s)
-        residual = left - 0.5 * kappa * ahead**2 * (1.0 - kappa * left) - samples.side * half
-        rows = jacobian[nearest]  # (n, 2, m - 2): d position / d (d, theta0, kappa)
-        out = np.empty((len(q), self.size))
-        np.einsum("nk,nkm->nm", np.column_stack((np.sin(theta), -np.cos(theta))), rows, out=out[:, :-2])
-        out[:, 1] -= ahead
-        out[:, 2:-2] -= ahead[:, None] * self._turn[nearest]
-        if parameters[-1] != 0.0:  # the foot moves along the lane, to where it is wider or narrower
-            slide = np.einsum("nk,nkm->nm", np.column_stack((np.cos(theta), np.sin(theta))), rows)
-            share = 0.5 * parameters[-1] * samples.side / np.maximum(1.0 - kappa * left, 0.05)
-            out[:, :-2] += share[:, None] * slide
-        out[:, -2], out[:, -1] = -0.5 * samples.side, -0.5 * samples.side * s
-        return residual, out
+        return _residuals(parameters, Measured(samples.points_m, samples.side, samples.sigma_m), self._grid)
 
     def covariance(self, solution: LaneSolution) -> FloatArray:
         """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
         picked = np.zeros((self.size, 3))
         picked[0, 0], picked[1, 1], picked[-2, 2] = 1.0, -1.0, 1.0
-        return np.asarray(picked.T @ np.linalg.solve(solution.information, picked))
+        return np.asarray(picked.T @ solve(solution.information.copy(), picked.copy()))
 
     def direction(self, parameters: FloatArray, s_m: float) -> float:
         """Direction [rad] of the centerline at s, body frame."""
@@ -226,24 +230,12 @@ class LaneFit:
         """Curvature [1/m] of the centerline at s."""
         return float(np.interp(s_m, self.nodes_m, parameters[2:-2]))
 
-    def _curve(self, p: FloatArray, want_jacobian: bool = False) -> tuple[FloatArray, FloatArray, FloatArray]:
-        kappa = p[2:-2]
-        theta = p[1] + self._turn @ kappa
-        middle = p[1] + self._turn_middle @ kappa
-        cos, sin = np.cos(middle), np.sin(middle)
-        c0, s0 = np.cos(p[1]), np.sin(p[1])
-        points = np.empty((len(theta), 2))
-        points[:, 0] = self.config.reference_x_m + p[0] * s0 + self._sum @ cos
-        points[:, 1] = -p[0] * c0 + self._sum @ sin
-        jacobian = np.empty((0, 0, 0))
-        if want_jacobian:
-            jacobian = np.empty((len(theta), 2, self.size - 2))
-            jacobian[:, :, 0] = s0, -c0
-            jacobian[:, 0, 1] = -points[:, 1]
-            jacobian[:, 1, 1] = points[:, 0] - self.config.reference_x_m
-            jacobian[:, 0, 2:] = -self._sum @ (sin[:, None] * self._turn_middle)
-            jacobian[:, 1, 2:] = self._sum @ (cos[:, None] * self._turn_middle)
-        return points, theta, jacobian
+    def _warm_up(self) -> None:
+        """Compile everything that a frame calls, so that none waits for it."""
+        lane = self.start(0.0, 0.0, 0.0, self.config.lane_width_m)
+        nothing = LineSamples(points_m=np.empty((0, 2)), side=np.empty(0), sigma_m=np.empty(0))
+        self.covariance(self.solve(nothing, LanePrior(mean=lane, sigma=np.ones(self.size)), rounds=1))
+        self.moved(lane, self.shape(lane), SE2())
 
     def _smoothness(self, spacing: float) -> FloatArray:
         """Information matrix of the prior that the curvature is a random walk along s."""
@@ -271,3 +263,181 @@ def _hat_integrals(nodes: FloatArray, s: FloatArray) -> FloatArray:
         return np.asarray(spacing * np.where(t < 0, 0.5 * (1.0 + t) ** 2, 1.0 - 0.5 * (1.0 - t) ** 2))
 
     return primitive(s) - primitive(np.zeros(1))
+
+
+@compiled
+def _centerline(p: FloatArray, grid: Grid) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (n, 2) [m], headings (n,) [rad] and curvatures (n,) [1/m] of the centerline on the grid."""
+    n, nodes = grid.turn.shape
+    step = grid.s_m[1] - grid.s_m[0]
+    points, theta, kappa = np.empty((n, 2)), np.empty(n), np.empty(n)
+    for i in range(n):
+        turn = bend = 0.0
+        for j in range(nodes):
+            turn += grid.turn[i, j] * p[2 + j]
+            bend += grid.hats[i, j] * p[2 + j]
+        theta[i], kappa[i] = p[1] + turn, bend
+    points[grid.zero, 0] = grid.reference_x_m + p[0] * math.sin(p[1])
+    points[grid.zero, 1] = -p[0] * math.cos(p[1])
+    for i in range(grid.zero, n - 1):
+        middle = _middle(p, grid, i)
+        points[i + 1, 0] = points[i, 0] + step * math.cos(middle)
+        points[i + 1, 1] = points[i, 1] + step * math.sin(middle)
+    for i in range(grid.zero - 1, -1, -1):
+        middle = _middle(p, grid, i)
+        points[i, 0] = points[i + 1, 0] - step * math.cos(middle)
+        points[i, 1] = points[i + 1, 1] - step * math.sin(middle)
+    return points, theta, kappa
+
+
+@compiled
+def _foot(
+    x_m: float, y_m: float, points_m: FloatArray, theta_rad: FloatArray, kappa_per_m: FloatArray, s_m: FloatArray
+) -> tuple[float, float, float]:
+    """Arc length [m] of a point's foot on a centerline, its distance to the left [m], and the heading [rad] there."""
+    i, least = 0, math.inf
+    for at in range(len(points_m)):
+        square = (x_m - points_m[at, 0]) ** 2 + (y_m - points_m[at, 1]) ** 2
+        if square < least:
+            i, least = at, square
+    ahead, _, left = _newton_step(
+        x_m - points_m[i, 0],
+        y_m - points_m[i, 1],
+        math.cos(theta_rad[i]),
+        math.sin(theta_rad[i]),
+        kappa_per_m[i],
+        LEAST_STRETCH,
+    )
+    s = s_m[i] + ahead
+    return s, left - 0.5 * kappa_per_m[i] * ahead**2, np.interp(s, s_m, theta_rad)
+
+
+@compiled
+def _middle(p: FloatArray, grid: Grid, i: int) -> float:
+    """Heading [rad] in the middle of the grid's interval i."""
+    turn = 0.0
+    for j in range(grid.turn_middle.shape[1]):
+        turn += grid.turn_middle[i, j] * p[2 + j]
+    return float(p[1] + turn)
+
+
+@compiled
+def _bend_slopes(p: FloatArray, grid: Grid) -> FloatArray:
+    """d position / d kappa of the centerline on the grid, (n, 2, nodes)."""
+    n, nodes = grid.turn.shape
+    step = grid.s_m[1] - grid.s_m[0]
+    slopes = np.zeros((n, 2, nodes))
+    for i in range(grid.zero, n - 1):
+        middle = _middle(p, grid, i)
+        dx, dy = -step * math.sin(middle), step * math.cos(middle)
+        for j in range(nodes):
+            slopes[i + 1, 0, j] = slopes[i, 0, j] + dx * grid.turn_middle[i, j]
+            slopes[i + 1, 1, j] = slopes[i, 1, j] + dy * grid.turn_middle[i, j]
+    for i in range(grid.zero - 1, -1, -1):
+        middle = _middle(p, grid, i)
+        dx, dy = -step * math.sin(middle), step * math.cos(middle)
+        for j in range(nodes):
+            slopes[i, 0, j] = slopes[i + 1, 0, j] - dx * grid.turn_middle[i, j]
+            slopes[i, 1, j] = slopes[i + 1, 1, j] - dy * grid.turn_middle[i, j]
+    return slopes
+
+
+@compiled
+def _residuals(p: FloatArray, measured: Measured, grid: Grid) -> tuple[FloatArray, FloatArray]:
+    """As `LaneFit.residuals`."""
+    points, theta, kappa = _centerline(p, grid)
+    slopes = _bend_slopes(p, grid)
+    count, nodes, size = len(measured.points_m), grid.turn.shape[1], len(p)
+    residual, jacobian = np.empty(count), np.empty((count, size))
+    sin0, cos0 = math.sin(p[1]), math.cos(p[1])
+    for k in range(count):
+        x, y, side = measured.points_m[k, 0], measured.points_m[k, 1], measured.side[k]
+        i, least = 0, math.inf
+        for at in range(len(points)):
+            square = (x - points[at, 0]) ** 2 + (y - points[at, 1]) ** 2
+            if square < least:
+                i, least = at, square
+        cos, sin = math.cos(theta[i]), math.sin(theta[i])
+        dx, dy = x - points[i, 0], y - points[i, 1]
+        ahead, _, left = _newton_step(dx, dy, cos, sin, kappa[i], LEAST_STRETCH)
+        s = grid.s_m[i] + ahead
+        half = 0.5 * (p[-2] + p[-1] * s)
+        residual[k] = left - 0.5 * kappa[i] * ahead**2 * (1.0 - kappa[i] * left) - side * half
+        # The foot moves along the lane, to where it is wider or narrower.
+        share = 0.5 * p[-1] * side / max(1.0 - kappa[i] * left, 0.05)
+        across_x, across_y = sin + share * cos, -cos + share * sin
+        jacobian[k, 0] = across_x * sin0 - across_y * cos0
+        jacobian[k, 1] = -across_x * points[i, 1] + across_y * (points[i, 0] - grid.reference_x_m) - ahead
+        for j in range(nodes):
+            bent = across_x * slopes[i, 0, j] + across_y * slopes[i, 1, j]
+            jacobian[k, 2 + j] = bent - ahead * grid.turn[i, j]
+        jacobian[k, size - 2], jacobian[k, size - 1] = -0.5 * side, -0.5 * side * s
+    return residual, jacobian
+
+
+@compiled
+def _first_limits(
+    jacobian: FloatArray, measured: Measured, fixed: FloatArray, grid: Grid, limits: Limits
+) -> FloatArray:
+    """Limits (n,) [m] of the residuals in the first iteration.
+
+    Near the car they follow from the prior's covariance; far ahead they are wider, because a new bend contradicts
+    the prior there.
+    """
+    spread = solve(fixed.copy(), jacobian.T.copy())
+    wide = np.empty(len(jacobian))
+    for k in range(len(jacobian)):
+        variance = measured.sigma_m[k] ** 2
+        for j in range(jacobian.shape[1]):
+            variance += jacobian[k, j] * spread[j, k]
+        beyond = (measured.points_m[k, 0] - grid.reference_x_m) / limits.unit_m - limits.sure_lanes
+        far = min(max(beyond, 0.0), 1.0)
+        wide[k] = max(limits.cut_m, 3.0 * math.sqrt(variance), limits.far_cuts * limits.cut_m * far)
+    return wide
+
+
+@compiled
+def _robust_fit(
+    start: FloatArray,
+    measured: Measured,
+    fixed: FloatArray,
+    pull: FloatArray,
+    grid: Grid,
+    limits: Limits,
+    rounds: int,
+) -> tuple[FloatArray, FloatArray, Bools]:
+    """Parameters (m,), their information (m, m), and which samples are inliers, after some Gauss-Newton steps.
+
+    The prior's information matrix is `fixed` (m, m), and `fixed` times its mean is `pull` (m,).
+    """
+    p, size, count = start.copy(), len(start), len(measured.points_m)
+    keep, wide = np.zeros(count), np.zeros(count)
+    information, gradient = np.empty((size, size)), np.empty((size, 1))
+    for turn in range(rounds):
+        residual, jacobian = _residuals(p, measured, grid)
+        if turn == 0:
+            wide = _first_limits(jacobian, measured, fixed, grid, limits)
+        for i in range(size):
+            gradient[i, 0] = -pull[i]
+            for j in range(size):
+                information[i, j] = fixed[i, j]
+                gradient[i, 0] += fixed[i, j] * p[j]
+        for k in range(count):
+            sigma = measured.sigma_m[k]
+            limit = max(wide[k] * 0.5**turn, limits.cut_m, 3.0 * sigma)
+            keep[k] = max(1.0 - (residual[k] / limit) ** 2, 0.0) ** 2
+            if keep[k] == 0.0:
+                continue
+            weight = keep[k] / sigma**2
+            for i in range(size):
+                weighted = weight * jacobian[k, i]
+                gradient[i, 0] += weighted * residual[k]
+                for j in range(i + 1):
+                    information[i, j] += weighted * jacobian[k, j]
+        for i in range(size):
+            for j in range(i):
+                information[j, i] = information[i, j]
+        step = solve(information.copy(), gradient.copy())
+        for i in range(size):
+            p[i] -= step[i, 0]
+    return p, information, keep > 0.1

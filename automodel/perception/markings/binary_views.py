@@ -14,11 +14,12 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
 from automodel.perception.markings.ridge import ridge_image
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
-from automodel.types import Bools, Image
+from automodel.types import Bools, Image, IntArray
 
 ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
@@ -157,6 +158,7 @@ class WhiteAreas:
         self.mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
         self._thinned = np.ascontiguousarray(self.mask[::3])
         self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
+        _histogram(np.zeros(self.mask.shape, np.uint8), self._thinned)  # is compiled
         # In a false run as long as the opening's kernel all pixels exceed the level.
         run, normal = self._narrow.size, NormalDist()
         rate = min(FALSE_ALARMS * run / (3.0 * self._visible_px), 0.25)
@@ -178,7 +180,7 @@ class WhiteAreas:
 
     def _level(self, contrast: Image) -> float:
         """The contrast [grey levels] from which on a pixel is bright."""
-        counts = cv2.calcHist([contrast[::3]], [0], self._thinned, [256], [0, 256]).ravel()  # a third of the rows
+        counts = _histogram(contrast, self._thinned)  # of a third of the rows
         shares = np.cumsum(counts) / self._visible_px
         brightest = float(np.searchsorted(shares, 0.99))
         if self.contrast > 0.0:
@@ -206,6 +208,17 @@ class WhiteAreas:
         if self._markings == "both":
             ridges = np.asarray(cv2.max(ridges, ridge_image(view, 1, 1, self._reach)), dtype=np.uint8)
         return ridges
+
+
+@compiled
+def _histogram(values: Image, counted: Image) -> IntArray:
+    """How often (256,) each value occurs in every third row of an image (h, w), where `counted` (h / 3, w) is not 0."""
+    counts = np.zeros(256, np.int64)
+    for i in range(len(counted)):
+        for j in range(counted.shape[1]):
+            if counted[i, j] != 0:
+                counts[values[3 * i, j]] += 1
+    return counts
 
 
 @dataclass(slots=True)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
-import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
 from automodel.curves.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
-from automodel.types import Bools, FloatArray, Image
+from automodel.types import Bools, FloatArray, Image, IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,6 +32,15 @@ class CrossingScan:
         step = self.s_m[1] - self.s_m[0]
         index = np.clip(np.rint((s_m - self.s_m[0]) / step), 0, len(self.s_m) - 1).astype(np.intp)
         return np.asarray(~self.covered[index])
+
+
+class Raster(NamedTuple):
+    """The pixels of a view, whose far edge lies at x = `far_m` and whose left edge at y = `left_m`; steps [m]."""
+
+    far_m: float
+    left_m: float
+    row_m: float
+    column_m: float
 
 
 class CrossingSearch:
@@ -52,9 +62,11 @@ class CrossingSearch:
     MAX_SKEW_RAD = math.radians(40.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
-        self.view, self.lane_m, self.marking_m = view, lane_width_m, marking_width_m
+        self.lane_m, self.marking_m = lane_width_m, marking_width_m
+        self._raster = Raster(view.x_far_m, view.half_width_m, view.m_per_row, view.m_per_px)
         self._step = marking_width_m * self.STEP_MARKINGS
         self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # consecutive grid rows that are covered
+        _sampled(np.zeros((1, 1), np.uint8), np.zeros((1, 2)), np.zeros(1), np.zeros(1), self._raster)  # is compiled
 
     def step(self, bright: Image, lane: LaneShape, far_m: float) -> CrossingScan:
         """Scan the lane up to arc length `far_m` in the binary view `bright` (h, w)."""
@@ -63,21 +75,15 @@ class CrossingSearch:
         if inner <= 2 * self.marking_m:
             return CrossingScan(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
         d = np.linspace(-inner, inner, self.COLUMNS)
+        middle_m = np.column_stack([np.interp(s, lane.s_m, lane.points_m[:, axis]) for axis in (0, 1)])
         theta = np.interp(s, lane.s_m, lane.theta_rad)
-        x = np.interp(s, lane.s_m, lane.points_m[:, 0])[:, None] - np.sin(theta)[:, None] * d
-        y = np.interp(s, lane.s_m, lane.points_m[:, 1])[:, None] + np.cos(theta)[:, None] * d
-        column, row = self.view.columns(y), self.view.rows(x)
-        inside = (column > -0.5) & (column < self.view.width_px - 0.5) & (row > -0.5)
-        inside &= row < self.view.height_px - 0.5
-        maps = column.astype(np.float32), row.astype(np.float32)
-        sampled = cv2.remap(bright, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        white = np.asarray(sampled) > 0
-        count = inside.sum(axis=1)
+        white, count = _sampled(bright, middle_m, theta, d, self._raster)
         share = white.sum(axis=1) / np.maximum(count, 1)
         first = _first_run((count >= self.SEEN * self.COLUMNS) & (share >= self.COVER), self._need)
         crossing = None
         if first is not None:
-            ground = np.stack((x, y), axis=-1)
+            across = np.column_stack((-np.sin(theta), np.cos(theta)))
+            ground = middle_m[:, None] + across[:, None] * d[:, None]
             crossing = self._edge(white, ground, first, s, float(theta[first]))
         return CrossingScan(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
 
@@ -122,3 +128,24 @@ def _first_run(covered: Bools, need: int) -> int | None:
     run = np.convolve(covered.astype(np.intp), np.ones(need, dtype=np.intp), mode="valid")
     starts = np.flatnonzero(run == need)
     return int(starts[0]) if len(starts) else None
+
+
+@compiled
+def _sampled(
+    bright: Image, middle_m: FloatArray, theta_rad: FloatArray, d_m: FloatArray, raster: Raster
+) -> tuple[Bools, IntArray]:
+    """Which places of a grid (n, k) are bright in a view (h, w), and how many of each row lie in the view (n,).
+
+    Row i of the grid crosses the lane at `middle_m` (n, 2), square to `theta_rad` (n,); `d_m` (k,) counts to the left.
+    """
+    white = np.zeros((len(middle_m), len(d_m)), np.bool_)
+    inside = np.zeros(len(middle_m), np.int64)
+    for i in range(len(middle_m)):
+        sin, cos = math.sin(theta_rad[i]), math.cos(theta_rad[i])
+        for k in range(len(d_m)):
+            row = (raster.far_m - middle_m[i, 0] + sin * d_m[k]) / raster.row_m - 0.5
+            column = (raster.left_m - middle_m[i, 1] - cos * d_m[k]) / raster.column_m - 0.5
+            if -0.5 < row < bright.shape[0] - 0.5 and -0.5 < column < bright.shape[1] - 0.5:
+                inside[i] += 1
+                white[i, k] = bright[round(row), round(column)] > 0
+    return white, inside

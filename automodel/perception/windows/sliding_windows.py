@@ -1,21 +1,21 @@
 """The histogram start and the sliding windows of Balbuena Palma et al. 2020, sections IV-C and IV-D, in metres.
 
-`HistogramStart` finds where a line starts, `SlidingWindows` follows it through the view.
+`HistogramStart` finds where a line starts, `SlidingWindows` follows it through the view; its loops are compiled.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
 from automodel.geometry import View
 from automodel.signals import Observation
-from automodel.types import FloatArray, Image
+from automodel.types import FloatArray, Image, Ints
 
 
 class HistogramStart:
@@ -47,15 +47,27 @@ class HistogramStart:
         return float(peaks.argmax() - half) * self._bin_m if peaks.any() else 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class _Piece:
-    """The piece of the line in a window: its centroid [px], its slope, and its offset from the expected line [px]."""
+class Windows(NamedTuple):
+    """The stack of windows on a view, near to far, as the compiled loop takes it.
 
-    column: float
-    row: float
-    slope: float | None  # columns a row; None for a piece too short to have one
-    offset: float
-    reach: float  # rows for which the slope holds
+    The first row of each window and the one after its last (n,), its middle row (n,), and that row's x [m] (n,). Sizes
+    of the view [px]; of a line, its width [px], the least share of its pixels, of their variance along the rows, and
+    the most variance across [px^2]. `far_m`, `left_m`, `row_m`, `column_m`: the view's far and left edge and its steps.
+    """
+
+    first: Ints
+    end: Ints
+    centre: FloatArray
+    x_m: FloatArray
+    width_px: int
+    marking_px: float
+    fill: float
+    long: float
+    spread_px2: float
+    far_m: float
+    left_m: float
+    row_m: float
+    column_m: float
 
 
 class SlidingWindows:
@@ -75,12 +87,27 @@ class SlidingWindows:
     def __init__(self, view: View, marking_width_m: float) -> None:
         self.view, self.marking_m = view, marking_width_m
         edges = np.linspace(view.height_px, 0, self.COUNT + 1).astype(int)
-        self._rows = [(int(far), int(near)) for near, far in itertools.pairwise(edges)]
-        self.centre_rows: FloatArray = np.array([0.5 * (far + near - 1) for far, near in self._rows])
-        self._centres: list[float] = self.centre_rows.tolist()
+        first, end = edges[1:], edges[:-1]
+        self.centre_rows: FloatArray = 0.5 * (first + end - 1)
         self.centre_x_m: FloatArray = view.to_body(np.column_stack((np.zeros(self.COUNT), self.centre_rows)))[:, 0]
-        self._marking_px = marking_width_m / view.m_per_px
-        self._half = int(0.5 * self.WIDTH * self._marking_px)
+        marking_px = marking_width_m / view.m_per_px
+        self._half = int(0.5 * self.WIDTH * marking_px)
+        self._windows = Windows(
+            first=first.astype(np.intp),
+            end=end.astype(np.intp),
+            centre=self.centre_rows,
+            x_m=self.centre_x_m,
+            width_px=view.width_px,
+            marking_px=marking_px,
+            fill=self.FILL,
+            long=self.LONG,
+            spread_px2=self.SPREAD * marking_px**2,
+            far_m=view.x_far_m,
+            left_m=view.half_width_m,
+            row_m=view.m_per_row,
+            column_m=view.m_per_px,
+        )
+        self._warm_up()
 
     def follow(
         self, lines: Image, expected_y_m: FloatArray, widening: float = 1.0, max_turn: float = math.inf
@@ -91,43 +118,8 @@ class SlidingWindows:
         `widening` multiplies the windows' width, for a line whose place is uncertain. A line whose slope dy/dx differs
         from the expected one by more than `max_turn` is not extrapolated.
         """
-        expected = self.view.columns(expected_y_m)
-        columns, half, width = expected.tolist(), round(self._half * widening), self.view.width_px
-        slopes = _slopes(expected, self.centre_rows).tolist() if max_turn < math.inf else None
         max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
-        spread_px2 = self.SPREAD * self._marking_px**2
-        points: list[tuple[float, float]] = []
-        last: _Piece | None = None
-        for k, (far, near) in enumerate(self._rows):
-            place = self._place(columns[k], self._centres[k], last)
-            if place is None:
-                continue
-            low, high = max(place - half, 0), min(place + half + 1, width)
-            if high - low < half:
-                continue
-            m = cv2.moments(lines[far:near, low:high], True)
-            count, along = m["m00"], m["mu02"]
-            if count < self.FILL * self._marking_px * (near - far):
-                continue
-            slope = m["mu11"] / along if along > 0 else 0.0
-            if m["mu20"] - slope * m["mu11"] > spread_px2 * count:
-                continue  # more than one line
-            column, row = low + m["m10"] / count, far + m["m01"] / count
-            usable = along > self.LONG * (near - far) ** 2 / 12.0 * count
-            if usable and slopes is not None:
-                usable = not abs(slope - slopes[k]) > max_turn_px  # NaN: nothing is expected there
-            points.append((column, row))
-            offset = column - columns[k] if math.isfinite(columns[k]) else 0.0
-            last = _Piece(column, row, slope if usable else None, offset, 2.5 * (near - far))
-        return self.view.to_body(np.array(points).reshape(-1, 2))
-
-    def _place(self, expected: float, row: float, last: _Piece | None) -> int | None:
-        """The next window's middle column: extrapolated from the last piece where it has a slope, else as expected."""
-        if last is not None and last.slope is not None and abs(row - last.row) <= last.reach:
-            return round(last.column + last.slope * (row - last.row))
-        if not math.isfinite(expected):
-            return None
-        return round(expected + (last.offset if last is not None else 0.0))
+        return _followed(lines, expected_y_m, self._windows, round(self._half * widening), max_turn_px)
 
     def observe(
         self,
@@ -143,16 +135,18 @@ class SlidingWindows:
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:
         """y [m] of the line on `side` (+1 left, -1 right) at each window's `centre_x_m`, NaN beyond the line's ends."""
-        points = lane.line(side)
-        x = points[:, 0]
-        first = int(np.argmin(np.abs(lane.s_m)))  # beside the car; in a tight bend the line passes there again
-        folds = np.flatnonzero(np.diff(x[first:]) <= 0.15 * (lane.s_m[1] - lane.s_m[0]))
-        last = first + int(folds[0]) if len(folds) else len(x) - 1
-        wanted = self.centre_x_m
-        if last <= first:
-            return np.full(len(wanted), np.nan)
-        part = points[first : last + 1]
-        return np.asarray(np.interp(wanted, part[:, 0], part[:, 1], left=np.nan, right=np.nan))
+        half_m = 0.5 * side
+        return _expected(
+            lane.s_m, lane.points_m, lane.theta_rad, half_m * lane.width_m, half_m * lane.taper, self.centre_x_m
+        )
+
+    def _warm_up(self) -> None:
+        """Compile everything that a frame calls, so that none waits for it."""
+        nothing, at = np.zeros((self.view.height_px, self.view.width_px), np.uint8), np.array([0.0, 1.0])
+        straight = LaneShape(
+            s_m=at, points_m=np.column_stack((at, at)), theta_rad=0.0 * at, kappa_per_m=0.0 * at, width_m=self.marking_m
+        )
+        self.follow(nothing, self.expected(straight, +1))
 
     def _sigma(self, points_m: FloatArray) -> FloatArray:
         """Standard deviations (n,): 0.12 markings near the car; further out the calibration's error dominates."""
@@ -160,9 +154,95 @@ class SlidingWindows:
         return np.asarray(0.12 * self.marking_m + 0.01 * np.maximum(ahead, 0.0))
 
 
-def _slopes(expected: FloatArray, rows: FloatArray) -> FloatArray:
-    """The expected line's slope at each window [columns a row], NaN where it is not known."""
-    slope = np.empty(len(rows))
-    slope[1:-1] = (expected[2:] - expected[:-2]) / (rows[2:] - rows[:-2])
-    slope[0], slope[-1] = slope[1], slope[-2]
-    return slope
+@compiled
+def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px: int, max_turn_px: float) -> FloatArray:
+    """As `SlidingWindows.follow`; windows `half_px` wide to each side, slopes in columns a row."""
+    count = len(windows.centre)
+    expected = (windows.left_m - expected_y_m) / windows.column_m - 0.5
+    points, found = np.empty((count, 2)), 0
+    # The last piece: its middle [px], its slope if it has one, its distance [px] to the right of the expected line, and
+    # the rows for which the slope holds.
+    column = row = slope = beside = reach = 0.0
+    sloping = False
+    for k in range(count):
+        far, near = windows.first[k], windows.end[k]
+        if found and sloping and abs(windows.centre[k] - row) <= reach:
+            place = round(column + slope * (windows.centre[k] - row))
+        elif math.isfinite(expected[k]):
+            place = round(expected[k] + beside)
+        else:
+            continue
+        low, high = max(place - half_px, 0), min(place + half_px + 1, windows.width_px)
+        if high - low < half_px:
+            continue
+        area, m10, m01, m20, m11, m02 = _moments(lines, far, near, low, high)
+        if area < windows.fill * windows.marking_px * (near - far):
+            continue
+        along = m02 - m01 * m01 / area
+        lean = m11 - m10 * m01 / area
+        tilt = lean / along if along > 0.0 else 0.0
+        if m20 - m10 * m10 / area - tilt * lean > windows.spread_px2 * area:
+            continue  # more than one line
+        column, row, slope, reach = low + m10 / area, far + m01 / area, tilt, 2.5 * (near - far)
+        sloping = along > windows.long * (near - far) ** 2 / 12.0 * area
+        if sloping and max_turn_px < math.inf:  # NaN: nothing is expected there
+            sloping = not abs(slope - _expected_slope(expected, windows.centre, k)) > max_turn_px
+        beside = column - expected[k] if math.isfinite(expected[k]) else 0.0
+        points[found, 0] = windows.far_m - (row + 0.5) * windows.row_m
+        points[found, 1] = windows.left_m - (column + 0.5) * windows.column_m
+        found += 1
+    return points[:found]
+
+
+@compiled
+def _moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[float, float, float, float, float, float]:
+    """Number of nonzero pixels in a window, and their sums of column, row, column^2, column row and row^2 in it."""
+    m00 = m10 = m01 = m20 = m11 = m02 = 0
+    for i in range(near - far):
+        count = across = square = 0
+        for j in range(high - low):
+            if lines[far + i, low + j] != 0:
+                count += 1
+                across += j
+                square += j * j
+        m00, m10, m20 = m00 + count, m10 + across, m20 + square
+        m01, m11, m02 = m01 + i * count, m11 + i * across, m02 + i * i * count
+    return float(m00), float(m10), float(m01), float(m20), float(m11), float(m02)
+
+
+@compiled
+def _expected_slope(expected: FloatArray, rows: FloatArray, k: int) -> float:
+    """The expected line's slope at a window [columns a row], NaN where it is not known."""
+    k = min(max(k, 1), len(rows) - 2)
+    return float((expected[k + 1] - expected[k - 1]) / (rows[k + 1] - rows[k - 1]))
+
+
+@compiled
+def _expected(
+    s_m: FloatArray, points_m: FloatArray, theta_rad: FloatArray, half_m: float, taper: float, wanted_m: FloatArray
+) -> FloatArray:
+    """As `SlidingWindows.expected`, of the line `half_m` + `taper` s to the left of a centerline."""
+    count, first = len(s_m), 0
+    x, y = np.empty(count), np.empty(count)
+    for i in range(count):
+        lateral = half_m + taper * s_m[i]
+        if lateral * half_m < 0.0:
+            lateral = 0.0
+        x[i] = points_m[i, 0] - lateral * math.sin(theta_rad[i])
+        y[i] = points_m[i, 1] + lateral * math.cos(theta_rad[i])
+        if abs(s_m[i]) < abs(s_m[first]):  # beside the car; in a tight bend the line passes there again
+            first = i
+    last = first
+    while last + 1 < count and x[last + 1] - x[last] > 0.15 * (s_m[1] - s_m[0]):
+        last += 1
+    out = np.full(len(wanted_m), np.nan)
+    if last <= first:
+        return out
+    i = first
+    for k in range(len(wanted_m)):  # near to far
+        if not x[first] <= wanted_m[k] <= x[last]:
+            continue
+        while i + 1 < last and x[i + 1] <= wanted_m[k]:
+            i += 1
+        out[k] = y[i] + (y[i + 1] - y[i]) / (x[i + 1] - x[i]) * (wanted_m[k] - x[i])
+    return out

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from automodel.geometry import View
-from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
+from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, _moments
 from tests.support.drawn_views import bar, binary, dashed, line_at
 
 LANE_M, MARKING_M, REFERENCE_M = 0.4, 0.03, 0.13
@@ -16,6 +17,14 @@ FINE = View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.004, m_pe
 
 def true_y(x: np.ndarray, y_m: float, slope: float, bend_per_m: float) -> np.ndarray:
     return y_m + slope * x + 0.5 * bend_per_m * x * x
+
+
+def test_moments_are_those_of_opencv() -> None:
+    lines = (np.random.default_rng(2).random((40, 60)) < 0.3).astype(np.uint8) * 255
+    known = cv2.moments(lines[7:29, 11:53], True)
+    area, m10, m01, m20, m11, m02 = _moments(lines, 7, 29, 11, 53)
+    found = (area, m10, m01, m20, m11, m02)
+    assert found == pytest.approx([known[name] for name in ("m00", "m10", "m01", "m20", "m11", "m02")], rel=1e-12)
 
 
 class TestSlidingWindows:
