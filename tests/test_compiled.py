@@ -28,8 +28,10 @@ from automodel.assembly.parts import make_pipeline
 from automodel.sim.track_files import load_track
 from tests.support.rendered_drives import CAR, RenderedDrive
 def loaded():
-    ours = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
-    return {each.py_func.__qualname__: len(each.signatures) for each in ours if "automodel." in each.py_func.__module__}
+    known = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
+    stages = ("automodel.perception", "automodel.estimation")
+    ours = [each for each in known if each.py_func.__module__.startswith(stages)]
+    return {each.py_func.__qualname__: len(each.signatures) for each in ours}
 pipeline = make_pipeline("windows", CAR)
 before = loaded()
 RenderedDrive(track=load_track("oval"), pipeline=pipeline, rate_hz=20.0).run(0.8, 2.6)

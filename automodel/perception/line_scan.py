@@ -2,20 +2,24 @@
 
 The pipelines follow two lines from where they expect them. Where that may be the wrong place (at a start, after a
 crossing, where one line alone was seen) the whole view is looked at: pieces of paint as wide as a marking are found as
-connected areas, and pieces that continue each other are joined to lines, across the gaps of a dashed one.
+connected areas, and pieces that continue each other are joined to lines, across the gaps of a dashed one. The loops
+over pixels and pairs of pieces are compiled.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.geometry import View
+from automodel.geometry.elimination import solve
 from automodel.perception.markings.binary_views import WhiteAreas
-from automodel.types import Bools, FloatArray, Image
+from automodel.types import Bools, Float32Array, FloatArray, Image, IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,11 +43,17 @@ class _Piece:
     fit: FloatArray  # y(x - middle), lowest power first
     middle: float
 
-    def at(self, x: float) -> tuple[float, float]:
-        """y [m] and slope of the parabola at x."""
-        t = x - self.middle
-        a, b, c = self.fit
-        return float(a + b * t + c * t * t), float(b + 2.0 * c * t)
+
+class _Scales(NamedTuple):
+    """The numbers of `ScanConfig` in metres, and the steps of a view, as the compiled loops take them."""
+
+    marking_m: float
+    lane_m: float
+    gap_m: float
+    turn_rad: float
+    bend: float
+    row_m: float
+    column_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,85 +85,73 @@ class LineScan:
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, config: ScanConfig | None = None):
         self.view, self.config = view, config or ScanConfig()
         self._unit, self._marking_m = lane_width_m, marking_width_m
-        rows, columns = np.arange(view.height_px), np.arange(view.width_px)
-        self._x = view.to_body(np.stack((rows, rows), axis=-1))[:, 0]  # of each row [m]
-        self._y = view.to_body(np.stack((columns, columns), axis=-1))[:, 1]  # of each column [m]
+        scan = self.config
+        self._scales = _Scales(
+            marking_m=marking_width_m,
+            lane_m=lane_width_m,
+            gap_m=scan.gap_lanes * lane_width_m,
+            turn_rad=scan.turn_rad,
+            bend=scan.bend,
+            row_m=view.m_per_row,
+            column_m=view.m_per_px,
+        )
+        self._warm_up()
 
     def step(self, lines: Image) -> tuple[SightedLine, ...]:
         """The lines of a view, in no order."""
         return tuple(self._line(piece) for piece in self._joined(self._pieces(lines)))
 
+    def _warm_up(self) -> None:
+        """Compile everything that a frame calls, so that none waits for it."""
+        two = np.zeros((self.view.height_px, self.view.width_px), np.uint8)
+        two[:, : two.shape[1] // 2 : two.shape[1] // 2 - 1] = 255  # lines, one column each
+        self.step(two)
+
     def _pieces(self, lines: Image) -> list[_Piece]:
         """Connected areas that are longer than wide, each with the middles of its rows."""
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(lines, connectivity=8)
-        least = self.config.least_lanes * self._unit / self.view.m_per_row
+        rows, middles, sizes, ends = _areas(lines)
+        least = max(self.config.least_lanes * self._unit / self.view.m_per_row, 3)
         bars = self._bars(lines)
-        pieces = []
-        for label in range(1, count):
-            left, top, width, height, area = stats[label].tolist()
-            if height < max(least, 3):
+        pieces, start = [], 0
+        for end in ends.tolist():
+            there = slice(start, end)
+            start = end
+            if rows[there.stop - 1] - rows[there.start] + 1 < least or 2 * bars[rows[there]].sum() > end - there.start:
                 continue
-            part = labels[top : top + height, left : left + width] == label
-            per_row = part.sum(axis=1)
-            there = np.flatnonzero(per_row)
-            if 2 * np.count_nonzero(bars[top + there]) > len(there):
-                continue
-            middle = (part @ np.arange(width))[there] / per_row[there]
-            mean_m = area / len(there) * self.view.m_per_px
-            x = self._x[top + there][::-1]
-            y = np.interp(left + middle, np.arange(len(self._y)), self._y)[::-1]
-            piece = _fitted(x, y)
-            slope = abs(piece.fit[1])
-            across = mean_m / math.hypot(1.0, slope)
-            off = y - np.polynomial.polynomial.polyval(x - piece.middle, piece.fit)
-            narrow = across < self.config.wide * self._marking_m and float(off.std()) < self._marking_m
-            if slope < self._SLOPE and narrow:
+            piece = self._line_piece(rows[there], middles[there], sizes[there])
+            if piece is not None:
                 pieces.append(piece)
         return pieces
+
+    def _line_piece(self, rows: IntArray, middles: FloatArray, sizes: IntArray) -> _Piece | None:
+        """The piece of an area; `middles` and number of pixels of each of its `rows` (n,). None: it is no line's."""
+        view = self.view
+        x = np.asarray(view.x_far_m - (rows[::-1] + 0.5) * view.m_per_row, dtype=np.float64)
+        y: FloatArray = view.half_width_m - (middles[::-1] + 0.5) * view.m_per_px
+        fit, middle, off = _parabola(x, y)
+        slope = abs(float(fit[1]))
+        across = float(sizes.mean()) * view.m_per_px / math.hypot(1.0, slope)
+        narrow = across < self.config.wide * self._marking_m and off < self._marking_m
+        return _Piece(x=x, y=y, fit=fit, middle=middle) if slope < self._SLOPE and narrow else None
 
     def _bars(self, lines: Image) -> Bools:
         """The rows (h,) of a zebra crossing: several bars next to each other, at least in most of the rows around."""
         config = self.config
-        rows, columns = np.nonzero((lines[:, 1:] > 0) & (lines[:, :-1] == 0))  # left edges
-        apart = np.diff(columns) * self.view.m_per_px / self._unit
-        beside = (np.diff(rows) == 0) & (apart > config.bar_lanes[0]) & (apart < config.bar_lanes[1])
-        pairs = np.bincount(rows[:-1][beside], minlength=len(lines)).astype(np.float32)
+        pairs = _neighbours(lines, *(lanes * self._unit / self.view.m_per_px for lanes in config.bar_lanes))
         around = 2 * round(0.5 * config.least_lanes * self._unit / self.view.m_per_row) + 1
         return np.asarray(cv2.blur(pairs, (1, around)).ravel() >= config.bars - 1.0)
 
     def _joined(self, pieces: list[_Piece]) -> list[_Piece]:
         """Pieces that continue each other, as one; the best fitting ends first."""
         pieces = sorted(pieces, key=lambda piece: float(piece.x[0]))
-        while True:
-            best: tuple[float, int, int] | None = None
-            for i, first in enumerate(pieces):
-                for j, second in enumerate(pieces):
-                    cost = self._misfit(first, second) if i != j else math.inf
-                    if cost < 1.0 and (best is None or cost < best[0]):
-                        best = (cost, i, j)
-            if best is None:
-                return pieces
-            _, i, j = best
+        while len(pieces) > 1:
+            ends = np.array([(piece.x[0], piece.x[-1], piece.middle, *piece.fit) for piece in pieces])
+            i, j = _best_pair(ends, self._scales)
+            if i < 0:
+                break
             both = _fitted(np.concatenate((pieces[i].x, pieces[j].x)), np.concatenate((pieces[i].y, pieces[j].y)))
             pieces = [piece for k, piece in enumerate(pieces) if k not in (i, j)] + [both]
-
-    def _misfit(self, first: _Piece, second: _Piece) -> float:
-        """How badly `second` continues `first`, 1 at the limit."""
-        gap = float(second.x[0] - first.x[-1])
-        most = self.config.gap_lanes * self._unit
-        if not -2.0 * self.view.m_per_row < gap < most:
-            return math.inf
-        x = 0.5 * float(second.x[0] + first.x[-1])
-        (y1, slope1), (y2, slope2) = first.at(x), second.at(x)
-        if gap > 0.0:  # the chord between the ends, against both directions: a parabola is too free for a dash
-            (end, s1), (start, s2) = first.at(float(first.x[-1])), second.at(float(second.x[0]))
-            y1, y2 = end + 0.5 * gap * s1, start - 0.5 * gap * s2
-            slope1, slope2 = s1, s2
-        lateral = abs(y2 - y1) / math.hypot(1.0, slope1)
-        turn = abs(math.atan(slope2) - math.atan(slope1))
-        room = self._marking_m + self.config.turn_rad * max(gap, 0.0) * 2.0
-        bend = 2.0 * self.config.turn_rad + max(gap, 0.0) / self._unit * self.config.bend
-        return max(lateral / room, turn / bend)
+        return pieces
 
     def _line(self, piece: _Piece) -> SightedLine:
         step = max(round(self.config.spacing_lanes * self._unit / self.view.m_per_row), 1)
@@ -173,9 +171,153 @@ def _fitted(x: FloatArray, y: FloatArray) -> _Piece:
     """A piece with a parabola through its rows' middles; a straight line through few."""
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
-    middle = 0.5 * float(x[0] + x[-1])
-    t = x - middle
-    design = np.column_stack((np.ones_like(t), t, t * t))
-    ridge = np.diag((0.0, 0.0, 1e-6 + (x[-1] - x[0]) ** 4 * 1e-3))  # a short piece is straight
-    fit = np.linalg.solve(design.T @ design + ridge, design.T @ y)
+    fit, middle, _ = _parabola(x, y)
     return _Piece(x=x, y=y, fit=fit, middle=middle)
+
+
+@compiled
+def _areas(lines: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+    """The connected areas of a binary image (h, w), whose pixels touch at sides or corners.
+
+    Their rows (n,), all of the first area from above, then those of the next; the middle column and the number of
+    pixels of each (n,); and the index at which each area ends (k,). Areas come in the order of their first pixels.
+    """
+    height, width = lines.shape
+    count, size = 0, height * (width // 2 + 1)
+    row, first, end = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
+    root = np.empty(size, np.int64)  # of each run of pixels: a run above it of the same area
+    above, here = 0, 0  # the first runs of the row above, and of this one
+    for r in range(height):
+        if here < count and row[here] == r - 1:
+            above, here = here, count
+        else:
+            above = here = count
+        touching, c = above, 0
+        while c < width:
+            if lines[r, c] == 0:
+                c += 1
+                continue
+            row[count], first[count], root[count] = r, c, count
+            while c < width and lines[r, c] != 0:
+                c += 1
+            end[count] = c
+            while touching < here and end[touching] < first[count]:
+                touching += 1
+            at = touching
+            while at < here and first[at] <= c:
+                a, b = _root(root, at), _root(root, count)
+                root[max(a, b)] = min(a, b)
+                at += 1
+            count += 1
+    area = np.empty(count, np.int64)
+    areas = 0
+    for k in range(count):
+        if root[k] == k:
+            area[k] = areas
+            areas += 1
+        else:
+            area[k] = area[_root(root, k)]
+    # Each area's rows: runs come row by row.
+    last, held = np.full(areas, -1, np.int64), np.zeros(areas, np.int64)
+    for k in range(count):
+        held[area[k]] += row[k] != last[area[k]]
+        last[area[k]] = row[k]
+    ends = np.cumsum(held)
+    fill = ends - held - 1
+    total = int(ends[-1]) if areas else 0
+    rows, sums, sizes = np.full(total, -1, np.int64), np.zeros(total), np.zeros(total, np.int64)
+    last[:] = -1
+    for k in range(count):
+        fill[area[k]] += row[k] != last[area[k]]
+        at, last[area[k]] = fill[area[k]], row[k]
+        rows[at] = row[k]
+        sizes[at] += end[k] - first[k]
+        sums[at] += 0.5 * (end[k] - first[k]) * (end[k] + first[k] - 1)
+    return rows, sums / sizes, sizes, ends
+
+
+@compiled
+def _neighbours(lines: Image, least_px: float, most_px: float) -> Float32Array:
+    """In each row (h,) of a binary image, the left edges of pieces that follow another one so many pixels apart."""
+    height, width = lines.shape
+    pairs = np.zeros(height, np.float32)
+    for r in range(height):
+        last = -math.inf
+        for c in range(1, width):
+            if lines[r, c] != 0 and lines[r, c - 1] == 0:
+                if least_px < c - last < most_px:
+                    pairs[r] += 1.0
+                last = float(c)
+    return pairs
+
+
+@compiled
+def _root(root: IntArray, k: int) -> int:
+    """The first run of the area of a run."""
+    while root[k] != k:
+        root[k] = root[root[k]]
+        k = root[k]
+    return k
+
+
+@compiled
+def _parabola(x: FloatArray, y: FloatArray) -> tuple[FloatArray, float, float]:
+    """The parabola y(x - middle) through points (n,), lowest power first, a straight line through few; and `middle`.
+
+    Last the standard deviation of the points' distances from it, along y.
+    """
+    middle = 0.5 * (x[0] + x[-1])
+    matrix, right = np.zeros((3, 3)), np.zeros((3, 1))
+    for k in range(len(x)):
+        t = x[k] - middle
+        powers = (1.0, t, t * t)
+        for i in range(3):
+            right[i, 0] += powers[i] * y[k]
+            for j in range(3):
+                matrix[i, j] += powers[i] * powers[j]
+    matrix[2, 2] += 1e-6 + (x[-1] - x[0]) ** 4 * 1e-3  # a short piece is straight
+    fit = solve(matrix, right)[:, 0].copy()
+    total = square = 0.0
+    for k in range(len(x)):
+        t = x[k] - middle
+        off = y[k] - (fit[0] + t * (fit[1] + t * fit[2]))
+        total, square = total + off, square + off * off
+    mean = total / len(x)
+    return fit, middle, math.sqrt(max(square / len(x) - mean * mean, 0.0))
+
+
+@compiled
+def _at(piece: FloatArray, x: float) -> tuple[float, float]:
+    """y [m] and slope of a piece's parabola at x."""
+    t = x - piece[2]
+    return piece[3] + piece[4] * t + piece[5] * t * t, piece[4] + 2.0 * piece[5] * t
+
+
+@compiled
+def _misfit(first: FloatArray, second: FloatArray, scales: _Scales) -> float:
+    """How badly `second` continues `first`, 1 at the limit; of each: ends, middle and fit of a `_Piece` (6,)."""
+    gap = second[0] - first[1]
+    if not -2.0 * scales.row_m < gap < scales.gap_m:
+        return math.inf
+    x = 0.5 * (second[0] + first[1])
+    (y1, slope1), (y2, slope2) = _at(first, x), _at(second, x)
+    if gap > 0.0:  # the chord between the ends, against both directions: a parabola is too free for a dash
+        (end, slope1), (start, slope2) = _at(first, first[1]), _at(second, second[0])
+        y1, y2 = end + 0.5 * gap * slope1, start - 0.5 * gap * slope2
+    lateral = abs(y2 - y1) / math.hypot(1.0, slope1)
+    turn = abs(math.atan(slope2) - math.atan(slope1))
+    room = scales.marking_m + scales.turn_rad * max(gap, 0.0) * 2.0
+    bend = 2.0 * scales.turn_rad + max(gap, 0.0) / scales.lane_m * scales.bend
+    return max(lateral / room, turn / bend)
+
+
+@compiled
+def _best_pair(pieces: FloatArray, scales: _Scales) -> tuple[int, int]:
+    """The piece (of n, as in `_misfit`) that the other continues best, and that other; -1 where there are none."""
+    least, best = 1.0, (-1, -1)
+    for i in range(len(pieces)):
+        for j in range(len(pieces)):
+            cost = _misfit(pieces[i], pieces[j], scales) if i != j else math.inf
+            if cost < least:
+                least, best = cost, (i, j)
+    return best

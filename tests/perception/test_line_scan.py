@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from automodel.geometry import View
-from automodel.perception.line_scan import LineScan, SightedLine
+from automodel.perception.line_scan import LineScan, SightedLine, _areas
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
 from tests.support.drawn_views import Shape, bar, binary, disc
 
@@ -33,6 +34,26 @@ def within_lane(shape: Shape) -> Shape:
 def lateral(road: Road, line: SightedLine) -> np.ndarray:
     """How far a line's points lie to the left of the road's centre."""
     return road.beside(line.points_m[:, 0], line.points_m[:, 1])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.3, 0.5, 0.7, 1.0])
+def test_areas_are_the_connected_ones_of_opencv(share: float) -> None:
+    rng = np.random.default_rng(5)
+    for height, width in ((1, 1), (7, 1), (1, 9), (40, 61)):
+        lines = (rng.random((height, width)) < share).astype(np.uint8) * 255
+        count, labels = cv2.connectedComponents(lines, connectivity=8)
+        known = set()
+        for label in range(1, count):
+            row, column = np.nonzero(labels == label)
+            middle_of = [(r, column[row == r].mean(), (row == r).sum()) for r in np.unique(row)]
+            known.add(tuple(tuple(round(float(value), 9) for value in each) for each in middle_of))
+        rows, middles, sizes, ends = _areas(lines)
+        each_row = list(zip(rows.tolist(), middles.tolist(), sizes.tolist(), strict=True))
+        starts = [0, *ends.tolist()][:-1]
+        areas = [each_row[start:end] for start, end in zip(starts, ends.tolist(), strict=True)]
+        found = {tuple(tuple(round(float(value), 9) for value in each) for each in area) for area in areas}
+        assert found == known
+        assert len(areas) == len(known)
 
 
 @pytest.mark.parametrize("road", BENDS)

@@ -12,7 +12,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.estimation.clothoid.clothoid_pair import CURVATURE, HEADING, OFFSET
-from automodel.estimation.elimination import solve
+from automodel.geometry.elimination import solve
 from automodel.types import Bools, Floats, Ints
 
 State = tuple[Floats, Floats, Floats, Floats]  # as `correct` takes them

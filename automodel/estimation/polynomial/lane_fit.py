@@ -21,9 +21,9 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.foot import LEAST_STRETCH, newton_step
 from automodel.curves.lanes import LaneShape
-from automodel.estimation.elimination import solve
 from automodel.estimation.road import BEHIND, NODE
 from automodel.geometry import SE2
+from automodel.geometry.elimination import solve
 from automodel.types import Bools, FloatArray
 
 _newton_step = compiled(newton_step)

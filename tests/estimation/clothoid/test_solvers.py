@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from automodel.estimation.clothoid.solvers import SOLVERS, gauss_newton, gradient_descent, posterior
-from automodel.estimation.elimination import solve
+from automodel.geometry.elimination import solve
 from automodel.types import FloatArray
 
 SCALES = np.array([0.02, 0.3, 1.0, 5.0])  # sigmas of very different units
