@@ -18,6 +18,7 @@ from automodel.console.progress import progress
 from automodel.interfaces import Clock
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import MonotonicClock
+from automodel.runtime.cores import LoopCores
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunResult
 from automodel.runtime.runner import Runner
@@ -74,6 +75,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
     total_m = laps * lane.centerline.length_m if laps else None
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
+        cores = leaving.enter_context(LoopCores()) if options.realtime else None
         watcher = Watcher(laps, leaving.enter_context(progress(f"run {options.track}", total_m)))
         simulated = (real_time if options.realtime else lock_step)(car, simulation, watcher.on_scene)
         leaving.callback(simulated.close)
@@ -89,7 +91,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
         teller = EventPrinter(simulated.clock, _QUIET_SIMULATED)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(parts, config, observer=watcher, on_event=teller)
-        result = _run(runner, watcher, simulated.clock, options.duration_s)
+        result = _run(runner, watcher, simulated.clock, options.duration_s, cores)
     if recorder is not None:
         say(recorder.summary())
     if options.truth is not None:
@@ -103,6 +105,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
 def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
     """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
     with contextlib.ExitStack() as leaving:
+        cores = leaving.enter_context(LoopCores())
         camera = CaptureThread(make_camera(car))
         leaving.callback(camera.close)
         recorder = make_recorder(options.record or _recording_name(car), text, car)
@@ -118,16 +121,21 @@ def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
             recorder=recorder,
             auto_arm=options.arm,
         )
+
+        def reopen() -> CaptureThread:
+            with cores.elsewhere():
+                return CaptureThread(make_camera(car))
+
         runner = Runner(
             parts,
             run_config(car, collector_off=True),
             observer=watcher,
             arm_requested=key.pressed,
-            reopen=lambda: CaptureThread(make_camera(car)),
+            reopen=reopen,
             on_event=EventPrinter(parts.clock, _QUIET_REAL),
         )
         try:
-            result = _run(runner, watcher, parts.clock, options.duration_s)
+            result = _run(runner, watcher, parts.clock, options.duration_s, cores)
         except LinkError as error:  # only before the board's first hello: the run has not begun
             _discard(recorder)
             if isinstance(error, PortNotFound):
@@ -137,8 +145,12 @@ def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
     return RunReport(row=_row(result), ended=watcher.ending(result), failed=_broken(result))
 
 
-def _run(runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None) -> RunResult:
-    """Run until the watcher has seen enough, `duration_s` is over or a signal comes."""
+def _run(
+    runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None, cores: LoopCores | None
+) -> RunResult:
+    """Run until the watcher has seen enough, `duration_s` is over or a signal comes; in real time as `cores` says."""
+    if cores is not None:
+        cores.claim()
     start_ns = clock.now_ns()
 
     def finished() -> bool:

@@ -24,6 +24,7 @@ from automodel.config import CameraConfig, CarConfig, RecordingConfig
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig, drawn_lines
 from automodel.recording.codec import ImageCodec
+from automodel.runtime.cores import denied, usable_cores
 from automodel.types import Image
 
 LITTLE_MIN, SCARCE_MIN = 2.0, 15.0  # free space in minutes of recording: FAIL, WARN
@@ -31,6 +32,16 @@ SPARE = 2.0  # ratio of the disk's speed to the recording's
 MONOTONIC_STEP_S = 1e-3  # coarsest resolution of the clock
 _CHIEF = ("numpy", "opencv-python-headless", "onnxruntime", "pyserial")
 _IMAGE_SHARE = {"png": 0.6, "jpeg": 0.2}  # compressed size over raw size, without a measured image
+
+
+def judge_scheduling(cores: int, denied: Sequence[str]) -> Finding:
+    """What of `runtime.cores` the system does not let a run do on so many cores."""
+    if cores < 2:
+        return skip("scheduling", "a single core, which the loop shares with everything else")
+    if not denied:
+        return okay("scheduling", "the loop has a core, goes before other processes, and is never swapped out")
+    do = "write '@dialout - nice -15' and '@dialout - memlock unlimited' into /etc/security/limits.d/automodel.conf"
+    return warn("scheduling", "; ".join(denied), f"{do}, and log in anew")
 
 
 def wanted_packages(requirements: Sequence[str]) -> dict[str, str]:
@@ -146,6 +157,7 @@ def machine_findings(car: CarConfig) -> Iterator[Finding]:
     """All checks that need no car."""
     source = car.camera.source
     yield okay("python", f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores")
+    yield judge_scheduling(usable_cores(), denied())
     yield bounded("packages", _packages, 10.0, "make a new virtual environment: python3 -m venv, pip install")
     yield judge_opencv(cv2.__version__, cv2.getBuildInformation(), source)
     yield bounded(

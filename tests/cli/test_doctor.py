@@ -29,7 +29,7 @@ from tests.support.command_line import Said
 from tests.support.fake_cars import StillCamera, road
 from tests.support.fake_cars import car_toml as written
 
-MACHINE = ["python", "packages", "opencv", "gstreamer", "network", "clock"]
+MACHINE = ["python", "scheduling", "packages", "opencv", "gstreamer", "network", "clock"]
 BOARD = ["serial port", "board", "board start", "wire", "board faults", "battery", "ranges", "odometry", "servo", "can"]
 CAMERA = ["camera", "resolution", "time stamps", "frame rate", "exposure", "sharpness", "lane width"]
 FILE = ["disk", "lens", "servo table"]
@@ -103,7 +103,7 @@ def test_without_a_car_all_is_well_with_the_simulated_one(cli, tmp_path: Path) -
     said = cli("doctor", "--json")
     assert said.err == "without --car: this machine, and the simulated car\n"
     rows = by_name(said)
-    assert list(rows) == [*MACHINE[:4], "providers", *MACHINE[4:], *BOARD, *CAMERA, *FILE, "calibration"]
+    assert list(rows) == [*MACHINE[:5], "providers", *MACHINE[5:], *BOARD, *CAMERA, *FILE, "calibration"]
     not_well = {name for name, row in rows.items() if row["verdict"] not in ("OK", "SKIP")}
     assert not_well <= {"network", "disk"}  # of a machine that is slow or full
     assert of(said, *CAMERA) == ["OK"] * len(CAMERA)

@@ -141,7 +141,7 @@ def test_a_camera_that_is_lost_is_opened_again_and_the_car_stays_disarmed(
     def make_camera(car: object) -> StillCamera:
         if len(opened) == 1 and not tries():
             raise OSError("/dev/video0: cannot be opened")
-        opened.append(StillCamera(image, dies_at=200 if not opened else None))
+        opened.append(StillCamera(image, dies_at=400 if not opened else None))
         return opened[-1]
 
     tries, again, wait = every(3), every(40), every(60)

@@ -277,6 +277,14 @@ def test_opencv_and_gstreamer() -> None:
     assert [machine.judge_gstreamer(a, b, "usb").verdict for a, b in there] == [OK, OK, OK]
 
 
+def test_scheduling() -> None:
+    assert machine.judge_scheduling(4, ()).verdict is OK
+    assert machine.judge_scheduling(1, ("the loop waits",)).verdict is Verdict.SKIP
+    found = machine.judge_scheduling(4, ("the loop waits", "memory may be swapped out"))
+    assert (found.verdict, "nice -15" in found.do) == (WARN, True)
+    assert found.what == "the loop waits; memory may be swapped out"
+
+
 def test_clock() -> None:
     day = datetime.date(2026, 3, 1)
     assert machine.judge_clock(day, day, 1e-9, 0).verdict is OK
