@@ -9,6 +9,7 @@ width.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -19,6 +20,9 @@ from automodel.geometry import GroundCamera, View
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
+SAMPLES = 8  # along a piece: every other row
+MOST_NATS = 50.0  # log-odds of what is certain
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReflectionConfig:
@@ -26,12 +30,14 @@ class ReflectionConfig:
 
     `pointing_rad`: sigma of the direction of a streak's piece; what is three of them off is paint. A larger one puts
     more paint to the test. `blur_px`: largest standard deviation of an image's blur, of a car that turns on the
-    spot; with a larger one wide streaks pass for blurred markings. `reach`: of a profile to both sides, in marking
-    widths; over a shorter one a wide streak looks like curved ground.
+    spot; with a larger one wide streaks pass for blurred markings. `change`: probability that one of two neighbouring
+    pieces of connected pixels is of a streak and the other of paint that points to the camera as well. `reach`: of a
+    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground.
     """
 
     pointing_rad: float = 0.035
     blur_px: float = 5.0
+    change: float = 0.01
     reach: float = 2.5
 
 
@@ -45,7 +51,7 @@ class Reflections:
         self, camera: GroundCamera, view: View, mask: Image, marking_width_m: float, markings: str, pieces: int
     ) -> None:
         self.view, self.config, self._mask, self._pieces = view, ReflectionConfig(), mask, pieces
-        self._foot = camera.centre_m[:2]
+        self._camera, self._foot = camera, camera.centre_m[:2]
         self._most_rad = 3.0 * self.config.pointing_rad
         self._marking_px, self._marking_rows = marking_width_m / view.m_per_px, marking_width_m / view.m_per_row
         self._aspect = view.m_per_row / view.m_per_px
@@ -60,13 +66,46 @@ class Reflections:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
         x0, y0 = self._foot
         for points in lines_m:
-            x1, y1 = math.inf, 0.0
-            for x, y in points.tolist():
+            for (x1, y1), (x, y) in itertools.pairwise(points.tolist()):
                 ahead, left = x - x1, y - y1
                 if abs(ahead * (y - y0) - left * (x - x0)) < self._most_rad * math.hypot(ahead, left) * (x - x0):
                     return True
-                x1, y1 = x, y
         return False
+
+    def on_streaks(self, image: Image, points_m: FloatArray) -> Bools:
+        """Which points (n, 2) [m] of a line, the nearest first, lie on a reflection in the camera's image.
+
+        They do where neighbours among them lie in the direction of a streak, and the ground across them looks like one.
+        """
+        away, first = np.zeros(len(points_m), np.bool_), 0
+        for last in range(1, len(points_m) + 1):
+            if last < len(points_m) and self.any_points_to_camera(points_m[last - 1 : last + 1]):
+                continue
+            if last - first > 1:
+                away[first:last] = self._streak(image, points_m[first:last])
+            first = last
+        return away
+
+    def _streak(self, image: Image, points_m: FloatArray) -> bool:
+        """Whether points (n, 2) [m] that point to the camera lie on a streak, and not on paint."""
+        way = np.diff(points_m, axis=0)
+        along = way / np.hypot(*way.T)[:, None]
+        left = np.stack((-along[:, 1], along[:, 0]), axis=1)
+        ahead = points_m[:-1] + 0.5 * way - self._foot
+        away_rad = np.arcsin(np.clip((left * ahead).sum(axis=1) / np.hypot(*ahead.T), -1.0, 1.0))
+        places = points_m[:-1, None] + np.linspace(0.0, 1.0, SAMPLES)[:, None] * way[:, None]
+        ground = places[:, :, None] - (self._across * self.view.m_per_px)[:, None] * left[:, None, None]
+        pixels = self._camera.ground_to_px(ground.reshape(-1, 2))
+        height, width = image.shape[:2]
+        if not ((pixels >= 0.0) & (pixels <= (width - 1.0, height - 1.0))).all():
+            return False
+        u, v = np.rint(pixels).astype(np.intp).T
+        samples = np.asarray(image[v, u], dtype=np.float64).reshape(len(way), SAMPLES, len(self._across), -1)
+        values = samples.mean(axis=(1, 3))
+        row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
+        piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
+        odds = self._profiles.log_odds(values, piece) + 0.5 * (away_rad / self.config.pointing_rad) ** 2
+        return bool(odds.sum() < 0.0)
 
     def step(self, view: Image, areas: Image, lines: Image) -> Image:
         """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).
@@ -80,19 +119,19 @@ class Reflections:
             return lines
         column, row = found.reshape(-1, 2).T
         piece = labels[row, column] * self._pieces + (row / self._rows_a_piece).astype(np.intp)
-        away = self._streaks(view, piece, row, column)[piece]
+        away = self._together(self._odds(view, piece, row, column))[piece]
         if away.any():
             lines = lines.copy()
             lines[row[away], column[away]] = 0
         return lines
 
-    def _streaks(self, view: Image, piece: Ints, row: Ints, column: Ints) -> Bools:
-        """Which pieces (k,) of the pixels (n,) are of a streak."""
+    def _odds(self, view: Image, piece: Ints, row: Ints, column: Ints) -> FloatArray:
+        """Log-odds (k,) [nats] that the pieces of the pixels (n,) are of paint; NaN where nothing is known."""
         size = np.bincount(piece)
-        streaks = np.zeros(len(size), np.bool_)
+        odds = np.full(-(-len(size) // self._pieces) * self._pieces, np.nan)
         large = np.flatnonzero(size > self._marking_px * self._marking_rows)
         if not len(large):
-            return streaks
+            return odds
         n = size[large]
         r, c, rr, rc = (np.bincount(piece, w)[large] / n for w in (row, column, row * row, row * column))
         spread = rr - r * r
@@ -101,12 +140,33 @@ class Reflections:
         left = self.view.half_width_m - (c + 0.5) * self.view.m_per_px - self._foot[1]
         away_rad = np.arctan2(left, ahead) - np.arctan(slope / self._aspect)
         half = np.sqrt(3.0 * spread)  # of the piece's rows
-        maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & (2.0 * half > self._marking_rows))
+        long = 2.0 * half > self._marking_rows
+        odds[large[long]] = np.inf  # where they do not point to the camera
+        maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & long)
         if len(maybe):
             paint = self._paint(view, r[maybe], c[maybe], slope[maybe], half[maybe])
-            paint += 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
-            streaks[large[maybe[paint < 0.0]]] = True
-        return streaks
+            odds[large[maybe]] = paint + 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
+        return odds
+
+    def _together(self, odds: FloatArray) -> Bools:
+        """Which pieces (k,) are of a streak: those of connected pixels are seldom of another kind than the next one.
+
+        A hidden Markov model along the view's length, by forward and backward passes (Rabiner 1989).
+        """
+        known = np.nan_to_num(odds, nan=0.0, posinf=MOST_NATS).reshape(-1, self._pieces).clip(-MOST_NATS, MOST_NATS)
+        before, after = np.zeros_like(known), np.zeros_like(known)
+        for k in range(1, self._pieces):
+            before[:, k] = self._handed_on(before[:, k - 1] + known[:, k - 1])
+            after[:, -k - 1] = self._handed_on(after[:, -k] + known[:, -k])
+        return np.asarray((before + known + after).reshape(-1) < 0.0) & ~np.isposinf(odds)
+
+    def _handed_on(self, odds: FloatArray) -> FloatArray:
+        """What log-odds [nats] of a piece say of its neighbour."""
+        change = self.config.change
+        paint, streak = np.logaddexp(0.0, -odds), np.logaddexp(0.0, odds)  # minus the logarithms of the probabilities
+        log_stay, log_change = math.log(1.0 - change), math.log(change)
+        stays = np.logaddexp(log_stay - paint, log_change - streak)
+        return np.asarray(stays - np.logaddexp(log_change - paint, log_stay - streak))
 
     def _paint(
         self, view: Image, row: FloatArray, column: FloatArray, slope: FloatArray, half: FloatArray
@@ -114,7 +174,7 @@ class Reflections:
         """Log-odds (n,) [nats] that pieces are markings, by their profiles; infinite at the rim of what is visible."""
         tilt = slope / self._aspect
         cos = 1.0 / np.hypot(1.0, tilt)
-        count = 8  # samples along a piece: every other row
+        count = SAMPLES
         along = ((2.0 * np.arange(count) + 1.0) / count - 1.0)[:, None] * half[:, None, None]  # rows
         across = self._across * cos[:, None, None]
         columns = (column[:, None, None] + slope[:, None, None] * along + across).astype(np.float32)

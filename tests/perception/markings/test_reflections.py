@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -38,6 +39,16 @@ def lamp(camera: CameraConfig, azimuth_rad: float, width_rad: float) -> np.ndarr
     return np.where((ahead > 0.0) & (ahead < 1.6), bell, 0.0)
 
 
+def drawn(
+    *shapes: Shape, light: np.ndarray | None = None, dark: bool = False, camera: CameraConfig = CAR, noise: float = 2.0
+) -> np.ndarray:
+    """The camera's image (h, w) of painted shapes in a light [grey levels]."""
+    painted = np.any([shape(*pixels(camera)) for shape in shapes], axis=0).mean(axis=0) if shapes else 0.0
+    image = 60.0 + 90.0 * painted + (0.0 if light is None else light)
+    image = image + np.random.default_rng(1).normal(0.0, noise, (camera.height_px, camera.width_px))
+    return np.clip(255.0 - image if dark else image, 0.0, 255.0).round().astype(np.uint8)
+
+
 def filtered(
     *shapes: Shape, light: np.ndarray | None = None, dark: bool = False, camera: CameraConfig = CAR, noise: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -45,11 +56,7 @@ def filtered(
 
     The pipeline believes the camera to be the default one.
     """
-    ground = pixels(camera)
-    painted = np.any([shape(*ground) for shape in shapes], axis=0).mean(axis=0) if shapes else 0.0
-    image = 60.0 + 90.0 * painted + (0.0 if light is None else light)
-    image = image + np.random.default_rng(1).normal(0.0, noise, (camera.height_px, camera.width_px))
-    seen = np.clip(255.0 - image if dark else image, 0.0, 255.0).round().astype(np.uint8)
+    seen = drawn(*shapes, light=light, dark=dark, camera=camera, noise=noise)
     eye, markings = GroundCamera.from_config(CAR), "dark" if dark else "light"
     birdseye = BirdsEye(eye, VIEW)
     white_areas = WhiteAreas(birdseye, MARKING_M, 0.0, markings)
@@ -113,6 +120,60 @@ def test_paint_in_a_reflection_stays_and_the_streak_beside_it_goes() -> None:
     assert np.count_nonzero(left) - np.count_nonzero(left[with_dash]) < 0.3 * (
         np.count_nonzero(lines) - np.count_nonzero(lines[with_dash])
     )
+
+
+def of_camera(markings: str = "light") -> Reflections:
+    eye = GroundCamera.from_config(CAR)
+    mask = WhiteAreas(BirdsEye(eye, VIEW), MARKING_M, 0.0, markings).mask
+    return Reflections(eye, VIEW, mask, MARKING_M, markings, PIECES)
+
+
+def ray(azimuth_rad: float, from_m: float = 0.6, to_m: float = 1.4) -> np.ndarray:
+    """Points (9, 2) of a line that points to the camera."""
+    away = np.linspace(from_m, to_m, 9) - CAR.extrinsics.x_m
+    return np.stack((away + CAR.extrinsics.x_m, away * np.tan(azimuth_rad)), axis=1)
+
+
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.2, -0.3])
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("colours", [1, 3])
+def test_points_on_a_streak_are_told_from_points_on_paint(azimuth_rad: float, dark: bool, colours: int) -> None:
+    reflections, points = of_camera("dark" if dark else "light"), ray(azimuth_rad)
+    line = line_at(-np.tan(azimuth_rad) * CAR.extrinsics.x_m, slope=np.tan(azimuth_rad))
+    streak, paint = (
+        np.squeeze(np.repeat(image[..., None], colours, axis=2))
+        for image in (drawn(light=100.0 * lamp(CAR, azimuth_rad, 0.04), dark=dark), drawn(line, dark=dark))
+    )
+    assert reflections.on_streaks(streak, points).all()
+    assert not reflections.on_streaks(paint, points).any()
+
+
+def test_only_points_that_point_to_the_camera_are_looked_at() -> None:
+    image = drawn(light=100.0 * lamp(CAR, 0.2, 0.04))
+    beside = np.stack((np.linspace(0.5, 0.8, 4), np.full(4, 0.2)), axis=1)  # a line straight ahead, to the streak
+    away = of_camera().on_streaks(image, np.concatenate((beside, ray(0.2, 1.1, 1.4))))
+    assert away.tolist() == 4 * [False] + 9 * [True]
+    assert of_camera().on_streaks(image, np.empty((0, 2))).shape == (0,)
+    assert not of_camera().on_streaks(image, ray(0.2, 1.4, 40.0) - (0.0, 9.0)).any()  # beside the image
+
+
+@pytest.mark.parametrize(
+    ("odds", "streaks"),
+    [
+        ((-4.0, -6.0, 1.0, 0.5), 4 * (True,)),  # a doubtful end of a streak
+        ((-1.0, 5.0, 6.0, 4.0), 4 * (False,)),  # paint with a blurred end
+        ((-9.0, -9.0, 9.0, 9.0), (True, True, False, False)),  # one ends on the other
+        ((math.nan, -3.0, math.nan, -3.0), 4 * (True,)),  # shreds between its pieces
+        (4 * (math.nan,), 4 * (False,)),
+        ((math.inf, -3.0, math.inf, math.inf), 4 * (False,)),  # one piece of a line that points elsewhere
+    ],
+)
+def test_pieces_of_one_thing_are_judged_together(odds: tuple[float, ...], streaks: tuple[bool, ...]) -> None:
+    eye = GroundCamera.from_config(CAR)
+    mask = WhiteAreas(BirdsEye(eye, VIEW), MARKING_M, 0.0, "light").mask
+    reflections = Reflections(eye, VIEW, mask, MARKING_M, "light", len(odds))
+    told = reflections._together(np.array((*odds, *(len(odds) * (1.0,)))))  # and a thing beside it
+    assert told.tolist() == [*streaks, *(len(odds) * (False,))]
 
 
 def test_an_empty_view_stays_empty() -> None:
