@@ -243,11 +243,11 @@ class LaneBelief:
         looks = [look for line, role in assigned for look in evidence.looks(line, (role,))]
         return evidence.update(assigned, way), evidence.log_likelihood(looks)
 
-    def anything(self) -> Evidence:
-        """What weighs lines that are things of their own, anywhere in the view; their role is 0."""
+    def anything(self) -> Clutter:
+        """What weighs lines that are things of their own, anywhere in the view."""
         road, unit = self.road, self.road.lane_width_m
         prior = np.square((road.anywhere * unit, road.any_turn_rad, road.any_bend / unit, 0.0))
-        return Evidence(LaneBelief.arc(np.zeros(4), np.diag(prior), road, self.reference_x_m))
+        return Clutter(LaneBelief.arc(np.zeros(4), np.diag(prior), road, self.reference_x_m))
 
     def merged(self, other: LaneBelief, others: float) -> LaneBelief:
         """The moments of two beliefs of the same lane, `others` being the other's share."""
@@ -332,6 +332,25 @@ class Evidence:
         points = [line.points_m for line, _ in lines]
         ends = np.cumsum([len(part) for part in points])
         return settled(self._prior, np.concatenate(points), ends, np.array([role for _, role in lines]), share)
+
+
+class Clutter:
+    """How likely lines are as things of their own: most are as smooth as roads, a few have corners.
+
+    The points of one with corners lie anywhere.
+    """
+
+    CORNERS = 4.0  # [nats] one thing in 50 has
+
+    def __init__(self, somewhere: LaneBelief) -> None:
+        self._smooth = Evidence(somewhere)
+        self._sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m
+
+    def of_line(self, line: SightedLine) -> float:
+        """The logarithm of how likely a line is [nats]."""
+        aside = line.points_m[:, 1] / self._sigma_m
+        corners = -0.5 * float(aside @ aside) - len(aside) * math.log(self._sigma_m * math.sqrt(math.tau))
+        return float(np.logaddexp(self._smooth.of_line(line), corners - self.CORNERS))
 
 
 @functools.cache

@@ -346,3 +346,13 @@ def test_lines_far_from_where_a_straight_road_has_them_are_found_by_a_bend() -> 
     assert found.offset_m == pytest.approx(0.0, abs=0.02)
     anything = wide.anything()
     assert likely > sum(anything.of_line(line) for line, _ in lines) + 5.0
+
+
+def test_a_thing_with_corners_is_clutter_even_where_the_road_may_bend() -> None:
+    """The road ahead may turn there and back; a thing that is smooth could not."""
+    wide = belief(STRAIGHT, (0.02, 0.1, 1.0, 0.05))
+    x = np.linspace(0.5, 1.4, 7)
+    corners = SightedLine(points_m=np.stack((x, 0.2 + 0.15 * (np.arange(7) % 2)), axis=1), painted_m=1.0, span_m=1.0)
+    assert Evidence(wide).of_line(corners, LEFT) < wide.anything().of_line(corners)
+    smooth = line_of(STRAIGHT, LEFT, 0.5, 1.4)
+    assert Evidence(wide).of_line(smooth, LEFT) > wide.anything().of_line(smooth)
