@@ -46,7 +46,8 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.interfaces": {"automodel.signals"},
     "automodel.estimation": GROUND,
     "automodel.perception": GROUND,
-    "automodel.tracking": GROUND | {"automodel.perception", "automodel.estimation.road"},
+    "automodel.tracking": GROUND
+    | {"automodel.perception", "automodel.estimation.road", "automodel.estimation.checked_odometry"},
     "automodel.pipelines": VISION | {"automodel.tracking"},
     "automodel.control": GROUND | {"automodel.interfaces"},
     "automodel.runtime": GROUND | {"automodel.interfaces", "automodel.sources.errors"},

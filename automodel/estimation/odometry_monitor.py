@@ -1,4 +1,4 @@
-"""Whether the reported motion of the car agrees with what the camera sees.
+"""Whether the reported motion of the car agrees with the lines that are followed.
 
 An odometer that stands still or counts backwards moves the predicted lane away from the real one, while what lies
 below the car never changes. Lines that are found far from their predicted places in many frames reveal it.
@@ -13,33 +13,25 @@ from automodel.types import Floats, Ints
 
 
 class OdometryMonitor:
-    """Rejects the odometry while lines contradict it.
+    """Notices that lines contradict the odometry.
 
     `sigma_m` (n,): standard deviation of each node's measured place [m]. A frame in which fewer than `least` nodes were
     found says nothing.
     """
 
     SHARE = 0.3  # of a frame in the running mean
-    REJECTED = 1.7  # [sigmas] running mean from which on the odometry is rejected; a frame counts twice that at most
-    RETRY_NS = 5_000_000_000  # after this time the odometry is used again
+    FAR = 1.7  # [sigmas] running mean that is a contradiction; a frame counts twice that at most
 
     def __init__(self, sigma_m: Floats, least: int) -> None:
         self._sigma, self._least = sigma_m, least
         self.reset()
 
     def reset(self) -> None:
-        """Forget every residual; the odometry is trusted."""
+        """Forget every residual."""
         self._mean = 0.0
-        self._rejected_ns: int | None = None
 
-    def trusted(self, t_ns: int) -> bool:
-        """Whether the motion up to `t_ns` may be used."""
-        if self._rejected_ns is not None and not 0 <= t_ns - self._rejected_ns < self.RETRY_NS:
-            self.reset()
-        return self._rejected_ns is None
-
-    def rejects(self, t_ns: int, predicted_m: Floats, nodes: Ints, residual: Floats, found: Floats) -> bool:
-        """Whether the odometry is rejected with this frame, whose lane it predicted.
+    def contradicted(self, predicted_m: Floats, nodes: Ints, residual: Floats, found: Floats) -> bool:
+        """Whether the lines contradict it with this frame, whose lane it predicted. If so, they start anew.
 
         `predicted_m` (n,): standard deviation of the nodes' predicted places [m]. `nodes` (k,) were searched for.
         `residual` (k or more,) [m] is their distance from the predicted place where `found` is above 0. The frame
@@ -48,11 +40,11 @@ class OdometryMonitor:
         """
         median, count = _median(np.hypot(self._sigma, predicted_m), nodes, residual, found)
         if count >= self._least:
-            self._mean += self.SHARE * (min(median, 2.0 * self.REJECTED) - self._mean)
-        if self._mean < self.REJECTED:
-            return False
-        self._rejected_ns = t_ns
-        return True
+            self._mean += self.SHARE * (min(median, 2.0 * self.FAR) - self._mean)
+        far = self._mean >= self.FAR
+        if far:
+            self.reset()
+        return far
 
 
 @compiled

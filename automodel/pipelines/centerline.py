@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from automodel.config import CarConfig, CenterlineConfig
-from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.road import BEHIND
 from automodel.estimation.theta.pose_filter import LEAST_WIDTH
 from automodel.estimation.theta.tracked_lane import TrackedLane
@@ -89,7 +88,6 @@ class Centerline:
         self._ahead_m = ahead_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
-        self._image_motion = ImageMotion(self._camera, lane.width_m)
         self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
         self._look_for(lane.marking_width_m)
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
@@ -122,7 +120,6 @@ class Centerline:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
-        self._image_motion.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
         self._lane: TrackedLane | None = None
@@ -131,8 +128,7 @@ class Centerline:
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
-        motion = self._image_motion.step(frame, motion)  # as given, or the ground's own motion
-        self._predict(frame.t_ns, motion)  # odometry: lines, centerline and pose
+        self._predict(frame, motion)  # odometry, or the ground's own motion: lines, centerline and pose
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
@@ -172,9 +168,9 @@ class Centerline:
         self.stages.lap("estimate")
         return estimate
 
-    def _predict(self, t_ns: int, motion: Motion) -> None:
+    def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the motion since the last frame; a gap, or time that goes back, drops it."""
-        moved = self._tracking.predict(t_ns, motion)
+        moved = self._tracking.predict(frame, motion)
         if self._tracking.lost:
             self._lane = None
         if moved is not None and self._lane is not None:

@@ -19,7 +19,6 @@ from automodel.config import CarConfig
 from automodel.curves import DeferredCurve
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
-from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
@@ -31,7 +30,7 @@ from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.pipelines.stages import SEEN, StageClock
-from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, MotionSource
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
@@ -74,7 +73,6 @@ class Contour:
         self._tracker = self._make_tracker(self._nodes_m, car, dtype)
         self._pair = self._tracker.pair
         self._projection = LineProjection(camera, dtype)
-        self._image_motion = ImageMotion(camera, unit)
         self._gentle = GentleStart(car, camera, options.look_ahead_lanes)
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
@@ -111,7 +109,7 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
-        self._odometry = OdometryMonitor(sigma, 2 * SEEN)
+        self._monitor = OdometryMonitor(sigma, 2 * SEEN)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
@@ -121,13 +119,10 @@ class Contour:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
-        self._image_motion.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m, self._car.lane.markings == "dark")
         self._tracking.reset()
-        self._odometry.reset()
-        self._odometry_used = self._odometry_rejected = False  # in this frame; up to this frame
-        self._t_ns = 0
+        self._monitor.reset()
         self._forget()
 
     @property
@@ -138,7 +133,7 @@ class Contour:
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
-        self._predict(frame.t_ns, self._motion(frame, motion))  # speed and yaw rate
+        self._predict(frame, motion)  # speed and yaw rate
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
@@ -160,7 +155,7 @@ class Contour:
                 return self._tracking.lost_estimate(frame)
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
-            tracked = self._track(frame.image, self.ROUNDS, self._odometry_used)
+            tracked = self._track(frame.image, self.ROUNDS, self._tracking.reckons)
         followed = self._followed(tracked, self._seen(tracked))
         if gentle is not None:  # which looks at more rows than there are nodes
             left = replace(followed.left, points_m=gentle.left_m, seen=True)
@@ -192,19 +187,9 @@ class Contour:
         tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
         self.reset()
 
-    def _motion(self, frame: Frame, motion: Motion) -> Motion:
-        """The motion as given; where it is unknown or contradicts the lines, that of the ground in the image."""
-        if motion.known and not self._odometry.trusted(frame.t_ns):
-            motion = Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-        return self._image_motion.step(frame, motion)
-
-    def _predict(self, t_ns: int, motion: Motion) -> None:
+    def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
-        self._t_ns = t_ns
-        moved = self._tracking.predict(t_ns, motion)
-        if self._odometry_rejected:
-            self._tracking.mistrust()
-            self._odometry_rejected = False
+        moved = self._tracking.predict(frame, motion)
         if moved is not None and moved.known:
             self._paint_check.move(moved.before_from_after, moved.distance_m)
         else:
@@ -212,7 +197,6 @@ class Contour:
         if self._tracking.lost or moved is None:
             self._tracker.forget()
             return
-        self._odometry_used = moved.known and motion.source is not MotionSource.IMAGES
         self._tracker.move(moved.distance_m, moved.turn_rad, moved.known)
 
     def _restart(self, image: Image, belief: LaneBelief) -> Tracked:
@@ -252,16 +236,25 @@ class Contour:
             stages.lap("projection")
             sigma_m = tracker.sigma_m(shape)
             seen = self._search.look(image, shape, tracker.half_m(), tracker.config.gate * sigma_m)
-            if predicted and k == 0:
-                self._odometry_rejected = self._odometry.rejects(
-                    self._t_ns, sigma_m, seen.nodes, seen.residual, seen.found
-                )
+            self._without_reflections(image, shape, seen)
+            if predicted and k == 0 and self._monitor.contradicted(sigma_m, seen.nodes, seen.residual, seen.found):
+                self._tracking.contradict_odometry()
             stages.lap("search")
             inliers = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")
             if tracker.moved_m < self._settled_m:
                 break
         return Tracked(shape, seen, inliers)
+
+    def _without_reflections(self, image: Image, shape: PairShape, seen: NodeMeasurements) -> None:
+        """Nodes that lie on a reflection were not found."""
+        count = len(seen.nodes)
+        found = seen.found[:count] > 0.0
+        sides = seen.points(shape, found, self._tracker.half_m())
+        if self._reflections.any_points_to_camera(*sides):
+            away = np.concatenate([self._reflections.on_streaks(image, points) for points in sides])
+            lost = np.flatnonzero(found)[away]
+            seen.found[lost] = seen.found[count + lost] = 0.0
 
     def _followed(self, tracked: Tracked, seen: tuple[bool, bool]) -> Followed:
         offset, theta, width, covariance = self._tracker.pose()
@@ -298,4 +291,3 @@ class Contour:
         self._tracker.forget()
         self._search.forget()
         self._tracking.forget()
-        self._odometry_rejected = False

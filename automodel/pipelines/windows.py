@@ -17,7 +17,6 @@ import numpy as np
 from automodel.config import CarConfig
 from automodel.curves import Curve, DeferredGraphCurve
 from automodel.curves.regression import fit_polynomial
-from automodel.estimation.image_motion import ImageMotion
 from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import BirdsEye, GroundCamera
@@ -51,7 +50,6 @@ class Windows:
         self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
         self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
-        self._image_motion = ImageMotion(self._camera, lane.width_m)
         self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
         near_x_m = self._camera.first_visible_x_m()
         ahead_m = near_x_m + options.view_ahead_lanes * lane.width_m - self._reference_x_m
@@ -96,7 +94,6 @@ class Windows:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
-        self._image_motion.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
         self._tracking.reset()
@@ -105,7 +102,7 @@ class Windows:
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
         self.stages.start()
-        self._predict(frame.t_ns, self._image_motion.step(frame, motion))  # odometry, or the ground's own motion
+        self._predict(frame, motion)  # odometry, or the ground's own motion
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
@@ -147,9 +144,9 @@ class Windows:
         self.stages.lap("estimate")
         return estimate
 
-    def _predict(self, t_ns: int, motion: Motion) -> None:
+    def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
-        moved = self._tracking.predict(t_ns, motion)
+        moved = self._tracking.predict(frame, motion)
         if moved is None:
             self._forget()
             return

@@ -83,11 +83,13 @@ class Hypotheses:
         self.config = config or HypothesesConfig()
         self.all: tuple[Hypothesis, ...] = ()
         self._since_lanes = math.inf  # driven since the last frame that was a witness
+        self.driven_lanes = 0.0  # since the start
 
     def start(self, beliefs: Sequence[tuple[LaneBelief, float]]) -> None:
         """Start with beliefs and their log-odds; their first frame is news as a whole."""
         self.all = tuple(Hypothesis(belief, odds) for belief, odds in beliefs)
         self._since_lanes = math.inf
+        self.driven_lanes = 0.0
 
     def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
         """Move every belief."""
@@ -97,6 +99,7 @@ class Hypotheses:
         if self.all:
             road = self.all[0].belief.road
             driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
+            self.driven_lanes += driven
             self._since_lanes += max(driven, STILL_LANES * dt_s)
 
     def update(self, lines: Sequence[SightedLine], kinds: LineKinds, way: float | None = None) -> float:

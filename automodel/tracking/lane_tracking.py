@@ -15,6 +15,7 @@ import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import Curve
+from automodel.estimation.checked_odometry import CheckedOdometry
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import (
@@ -36,6 +37,7 @@ from automodel.types import FloatArray
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
+STILL = 0.01  # lane widths that a car drives that stands: a tick of its encoder
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
 
@@ -98,6 +100,7 @@ class LaneTracking:
         )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
+        self._odometry = CheckedOdometry(camera, self._unit)
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
         self._hypotheses = Hypotheses()
         warm_up()
@@ -105,6 +108,7 @@ class LaneTracking:
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
+        self._odometry.reset()
         self._motions.reset()
         self._bends.reset()
         self._t_ns = self._started_ns = 0
@@ -118,7 +122,7 @@ class LaneTracking:
         self._hypotheses.start(())
         self._innovations.reset()
         self.in_doubt = False
-        self._reckons = False  # whether the last frame's motion is the odometry's
+        self.reckons = False  # whether the last frame's motion is the odometry's
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
@@ -134,13 +138,14 @@ class LaneTracking:
         """Whether there is no lane."""
         return self._belief is None
 
-    def predict(self, t_ns: int, motion: Motion, trusted: bool = True) -> FrameMotion | None:
+    def predict(self, frame: Frame, motion: Motion) -> FrameMotion | None:
         """The motion since the last frame; None for the first frame and after a gap, when the lane is forgotten.
 
-        A motion that is not `trusted` counts as unknown.
+        It is that of the ground in the images where no odometry gives it, or where that is wrong.
         """
-        self._t_ns = t_ns
-        moved = self._motions.step(t_ns, motion, trusted)
+        self._t_ns = frame.t_ns
+        motion = self._odometry.step(frame, motion)
+        moved = self._motions.step(frame.t_ns, motion)
         if moved is None:
             self.forget()
             return None
@@ -157,13 +162,18 @@ class LaneTracking:
             self._news_m += passed
             self._around_m += passed
             self._bends.move(driven)
-        self._reckons = moved.known and motion.source is not MotionSource.IMAGES
+        self.reckons = moved.known and motion.source is not MotionSource.IMAGES
+        if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
+            self._doubt(self._belief.without_road().moved(0.0, 0.0, self.MISTRUSTED_S, False))
+        elif (
+            self._belief is not None and self._odometry.right and not self.in_doubt
+        ):  # so the lines are another thing's
+            self._doubt(self._belief.without_road())
         return moved
 
-    def mistrust(self) -> None:
-        """The motion of late was wrong: the lane may have been moved away from its lines."""
-        if self._belief is not None:
-            self._doubt(self._belief.without_road().moved(0.0, 0.0, self.MISTRUSTED_S, False))
+    def contradict_odometry(self) -> None:
+        """The estimator's lines lie far from where the motion puts them: one of the two is wrong."""
+        self._odometry.suspect(by_lines=True)
 
     def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
@@ -171,8 +181,8 @@ class LaneTracking:
         The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across. Where
         one of its lines is all that is in view, it is in doubt.
         """
-        if not self._hypotheses.all:
-            self._hypotheses.start(((self._anywhere(), 0.0),))
+        if not self._hypotheses.all or self._hypotheses.driven_lanes < STILL:
+            self._hypotheses.start(((self._anywhere(), 0.0),))  # a car that stands sees the same again: no new witness
         self._hypotheses.update(lines, self._kinds)
         best = self._hypotheses.all[0]
         if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
@@ -305,7 +315,7 @@ class LaneTracking:
             evidence = Evidence(replace(belief, road=self._bends.road))
             assigned = evidence.explained(own)
             if own and not assigned:
-                self._doubt(belief.without_road())
+                self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
                 belief = evidence.update(assigned, self._news_m / self._unit)
                 self._learn(belief, self._measured(followed.pose), True)
@@ -326,7 +336,7 @@ class LaneTracking:
         around.update((*lines, *own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
-            self._doubt(belief.without_road())
+            self._contradict(belief)
         elif best.assigned:
             self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
             if self._misses(followed, belief, measured, best):
@@ -342,7 +352,7 @@ class LaneTracking:
         """Whether an estimator that sees no line has left the road that is remembered."""
         belief = self._belief
         assert belief is not None
-        return self._reckons and not self._confusable(belief) and self._apart(measured, belief) > self.config.differs
+        return self.reckons and not self._confusable(belief) and self._apart(measured, belief) > self.config.differs
 
     def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.
@@ -353,7 +363,7 @@ class LaneTracking:
         missed = [role for line, role in _sides(followed) if best.line(role) and not line.seen]
         if not missed or self._confusable(best.belief) or not self._stands_out(belief, best, missed):
             return False
-        pair = self._reckons and best.line(LEFT) and best.line(RIGHT)
+        pair = self.reckons and best.line(LEFT) and best.line(RIGHT)
         otherwise = bool(pair) and self._apart(measured, best.belief) > self.config.differs
         return otherwise or self._vaguer(measured, best.belief)
 
@@ -383,7 +393,12 @@ class LaneTracking:
         normalised = self._apart(measured, belief)
         self._innovations.add(0.5 * normalised)
         if normalised > self.config.gate:
-            self._doubt(belief.without_road())
+            self._contradict(belief)
+
+    def _contradict(self, belief: LaneBelief) -> None:
+        """What is seen contradicts a belief: the estimator may be wrong, or the motion."""
+        self._doubt(belief.without_road())
+        self._odometry.suspect()
 
     def _doubt(self, belief: LaneBelief) -> None:
         """From now on the estimator is not believed without a look at everything else."""

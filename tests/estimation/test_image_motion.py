@@ -156,3 +156,38 @@ def test_an_absurd_motion_that_was_told_breaks_nothing(speed: float, yaw_rate: f
         told = Motion(t_ns=one.t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate)
         motion = looking.step(one, unknown(one) if one.index else told)
     assert math.isfinite(motion.speed_mps + motion.yaw_rate_radps)
+
+
+def agrees(seen: list[Frame], speed: float, yaw_rate: float, camera: GroundCamera = CAMERA) -> set[bool | None]:
+    """What the ground between neighbouring frames says of a motion."""
+    looking, said = ImageMotion(camera, LANE), set()
+    for frame in seen:
+        told = Motion(t_ns=frame.t_ns, speed_mps=speed, yaw_rate_radps=yaw_rate)
+        if frame.index:
+            said.add(looking.agrees(frame, told))
+        looking.step(frame, told)
+    return said
+
+
+@pytest.mark.parametrize(("speed", "yaw_rate"), [(0.8, 0.0), (0.6, 0.9), (-0.3, 0.2), (0.0, 0.0)])
+def test_the_ground_bears_out_a_right_motion(speed: float, yaw_rate: float) -> None:
+    assert agrees(frames(speed, yaw_rate, 6, floor()), speed, yaw_rate) == {True}
+
+
+@pytest.mark.parametrize("told", [(0.0, 0.4), (-0.8, 0.4), (0.4, 0.4), (1.6, 0.4), (0.8, -0.8), (math.nan, 0.4)])
+def test_the_ground_contradicts_a_wrong_motion(told: tuple[float, float]) -> None:
+    assert agrees(frames(0.8, 0.4, 6, floor()), *told) == {False}
+
+
+@pytest.mark.parametrize(("pitch_deg", "height"), [(1.5, 1.0), (-1.5, 1.0), (0.0, 1.08), (0.0, 0.92)])
+def test_a_camera_that_is_set_a_little_wrong_contradicts_no_right_motion(pitch_deg: float, height: float) -> None:
+    place = CAR.camera.extrinsics
+    turned = dataclasses.replace(place, pitch_rad=place.pitch_rad + math.radians(pitch_deg), z_m=height * place.z_m)
+    camera = GroundCamera.from_config(dataclasses.replace(CAR.camera, extrinsics=turned))
+    assert False not in agrees(frames(0.8, 0.4, 6, floor()), 0.8, 0.4, camera)
+
+
+def test_a_bare_floor_and_a_first_frame_say_nothing_of_a_motion() -> None:
+    assert agrees(frames(0.8, 0.4, 4, floor(contrast=0.0)), 0.8, 0.4) == {None}
+    first = frames(0.8, 0.4, 1, floor())[0]
+    assert ImageMotion(CAMERA, LANE).agrees(first, Motion(t_ns=0, speed_mps=0.8, yaw_rate_radps=0.4)) is None

@@ -47,13 +47,13 @@ def noisy(picture: np.ndarray, seed: int) -> np.ndarray:
     return np.clip(picture + np.random.default_rng(seed).normal(0.0, 2.0, SIZE), 0, 255).astype(np.uint8)
 
 
-def reported(picture: np.ndarray, seed: int = 0, frames: int = 5) -> LaneEstimate:
-    """What is reported of a car that stands before an image, after long enough for a lane that is not sure."""
+def reported(picture: np.ndarray, seed: int = 0, frames: int = 5, speed_mps: float = 0.0) -> LaneEstimate:
+    """What is reported of a car that stands before an image, or drives along a road that always looks like that."""
     pipeline = Contour(CAR)
     for k in range(frames):
         t_ns = k * PERIOD_NS
-        still = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
-        estimate = pipeline.step(Frame(t_ns=t_ns, index=k, image=noisy(picture, seed + k)), still)
+        motion = Motion(t_ns=t_ns, speed_mps=speed_mps, yaw_rate_radps=0.0)
+        estimate = pipeline.step(Frame(t_ns=t_ns, index=k, image=noisy(picture, seed + k)), motion)
         check_sound(estimate, t_ns)
     return estimate
 
@@ -112,7 +112,7 @@ def test_a_kerb_is_no_line(kerb_m: float, width_m: float) -> None:
         assert reported(picture).status is LaneStatus.LOST
         for y in LINES:
             band(picture, y)
-        check_lane(reported(picture, frames=40), 0.0)  # a car that stands sees little that is new in each frame
+        check_lane(reported(picture, frames=40, speed_mps=0.3), 0.0)  # what is not sure at once is, on the way
 
 
 @pytest.mark.parametrize("turned_rad", [0.0, 0.1, -0.2])
@@ -134,3 +134,24 @@ def test_rough_asphalt_is_no_lane(fine_px: float, contrast: float) -> None:
     for seed in range(8):
         grain = cv2.GaussianBlur(np.random.default_rng(seed).normal(0.0, 1.0, SIZE), (0, 0), fine_px)
         assert reported(90.0 + contrast * grain / grain.std(), seed).status is LaneStatus.LOST
+
+
+def test_nodes_on_a_reflection_are_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    pipeline, picture = Contour(CAR), floor()
+    for y_m in LINES:
+        band(picture, y_m)
+    frames = [Frame(t_ns=k * PERIOD_NS, index=k, image=noisy(picture, k)) for k in range(12)]
+
+    def seen(frame: Frame) -> tuple[bool, bool]:
+        estimate = pipeline.step(frame, Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0))
+        assert estimate.left is not None
+        assert estimate.right is not None
+        return estimate.left.seen, estimate.right.seen
+
+    assert [seen(frame) for frame in frames[:10]][-1] == (True, True)
+    reflections = pipeline._reflections
+    monkeypatch.setattr(reflections, "any_points_to_camera", lambda *lines: True)
+    monkeypatch.setattr(reflections, "on_streaks", lambda image, points: points[:, 1] > 0.0)
+    assert seen(frames[10]) == (False, True)
+    monkeypatch.setattr(reflections, "any_points_to_camera", lambda *lines: False)  # `on_streaks` is not asked
+    assert seen(frames[11]) == (True, True)

@@ -59,7 +59,8 @@ class Drive:
     def predict(self, dt_ns: int = STEP_NS, speed_mps: float = SPEED_MPS, known: bool = True) -> None:
         self.t_ns += dt_ns
         source = MotionSource.MEASURED if known else MotionSource.NONE
-        self.tracking.predict(self.t_ns, Motion(t_ns=self.t_ns, speed_mps=speed_mps, yaw_rate_radps=0.0, source=source))
+        motion = Motion(t_ns=self.t_ns, speed_mps=speed_mps, yaw_rate_radps=0.0, source=source)
+        self.tracking.predict(self.frame, motion)
 
     def follow(
         self, followed: Followed, lines: tuple[SightedLine, ...] = (), speed_mps: float = SPEED_MPS, known: bool = True
@@ -316,7 +317,8 @@ def test_the_road_that_was_seen_is_forgotten_where_its_lines_contradict_the_esti
 
 def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen() -> None:
     drive = driving()
-    drive.tracking.mistrust()
+    drive.tracking.contradict_odometry()  # and no image says otherwise
+    drive.predict()
     assert drive.doubted
     assert not drive.tracking.lost
     assert bound(drive.tracking.follow(drive.frame, said(0.0))) > 0.3 * LANE_M
@@ -339,7 +341,7 @@ def test_nothing_is_compiled_while_a_car_drives() -> None:
     drive = driving(0.02)
     for _ in range(6):
         drive.follow(said(0.0, NONE), sights(0.0, (LEFT,)))
-    drive.tracking.mistrust()
+    drive.tracking.contradict_odometry()
     for _ in range(6):
         drive.follow(said(0.0), sights(0.0, (LEFT, RIGHT, LEFT_FAR)), known=False)
     assert [len(one.signatures) for one in functions] == before
@@ -348,7 +350,9 @@ def test_nothing_is_compiled_while_a_car_drives() -> None:
 
 def test_without_a_lane_a_wrong_odometry_is_no_matter() -> None:
     drive = Drive()
-    drive.tracking.mistrust()
+    drive.predict()
+    drive.tracking.contradict_odometry()
+    drive.predict()
     assert not drive.doubted
 
 
@@ -487,3 +491,13 @@ def test_after_a_reset_everything_is_as_at_the_beginning() -> None:
         assert start is not None
         told.append((start.mean.tolist(), bound(drive.tracking.follow(drive.frame, said(0.02)))))
     assert told[0] == told[1]
+
+
+@pytest.mark.parametrize(("speed_mps", "gathers"), [(0.0, False), (SPEED_MPS, True)])
+def test_a_car_that_stands_gathers_no_evidence_from_the_same_view(speed_mps: float, gathers: bool) -> None:
+    drive, line = Drive(), sights(0.5 * LANE_M, (LEFT,))  # below the car: the left line, or the right one
+    for _ in range(20):
+        drive.predict(speed_mps=speed_mps)
+        assert drive.tracking.start(drive.t_ns, line) is None
+    best = drive.tracking._hypotheses.all[0]
+    assert (best.log_odds > 2.0 * best.news) is gathers

@@ -13,8 +13,7 @@ one is expected (protobuf would merge or replace).
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,10 +39,6 @@ OPERATORS = frozenset([
 ])
 # fmt: on
 
-MAX_VALUES = (
-    250_000_000  # of all tensors of one image: 1 GB if none is freed; the shipped 512x256 network has 25 million
-)
-MAX_WORK = 20_000_000_000  # multiplications and additions an image: a second on one core; the shipped network has 0.3e9
 MAX_PARTS = 200_000  # of one file at all levels; a network of 100 layers has a few thousand
 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
@@ -80,63 +75,6 @@ def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
     _check_value(inputs, "input", INPUT, shape)
     _check_value(outputs, "output", OUTPUT, shape)
     return is_open
-
-
-def with_all_outputs(data: bytes) -> bytes:
-    """The checked network, but every tensor of it is an output: what infers their shapes says all of them."""
-    names = [name for node in _nodes(data) for name in node.texts(2) if name and name != OUTPUT]
-    values = b"".join(_field(12, _field(1, name.encode())) for name in names)
-    return data + _field(_MODEL["graph"], values)  # a message that is given twice is merged
-
-
-def check_work(data: bytes, shapes: Mapping[str, Sequence[object]]) -> None:
-    """Raise ValueError where the checked network needs too much memory or time, by the `shapes` of all its tensors."""
-    known: dict[str, tuple[int, ...]] = {}
-    graph = Message(memoryview(data), "the file", PartBudget()).message(_MODEL["graph"], "the graph")
-    for tensor in graph.messages(5, "a weight"):
-        known[tensor.text(8)] = tuple(tensor.numbers(1))
-    weights = len(known)
-    for name, shape in shapes.items():
-        sizes = tuple(size for size in shape if isinstance(size, int))
-        if len(sizes) < len(shape):
-            raise MalformedError(f"has a tensor {name!r} whose size cannot be told before it runs")
-        known[name] = sizes
-    values = sum(math.prod(shape) for shape in list(known.values())[weights:])
-    if values > MAX_VALUES:
-        raise MalformedError(f"makes {values / 1e6:.0f} million values of an image (limit {MAX_VALUES / 1e6:.0f})")
-    work = sum(_work(node, known) for node in graph.messages(1, "a node"))
-    if work > MAX_WORK:
-        raise MalformedError(f"does {work / 1e9:.0f} billion operations for an image (limit {MAX_WORK / 1e9:.0f})")
-
-
-def _work(node: Message, shapes: Mapping[str, tuple[int, ...]]) -> int:
-    """Multiplications and additions of a node, at least; of what is not known, one a value."""
-    operator, inputs = node.text(4), [shapes.get(name, ()) for name in node.texts(1)]
-    made = sum(math.prod(shapes.get(name, ())) for name in node.texts(2))
-    weight = inputs[3:4] if operator == "QLinearConv" else inputs[1:2]
-    if operator in ("Conv", "QLinearConv") and weight:
-        return made * math.prod(weight[0][1:])
-    if operator == "ConvTranspose" and weight:
-        return math.prod(inputs[0]) * math.prod(weight[0][1:])
-    if operator in ("MatMul", "Gemm") and weight:
-        return made * max(inputs[0], default=1)
-    if operator in ("MaxPool", "AveragePool"):
-        kernels = [attribute.numbers(8) for attribute in node.messages(5, "an attribute")]
-        return made * max((math.prod(kernel) for kernel in kernels), default=1)
-    return made + sum(math.prod(shape) for shape in inputs)
-
-
-def _nodes(data: bytes) -> list[Message]:
-    model = Message(memoryview(data), "the file", PartBudget())
-    return model.message(_MODEL["graph"], "the graph").messages(1, "a node")
-
-
-def _field(number: int, data: bytes) -> bytes:
-    """A part of a message that holds bytes."""
-    size, left = b"", len(data)
-    while left > 0x7F:
-        size, left = size + bytes([left & 0x7F | 0x80]), left >> 7
-    return bytes([number << 3 | BYTES]) + size + bytes([left]) + data
 
 
 def _only(message: Message, known: frozenset[int]) -> None:
@@ -271,19 +209,6 @@ class Message:
         value = found[0] if found else 0
         assert isinstance(value, int)
         return value
-
-    def numbers(self, number: int) -> list[int]:
-        """A repeated field of integers, one a part or packed in bytes."""
-        found: list[int] = []
-        for kind, value in self._parts.get(number, []):
-            if isinstance(value, int) and kind == VARINT:
-                found.append(value)
-            elif isinstance(value, memoryview):
-                at = 0
-                while at < len(value):
-                    one, at = _varint(value, at, self.what)
-                    found.append(one)
-        return found
 
     def _of_kind(self, number: int, wanted: int) -> list[int | memoryview]:
         parts = self._parts.get(number, [])

@@ -16,7 +16,7 @@ import pytest
 
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings import onnx_check, unet
-from automodel.perception.markings.unet import SCENES, SIZES, MarkingNetwork, UnetConfig, drawn_lines, self_test
+from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig, drawn_lines, self_test
 from tests.support import onnx_files as files
 
 SMALL = (files.HEIGHT, files.WIDTH)
@@ -217,9 +217,7 @@ def test_the_bytes_that_were_checked_are_those_that_are_loaded(path: Path, monke
     ids=["no such value", "no kernel", "a loop", "another shape", "another type", "no layers"],
 )
 def test_a_graph_that_makes_no_sense_is_refused(path: Path, data: bytes) -> None:
-    said = refusal(path, data, providers=("cpu",))
-    assert len(said) < 400
-    assert "self-test" not in said
+    assert "runs on none of the configured providers: cpu: " in refusal(path, data, providers=("cpu",))
 
 
 @pytest.mark.parametrize(
@@ -234,71 +232,12 @@ def test_a_network_that_does_not_find_two_lines_is_refused(path: Path, nodes: tu
     assert said in refusal(path, with_nodes(*nodes), providers=("cpu",))
 
 
-DRAWN = {drawn_lines(256, 128, scene)[0].tobytes(): drawn_lines(256, 128, scene)[1] for scene in range(SCENES)}
-
-
 def test_the_self_test_refuses_marks_on_black() -> None:
     def network(grey: Any) -> Any:
-        return DRAWN[grey.tobytes()] if grey.any() else np.full(SMALL, 255, np.uint8)
+        return drawn_lines(256, 128)[1] if grey.any() else np.full(SMALL, 255, np.uint8)
 
     with pytest.raises(ValueError, match="marks a black image"):
         self_test(network, 256, 128)
-
-
-def test_a_network_that_fails_on_one_drawn_image_is_refused() -> None:
-    known = dict(DRAWN)
-
-    def network(grey: Any) -> Any:
-        return known.get(grey.tobytes(), np.zeros(SMALL, np.uint8))
-
-    self_test(network, 256, 128)
-    known[drawn_lines(256, 128, SCENES - 1)[0].tobytes()] = np.zeros(SMALL, np.uint8)
-    with pytest.raises(ValueError, match="marks 0% of two drawn lines"):
-        self_test(network, 256, 128)
-
-
-def test_a_network_that_ships_must_be_the_one_that_was_shipped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(unet.SHIPPED, "256x128", "0" * 64)
-    with pytest.raises(ConfigError, match=r"marking_256x128\.onnx: is not the file that was shipped"):
-        MarkingNetwork(UnetConfig(size="256x128", providers=("cpu",)))
-
-
-BLOWN_UP = {
-    "values": (
-        (files.node("Resize", "grey  scales", "large"), files.node("Cast", "large", "more", to=2)),
-        "million values",
-    ),
-    "operations": (
-        (files.node("AveragePool", "grey", "far", kernel_shape=(2001, 2001), pads=(1000, 1000, 1000, 1000)),),
-        "billion operations",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BLOWN_UP)
-def test_a_small_file_that_asks_for_much_is_refused_before_it_runs(
-    path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    nodes, said = BLOWN_UP[name]
-    if name == "values":  # an input left out has an empty name
-        nodes = (nodes[0].replace(files.field(1, "scales"), files.field(1, "") + files.field(1, "scales")), nodes[1])
-    scales = files.weights("scales", np.array([1.0, 1.0, 200.0, 200.0], np.float32))
-    body = files.graph((*files.NODES, *nodes), (*files.WEIGHTS, scales))
-    data = files.model(body)
-    assert len(data) < 1000
-    monkeypatch.setattr(unet, "open_session", lambda *_, **__: pytest.fail("was opened to run"))
-    assert said in refusal(path, data, providers=("cpu",))
-
-
-@pytest.mark.parametrize("scene", range(SCENES))
-@pytest.mark.parametrize("size", SIZES.values())
-def test_each_drawn_image_has_two_lines_of_its_own(size: tuple[int, int], scene: int) -> None:
-    picture, lines = drawn_lines(*size, scene)
-    count = cv2.connectedComponents(lines)[0] - 1
-    assert count == 2 if scene == 0 else count > 2  # one is dashed
-    assert 0.02 < (lines > 0).mean() < 0.1
-    assert picture[lines > 0].mean() > picture[lines == 0].mean() + 60
-    assert all((drawn_lines(*size, other)[1] != lines).any() for other in range(scene))
 
 
 @pytest.mark.parametrize("size", SIZES.values())
@@ -366,9 +305,8 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
     network = MarkingNetwork(config(path, engine_cache="engines"))
     assert network.notice.count("its libraries cannot be loaded") == 2
     assert network.provider == "cpu"
-    assert given[0] == ALL[2:]  # only the shapes of its tensors are asked for
-    assert given[1][0] == (ALL[0], {"trt_engine_cache_enable": True, "trt_engine_cache_path": "engines"})
-    assert given[2:] == [ALL[1:], ALL[2:]]
+    assert given[0][0] == (ALL[0], {"trt_engine_cache_enable": True, "trt_engine_cache_path": "engines"})
+    assert given[1:] == [ALL[1:], ALL[2:]]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,76 @@
+"""The car's motion by its odometry, as long as the ground in the images bears it out.
+
+An odometer that stands still, counts backwards or counts too much moves the believed lane away from the real one. A
+lamp's reflection that is taken for a line contradicts a right odometry just as well: lines alone cannot tell which of
+the two is wrong. The ground's texture can, and is asked where lines and odometry contradict each other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from automodel.estimation.image_motion import ImageMotion
+from automodel.geometry import GroundCamera
+from automodel.signals import Frame, Motion, MotionSource
+
+RETRY_NS = 5_000_000_000  # after this time an odometry that was wrong is used again
+DISSENT = 2  # frames in which the ground contradicts an odometry that is wrong: one in ten contradicts a right one
+
+
+class CheckedOdometry:
+    """The motion as given; the ground's own where none is given, or where the ground contradicts it.
+
+    `wrong`: the step found that the odometry is. `right`: it found that the odometry is, and the lines are not.
+    """
+
+    def __init__(self, camera: GroundCamera, lane_width_m: float) -> None:
+        self._images = ImageMotion(camera, lane_width_m)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last frame; the odometry is trusted."""
+        self._images.reset()
+        self.wrong = self.right = False
+        self._dissent: int | None = None  # frames that contradict it, while it is suspected
+        self._alone = False
+        self._rejected_ns: int | None = None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether the odometry is used."""
+        return self._rejected_ns is None
+
+    def suspect(self, by_lines: bool = False) -> None:
+        """What is seen in a frame contradicts the motion up to it; the next frames' ground is asked.
+
+        `by_lines`: where they tell so clearly that the odometry is wrong unless the ground bears it out.
+        """
+        if self._dissent is None:
+            self._dissent, self._alone = 0, False
+        if by_lines and not self._alone:
+            self._dissent, self._alone = self._dissent + 1, True
+
+    def step(self, frame: Frame, motion: Motion) -> Motion:
+        """The motion up to a frame: the odometry's, or the ground's; unknown where too little is seen of that."""
+        self.wrong = self.right = False
+        if motion.known:
+            if self._rejected_ns is not None and not 0 <= frame.t_ns - self._rejected_ns < RETRY_NS:
+                again = self._images.agrees(frame, motion) is False and frame.t_ns > self._rejected_ns
+                self._rejected_ns = frame.t_ns if again else None
+            elif self._rejected_ns is None and self._dissent is not None:
+                self._ask(frame, motion)
+        if motion.known and self._rejected_ns is not None:
+            motion = replace(motion, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
+        return self._images.step(frame, motion)
+
+    def _ask(self, frame: Frame, motion: Motion) -> None:
+        """Judge a suspected odometry by the ground between the last frame and this one."""
+        assert self._dissent is not None
+        agrees = self._images.agrees(frame, motion)
+        self.right = bool(agrees) and self._alone
+        self._dissent += not agrees and (self._alone or agrees is not None)
+        self.wrong = self._dissent >= DISSENT
+        if self.wrong:
+            self._rejected_ns = frame.t_ns
+        if self.wrong or agrees is not False:
+            self._dissent = None
