@@ -61,8 +61,9 @@ def adaptive_threshold(probability: Image) -> Image:
     """
     scale = probability.shape[1] / 512.0
     side = 2 * round(0.5 * (AROUND_PX * scale - 1.0)) + 1
-    above = np.asarray(cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (side, side))))
-    return np.maximum(probability, np.where(above > ABOVE, np.uint8(128), np.uint8(0)))
+    above = cv2.subtract(cv2.blur(probability, (3, 3)), cv2.blur(probability, (side, side)))
+    raised = cv2.threshold(above, ABOVE, 128, cv2.THRESH_BINARY)[1]
+    return np.asarray(cv2.max(probability, raised), dtype=np.uint8)
 
 
 def resized_camera(camera: CameraConfig, width_px: int, height_px: int) -> CameraConfig:
