@@ -10,7 +10,7 @@ from automodel.runtime.safety import Safety, SafetyDecision, SafetyInputs, Safet
 from automodel.signals import LaneStatus, VehicleState
 
 MS = 1_000_000
-CONFIG = SafetyConfig(frame_timeout_s=0.06, command_validity_s=0.1, hold_s=0.3, rearm_s=0.5)
+CONFIG = SafetyConfig(frame_timeout_s=0.06, command_validity_s=0.1, hold_s=0.3, rearm_s=0.5, holds_max=5)
 T0 = 50_000 * MS
 
 
