@@ -21,7 +21,7 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import MarkingViews, WhiteAreas, road_view
+from automodel.perception.markings.binary_views import MarkingViews, TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
@@ -77,6 +77,7 @@ class Windows:
         )
         self._birdseye = BirdsEye(self._camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
+        self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
         self._reflections = Reflections(
             self._camera, self.view, self._white_areas.mask, marking_m, lane.markings, SlidingWindows.COUNT
         )
@@ -112,6 +113,7 @@ class Windows:
         self.stages.lap("birdseye")
         areas = self._white_areas.step(view)  # binarisation, white-areas filter
         lines = areas.lines
+        self._paint_check.remember(areas)
         self.stages.lap("white_areas")
         if self._tracking.lost:
             lines = self._reflections.step(view, areas.lines, lines)  # without reflections
@@ -133,7 +135,7 @@ class Windows:
             followed = self._followed(scan.crossing, seen, *self._tracker.update(seen))  # lane fit
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
-            lines = self._reflections.step(view, areas.lines, lines)
+            lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
             anew = self._tracking.judge(self._scan.step(lines), followed)
             if anew is not None:
                 followed = self._followed(None, *self._restart(anew, view, areas, lines))
@@ -147,6 +149,10 @@ class Windows:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
+        if moved is not None and moved.known:
+            self._paint_check.move(moved.before_from_after, moved.distance_m)
+        else:
+            self._paint_check.forget()
         if moved is None:
             self._forget()
             return
@@ -211,7 +217,7 @@ class Windows:
         turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
         seen = self._windows.observe(lines, left, right, widening, turn)
         if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
-            lines = self._reflections.step(view, areas.lines, lines)
+            lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
             seen = self._windows.observe(lines, left, right, widening, turn)
         if not scan.covered.any():
             return seen

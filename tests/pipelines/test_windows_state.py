@@ -47,6 +47,20 @@ def go_dark(pipeline: Pipeline, drive: list[Seen], frames: int, speed_mps: float
     return reported
 
 
+def test_what_moved_with_the_car_is_no_paint(seen: list[Seen], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all lines are looked at, those that the check over time removes are left out; it follows the car."""
+    pipeline, looked = Windows(CAR), []
+    replayed(pipeline, seen)
+    check = pipeline._paint_check
+    assert check._driven_m == pytest.approx(1.0, abs=0.1)
+    assert len(check._past) > 3
+    monkeypatch.setattr(check, "painted", lambda areas: np.zeros_like(areas.lines))
+    monkeypatch.setattr(pipeline._tracking, "looks_around", lambda followed: True)
+    monkeypatch.setattr(pipeline._tracking, "judge", lambda lines, followed: looked.append(len(lines)))
+    replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)
+    assert looked == [0]
+
+
 def bits(estimate: LaneEstimate) -> tuple[object, ...]:
     """Everything that an estimate says, to be compared for equality."""
     numbers: list[bytes] = []

@@ -278,13 +278,18 @@ class TemporalPaintCheck:
 
     def step(self, views: MarkingViews) -> Image:
         """The part (h, w) of the lines that may be paint. The contrast is kept if the car has driven on enough."""
-        painted = self._painted(views)
+        painted = self.painted(views)
+        self.remember(views)
+        return painted
+
+    def remember(self, views: MarkingViews) -> None:
+        """Keep the contrast if the car has driven on enough."""
         if not self._past or self._driven_m - self._past[-1].driven_m >= self._every_m:
             contrast = cv2.bitwise_or(cv2.dilate(views.contrast, self._kernel), self._unseen)
             self._past.append(_PastView(np.asarray(contrast, np.uint8), self._start_from_now, self._driven_m))
-        return painted
 
-    def _painted(self, views: MarkingViews) -> Image:
+    def painted(self, views: MarkingViews) -> Image:
+        """The part (h, w) of the lines that may be paint."""
         if not self._past or self._driven_m - self._past[0].driven_m < self._distance_m:
             return views.lines
         past = self._past[0]
