@@ -14,7 +14,11 @@ from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 
 RETRY_NS = 5_000_000_000  # after this time an odometry that was wrong is used again
-DISSENT = 2  # frames in which the ground contradicts an odometry that is wrong: one in ten contradicts a right one
+DISSENT = (
+    3  # frames in which the ground contradicts a wrong odometry, and none bears it out: lamps that are mirrored in
+)
+# the floor move as if a car that turns stood, and contradict a right one as well, seldom in 3 frames in a row
+ASKED = 10  # frames after which a suspicion that nothing bears out is dropped
 
 
 class CheckedOdometry:
@@ -32,7 +36,7 @@ class CheckedOdometry:
         self._images.reset()
         self.wrong = self.right = False
         self._dissent: int | None = None  # frames that contradict it, while it is suspected
-        self._alone = False
+        self._asked, self._alone = 0, False
         self._rejected_ns: int | None = None
 
     @property
@@ -46,9 +50,9 @@ class CheckedOdometry:
         `by_lines`: where they tell so clearly that the odometry is wrong unless the ground bears it out.
         """
         if self._dissent is None:
-            self._dissent, self._alone = 0, False
+            self._dissent, self._asked, self._alone = 0, 0, False
         if by_lines and not self._alone:
-            self._dissent, self._alone = self._dissent + 1, True
+            self._dissent, self._alone = self._dissent + DISSENT // 2, True
 
     def step(self, frame: Frame, motion: Motion) -> Motion:
         """The motion up to a frame: the odometry's, or the ground's; unknown where too little is seen of that."""
@@ -69,8 +73,9 @@ class CheckedOdometry:
         agrees = self._images.agrees(frame, motion)
         self.right = bool(agrees) and self._alone
         self._dissent += not agrees and (self._alone or agrees is not None)
+        self._asked += 1
         self.wrong = self._dissent >= DISSENT
         if self.wrong:
             self._rejected_ns = frame.t_ns
-        if self.wrong or agrees is not False:
+        if self.wrong or agrees or self._asked >= ASKED:
             self._dissent = None

@@ -8,7 +8,7 @@ from functools import lru_cache
 import pytest
 
 from automodel.estimation import checked_odometry
-from automodel.estimation.checked_odometry import CheckedOdometry
+from automodel.estimation.checked_odometry import ASKED, DISSENT, CheckedOdometry
 from automodel.signals import Frame, Motion, MotionSource
 from tests.estimation.test_image_motion import CAMERA, LANE, floor, frames
 
@@ -46,7 +46,8 @@ def test_without_a_suspicion_it_is_used_as_it_is(factor: float) -> None:
 @pytest.mark.parametrize("factor", [0.0, -1.0, 0.5, 2.0])
 def test_a_wrong_one_is_found_out_and_the_ground_tells_the_motion(factor: float, by_lines: bool) -> None:
     odometry, used = suspected(factor, by_lines)
-    assert used == [not by_lines] + 8 * [False]  # one frame is not enough, unless the lines say so too
+    before = DISSENT - DISSENT // 2 * by_lines - 1  # frames: fewer where the lines say so too
+    assert used == before * [True] + (9 - before) * [False]
     assert not odometry.trusted
     frame = frames(SPEED, YAW_RATE, 13, floor())[-1]
     motion = odometry.step(frame, told(frame, factor))
@@ -112,3 +113,15 @@ def test_a_motion_that_is_not_known_is_that_of_the_ground() -> None:
     unknown = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
     motions = [odometry.step(frame, dataclasses.replace(unknown, t_ns=frame.t_ns)) for frame in drive()[:6]]
     assert motions[-1].source is MotionSource.IMAGES
+
+
+def test_a_suspicion_that_nothing_bears_out_is_dropped() -> None:
+    odometry, asked = CheckedOdometry(CAMERA, LANE), []
+    seen = frames(SPEED, YAW_RATE, ASKED + 6, floor(contrast=0.0))
+    for frame in seen:
+        odometry.step(frame, told(frame, 1.0))
+        if frame.index == 2:
+            odometry.suspect()
+        asked.append(odometry._dissent is not None)
+    assert asked == [2 <= index < 2 + ASKED for index in range(len(seen))]
+    assert odometry.trusted

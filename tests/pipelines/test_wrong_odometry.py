@@ -58,20 +58,20 @@ def test_a_wrong_speed_misleads_contour_in_no_frame(place: tuple[str, str, float
 
 @pytest.mark.parametrize("factor", rest_slow(FACTORS, 0.5))
 @pytest.mark.parametrize("place", PLACES)
-def test_a_wrong_speed_misleads_windows_in_no_frame(place: tuple[str, str, float, float], factor: float) -> None:
+def test_a_wrong_speed_does_not_mislead_windows_for_long(place: tuple[str, str, float, float], factor: float) -> None:
     _, misled, reported = driven(Windows(CAR), drive(*place), speed=factor)
-    assert misled == 0
+    assert misled * PERIOD_S <= 0.2
     assert reported > 0.85
 
 
 @pytest.mark.parametrize("factor", rest_slow((0.0, 0.5, 2.0), 0.0))
 @pytest.mark.parametrize("pipeline", [Contour, Windows])
 @pytest.mark.parametrize("place", PLACES)
-def test_a_wrong_yaw_rate_misleads_in_no_frame(
+def test_a_wrong_yaw_rate_does_not_mislead_for_long(
     place: tuple[str, str, float, float], pipeline: type[Contour | Windows], factor: float
 ) -> None:
     _, misled, reported = driven(pipeline(CAR), drive(*place), yaw_rate=factor)
-    assert misled == 0
+    assert misled * PERIOD_S <= 0.2
     assert reported > 0.85
 
 

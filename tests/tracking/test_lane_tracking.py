@@ -11,6 +11,7 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve
+from automodel.estimation.checked_odometry import DISSENT
 from automodel.estimation.road import MAX_GAP_S
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
@@ -318,7 +319,8 @@ def test_the_road_that_was_seen_is_forgotten_where_its_lines_contradict_the_esti
 def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen() -> None:
     drive = driving()
     drive.tracking.contradict_odometry()  # and no image says otherwise
-    drive.predict()
+    for _ in range(DISSENT):
+        drive.predict()
     assert drive.doubted
     assert not drive.tracking.lost
     assert bound(drive.tracking.follow(drive.frame, said(0.0))) > 0.3 * LANE_M
