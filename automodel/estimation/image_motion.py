@@ -122,11 +122,12 @@ class ImageMotion:
         """
         last, config = self._last, self.config
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
-        expected = np.array((motion.speed_mps, motion.yaw_rate_radps)) * dt_s
+        told = np.array((motion.speed_mps, motion.yaw_rate_radps))
         if last is None or not 0.0 < dt_s <= MAX_GAP_S or not self._fits(last) or not self._fits(frame):
             return None
-        if not np.isfinite(expected).all():
+        if not (np.abs(told) <= self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))).all():  # nor NaN
             return False
+        expected = told * dt_s
         start, end = self._follow(self._small(last.image), self._small(frame.image), expected)
         if not len(start):
             return None

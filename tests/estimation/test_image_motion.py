@@ -179,6 +179,12 @@ def test_the_ground_contradicts_a_wrong_motion(told: tuple[float, float]) -> Non
     assert agrees(frames(0.8, 0.4, 6, floor()), *told) == {False}
 
 
+@pytest.mark.parametrize("speed", [1e300, -1e300, 1e9, 20.0, -math.inf])
+@pytest.mark.parametrize("yaw_rate", [0.0, 1e300, -1e9, 50.0])
+def test_the_ground_contradicts_an_absurd_motion(speed: float, yaw_rate: float) -> None:
+    assert agrees(frames(0.8, 0.4, 2, floor()), speed, yaw_rate) == {False}
+
+
 @pytest.mark.parametrize(("pitch_deg", "height"), [(1.5, 1.0), (-1.5, 1.0), (0.0, 1.08), (0.0, 0.92)])
 def test_a_camera_that_is_set_a_little_wrong_contradicts_no_right_motion(pitch_deg: float, height: float) -> None:
     place = CAR.camera.extrinsics
