@@ -170,7 +170,7 @@ class RecordingConfig:
     """How runs are recorded.
 
     JPEG of quality 90 is a third of the size, and a tenth of the work, of PNG, which keeps every bit: its replay gives
-    the drive's estimates to the bit, that of JPEG within 2 mm of offset while the car drives.
+    the drive's estimates to the bit, that of JPEG within millimetres of offset.
     """
 
     directory: str = "recordings"
