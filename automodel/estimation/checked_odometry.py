@@ -14,10 +14,9 @@ from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 
 RETRY_NS = 5_000_000_000  # after this time an odometry that was wrong is used again
-DISSENT = (
-    3  # frames in which the ground contradicts a wrong odometry, and none bears it out: lamps that are mirrored in
-)
-# the floor move as if a car that turns stood, and contradict a right one as well, seldom in 3 frames in a row
+# Frames in which the ground contradicts a wrong odometry, and none bears it out. Lamps that are mirrored in the floor
+# move as if a car that turns stood, and contradict a right one as well, seldom in three frames in a row.
+DISSENT = 3
 ASKED = 10  # frames after which a suspicion that nothing bears out is dropped
 
 

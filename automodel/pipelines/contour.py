@@ -29,7 +29,7 @@ from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
-from automodel.pipelines.stages import SEEN, StageClock
+from automodel.pipelines.stages import SEEN, StageClock, carry
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
@@ -190,10 +190,7 @@ class Contour:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
-        if moved is not None and moved.known:
-            self._paint_check.move(moved.before_from_after, moved.distance_m)
-        else:
-            self._paint_check.forget()
+        carry(self._paint_check, moved)
         if self._tracking.lost or moved is None:
             self._tracker.forget()
             return

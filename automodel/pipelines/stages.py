@@ -1,11 +1,14 @@
-"""What all pipelines share: how many points make a line seen, and the durations of their stages.
+"""What pipelines share: how many points make a line seen, what moves with the car, and the durations of their stages.
 
-These are taken by an injected stopwatch: a pipeline itself reads no clock.
+The durations are taken by an injected stopwatch: a pipeline itself reads no clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+
+from automodel.perception.markings.binary_views import TemporalPaintCheck
+from automodel.tracking.frame_motion import FrameMotion
 
 SEEN = 2  # points of a frame that make a line seen
 
@@ -30,3 +33,11 @@ class StageClock:
             now_ns = self.stopwatch()
             self.durations_ns[stage] = self.durations_ns.get(stage, 0) + now_ns - self._last_ns
             self._last_ns = now_ns
+
+
+def carry(check: TemporalPaintCheck, moved: FrameMotion | None) -> None:
+    """Move what a check over time remembers with the car; where the motion is not known it is forgotten."""
+    if moved is not None and moved.known:
+        check.move(moved.before_from_after, moved.distance_m)
+    else:
+        check.forget()

@@ -26,7 +26,7 @@ from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
-from automodel.pipelines.stages import SEEN, StageClock
+from automodel.pipelines.stages import SEEN, StageClock, carry
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleLane, GentleStart
@@ -149,10 +149,7 @@ class Windows:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
-        if moved is not None and moved.known:
-            self._paint_check.move(moved.before_from_after, moved.distance_m)
-        else:
-            self._paint_check.forget()
+        carry(self._paint_check, moved)
         if moved is None:
             self._forget()
             return

@@ -4,9 +4,9 @@ The loop has a core that nothing else of the program uses, and the camera's thre
 Where the system allows it loop, camera and recorder get nearly all of a core against other processes (niceness), and
 are never swapped out (mlockall).
 
-Not SCHED_FIFO: a read of a serial port waits for a worker of the kernel, which has no such priority. With all cores
-busy with other work, a loop at SCHED_FIFO stood still there for 70 to 360 ms in 7 of 8 short runs; at this niceness,
-on a machine that was busier still, loops stood still in half of them. For the same reason the loop may use all cores:
+Not SCHED_FIFO: with all cores busy with other work, loops at SCHED_FIFO stood still for 70 to 360 ms in reads of the
+serial port, perhaps because a worker of the kernel, which has no such priority, has to run first. At this niceness that
+was seen less, though not never. For the same reason the loop may use all cores:
 its own is where nothing else is put.
 """
 

@@ -59,6 +59,8 @@ def test_what_moved_with_the_car_is_no_paint(seen: list[Seen], monkeypatch: pyte
     monkeypatch.setattr(pipeline._tracking, "judge", lambda lines, followed: looked.append(len(lines)))
     replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)
     assert looked == [0]
+    monkeypatch.setattr(pipeline._reflections, "any_points_to_camera", lambda *lines: True)  # nor are they followed
+    assert replayed(pipeline, seen[-1:], from_ns=2 * PERIOD_NS)[0].status is LaneStatus.COASTING
 
 
 def bits(estimate: LaneEstimate) -> tuple[object, ...]:

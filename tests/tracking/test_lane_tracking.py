@@ -503,3 +503,14 @@ def test_a_car_that_stands_gathers_no_evidence_from_the_same_view(speed_mps: flo
         assert drive.tracking.start(drive.t_ns, line) is None
     best = drive.tracking._hypotheses.all[0]
     assert (best.log_odds > 2.0 * best.news) is gathers
+
+
+def test_where_the_ground_bears_out_the_odometry_the_lines_are_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive = driving()
+    monkeypatch.setattr(drive.tracking._odometry._images, "agrees", lambda frame, motion: True)
+    drive.predict()
+    assert not drive.doubted
+    drive.tracking.contradict_odometry()
+    drive.predict()
+    assert drive.doubted
+    assert drive.tracking.reckons  # the odometry is used on
