@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 from automodel.config import Extrinsics
 from automodel.geometry import CameraModel, GroundCamera, cam_from_body_rotation
 from automodel.types import FloatArray, Image
-from calibration.vanishing_point_fit import BENDING, ConvergingLines, Rays, common_vanishing_point, fit_converging_lines
+from calibration.vanishing_point_fit import (
+    BENDING,
+    CommonPoint,
+    ConvergingLines,
+    Rays,
+    common_vanishing_point,
+    fit_converging_lines,
+)
 
 WIDTHS = np.geomspace(0.9, 9.0, 231)  # of a lane, in camera heights, in steps of 1 %
 AGREED = 0.04  # of a lane's width: one sigma of the difference between lanes
@@ -184,6 +191,7 @@ LEAST_SHARE = 0.3  # of the images that must show a straight road
 LEAST_SUPPORT = 0.4  # sum over an image's lines of the share of rows on which each is seen
 CURVED = 5.0  # sigmas of `BENDING`
 ROUNDS = 100  # of the bootstrap
+STATED = ("z_m", "pitch_rad", "yaw_rad", "roll_rad")  # of which a sigma is given
 SCALE_CAR_M, FULL_SIZE_M = (0.5, 1.0, 2.0), (5.0, 10.0, 20.0)
 FULL_SIZE_FROM_M = 1.5  # of a lane's width
 
@@ -193,10 +201,11 @@ class LanesCalibration:
     """The camera found from the lines.
 
     `extrinsics` keeps the given `x_m` and `y_m`, and the given roll where `roll_known` is False. `ground_error_m`: by
-    distance ahead of the camera [m], the RMS error of a ground point [m], by a bootstrap over the images; an error of
-    the lane's width scales all lengths and is not included. `residual_px` is the RMS distance of the points from their
-    lines, `vanishing_px` the vanishing point, `vanishing_sigma_px` its spread over the images (u, v). `frames_used` of
-    `frames_seen` images were used.
+    distance ahead of the camera [m], the RMS error of a ground point [m], by a bootstrap over the images, as is `std`:
+    one sigma of z_m [m] and of pitch_rad, yaw_rad and roll_rad. An error of the lane's width scales all lengths and is
+    not included. `markings` is "light" or "dark", `marking_heights` about their width in camera heights. `residual_px`
+    is the RMS distance of the points from their lines, `vanishing_px` the vanishing point, `vanishing_sigma_px` its
+    spread over the images (u, v). `frames_used` of `frames_seen` images were used.
     """
 
     extrinsics: Extrinsics
@@ -206,6 +215,9 @@ class LanesCalibration:
     vanishing_px: tuple[float, float]
     vanishing_sigma_px: tuple[float, float]
     ground_error_m: dict[float, float]
+    std: dict[str, float]
+    markings: str
+    marking_heights: float
     frames_used: int
     frames_seen: int
 
@@ -217,21 +229,21 @@ def camera_from_lanes(
     mounting: Extrinsics | None = None,
     least_frames: int = 3,
     seed: int = 0,
+    markings: str = "both",
 ) -> LanesCalibration:
     """The camera's extrinsics from `images` (h, w) or (h, w, 3) of a drive along lanes of a known width.
 
     `camera` has its intrinsics; `mounting` gives what images cannot: x_m and y_m, and roll where the lines do not
-    determine it. Yaw is right if the car's median heading is along the lane. Raises ValueError for too few images, no
+    determine it. `markings` against the floor are "light", "dark", or what the images show better ("both").
+    Yaw is right if the car's median heading is along the lane. Raises ValueError for too few images, no
     lines that meet, a curve, or no lane around the camera.
     """
     images = list(images)
     if not lane_width_m > 0:
         raise ValueError(f"lane_width_m: expected a positive number, got {lane_width_m}")
     _check_sizes(images, camera, least_frames)
-    place, points = common_vanishing_point(images, camera)
-    size, rays = (camera.width_px, camera.height_px), Rays(camera)
-    fits = [fit_converging_lines(p, place, rays, size, SLACK) for p in points]
-    bundles = _straight(fits, camera, least_frames)
+    shown, polarity = sharpest_markings(images, camera, markings)
+    bundles = _straight(_fits(shown, camera), camera, least_frames)
     mounting = mounting or Extrinsics(roll_rad=0.0)
     found = solve_attitude(bundles, camera.matrix[0, 0], mounting.roll_rad)
     extrinsics = _extrinsics(found, lane_width_m, mounting)
@@ -246,10 +258,35 @@ def camera_from_lanes(
         vanishing_px=(float(u), float(v)),
         vanishing_sigma_px=(float(spread[0]), float(spread[1])),
         ground_error_m={},
+        std={},
+        markings=polarity,
+        marking_heights=shown.marking,
         frames_used=len(bundles),
         frames_seen=len(images),
     )
-    return replace(best, ground_error_m=_ground_errors(camera, best, bundles, mounting.roll_rad, seed))
+    error_m, std = _errors(camera, best, bundles, mounting.roll_rad, seed)
+    return replace(best, ground_error_m=error_m, std=std)
+
+
+def sharpest_markings(images: Sequence[Image], camera: CameraModel, markings: str) -> tuple[CommonPoint, str]:
+    """Where the lines meet, and whether they are "light" or "dark"; "both" looks for either and takes the clearer."""
+    wanted = ("light", "dark") if markings == "both" else (markings,)
+    seen = [
+        (common_vanishing_point([255 - image for image in images] if name == "dark" else images, camera), name)
+        for name in wanted
+    ]
+    return max(seen, key=lambda each: each[0].sharpness)
+
+
+def line_residuals(images: Sequence[Image], camera: CameraModel, markings: str) -> FloatArray:
+    """The RMS distance (n,) [ideal px] of marking points from their lines in each image; NaN without two lines."""
+    shown, _ = sharpest_markings(images, camera, markings)
+    return np.array([math.nan if fit is None else fit.residual_px for fit in _fits(shown, camera)])
+
+
+def _fits(shown: CommonPoint, camera: CameraModel) -> list[ConvergingLines | None]:
+    size, rays = (camera.width_px, camera.height_px), Rays(camera)
+    return [fit_converging_lines(points, shown.vanishing_px, rays, size, SLACK) for points in shown.points]
 
 
 def _check_sizes(images: Sequence[Image], camera: CameraModel, least_frames: int) -> None:
@@ -294,27 +331,34 @@ def _extrinsics(found: Attitude, lane_width_m: float, mounting: Extrinsics) -> E
     )
 
 
-def _ground_errors(
+def _errors(
     camera: CameraModel, best: LanesCalibration, bundles: Sequence[ConvergingLines], roll_rad: float, seed: int
-) -> dict[float, float]:
-    """By distance ahead of the camera [m]: the RMS error [m] of a ground point over resampled images."""
+) -> tuple[dict[float, float], dict[str, float]]:
+    """Over resampled images: by distance ahead of the camera [m] the RMS error [m] of a ground point, and `std`."""
     rng = np.random.default_rng(seed)
     distances = np.array(SCALE_CAR_M if best.lane_width_m < FULL_SIZE_FROM_M else FULL_SIZE_M)
     place = np.column_stack((best.extrinsics.x_m + distances, np.full(3, best.extrinsics.y_m)))
     pixels = GroundCamera(camera, best.extrinsics).ground_to_px(place)
     squares: list[FloatArray] = []
+    poses: list[tuple[float, ...]] = []
     for _ in range(ROUNDS):
         drawn = [_perturbed(bundles[i], rng) for i in rng.integers(len(bundles), size=len(bundles))]
         try:
             found = solve_attitude(drawn, camera.matrix[0, 0], roll_rad, best.lane_width_m / best.extrinsics.z_m)
         except ValueError:  # by chance no image drawn shows a lane
             continue
-        other = GroundCamera(camera, _extrinsics(found, best.lane_width_m, best.extrinsics))
+        extrinsics = _extrinsics(found, best.lane_width_m, best.extrinsics)
+        poses.append(tuple(getattr(extrinsics, name) for name in STATED))
+        other = GroundCamera(camera, extrinsics)
         squares.append(np.sum((other.px_to_ground(pixels) - place) ** 2, axis=1))
     known = np.array(squares or np.full((1, 3), np.inf))
     known[np.isnan(known)] = np.inf  # a pixel above the horizon
     rms = np.sqrt(known.mean(axis=0))
-    return {float(at): float(error) for at, error in zip(distances, rms, strict=True)}
+    spread = np.std(poses, axis=0) if poses else np.full(len(STATED), np.inf)
+    return (
+        dict(zip(distances.tolist(), rms.tolist(), strict=True)),
+        dict(zip(STATED, spread.tolist(), strict=True)),
+    )
 
 
 def _perturbed(lines: ConvergingLines, rng: np.random.Generator) -> ConvergingLines:

@@ -54,6 +54,7 @@ class Found:
     bound_m: Mapping[float, float]
     image: Image
     marks: tuple[FloatArray, FloatArray] | None = None
+    lane: Mapping[str, object] | None = None  # keys of [lane] that were measured or given
     remarks: tuple[str, ...] = ()
     refusal: str = ""
 
@@ -104,7 +105,9 @@ def calibrate_ground(
     errors = [f"{1e3 * error:.0f} mm at {at:g} m" for at, error in found.error_m.items() if math.isfinite(error)]
     values = {name: round(getattr(found.extrinsics, name), 5) for name in NAMES}
     residual = f"{found.residual_px:.2f} px; on the ground {', '.join(errors)}"
-    written = {"camera.extrinsics": values}
+    written: dict[str, Mapping[str, object]] = {"camera.extrinsics": values}
+    if found.lane is not None:
+        written["lane"] = found.lane
     write_values(car_file, written, residual=residual, method=found.method, dry_run=options.dry_run)
     return 0
 
@@ -174,14 +177,21 @@ class StraightDrive:
         return Found(
             method=f"a lane of {width_m:g} m, {found.frames_used} of {found.frames_seen} images of a drive",
             extrinsics=found.extrinsics,
-            std={},
+            std=found.std,
             residual_px=found.residual_px,
             error_m=found.ground_error_m,
             bound_m={},
             image=seen[len(seen) // 2],
+            lane=_lane_of(found, car),
             remarks=_lane_remarks(found, car),
             refusal=_lane_refusal(found, car),
         )
+
+
+def _lane_of(found: LanesCalibration, car: CarConfig) -> Mapping[str, object]:
+    """Keys of [lane]: the height is only right together with the width that it was found with."""
+    same = car.lane.markings in (found.markings, "both")
+    return {"width_m": found.lane_width_m} | ({} if same else {"markings": found.markings})
 
 
 def _lane_refusal(found: LanesCalibration, car: CarConfig) -> str:

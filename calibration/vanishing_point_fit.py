@@ -160,8 +160,22 @@ def moving_average(values: FloatArray) -> FloatArray:
     return np.convolve(values, np.full(31, 1.0 / 31.0), "same")
 
 
-def common_vanishing_point(images: Sequence[Image], camera: CameraModel) -> tuple[FloatArray, list[FloatArray]]:
-    """The vanishing point (2,) of the lines of all images, in ideal pixels, and the marking points (n, 3) of each."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommonPoint:
+    """Where the lines of all images meet: `vanishing_px` (2,) in ideal pixels.
+
+    `points` are the marking points (n, 3) of each image, `marking` the width [camera heights] of markings at which they
+    were found. `sharpness` is how far they are concentrated on few rays: larger for the right lens and polarity.
+    """
+
+    vanishing_px: FloatArray
+    points: list[FloatArray]
+    marking: float
+    sharpness: float
+
+
+def common_vanishing_point(images: Sequence[Image], camera: CameraModel) -> CommonPoint:
+    """The vanishing point of the lines of all images, which are lighter than the ground."""
     width, height, rays = camera.width_px, camera.height_px, Rays(camera)
     bright = [bright_points(image, camera) for image in images]
     best = np.zeros(2)
@@ -170,13 +184,14 @@ def common_vanishing_point(images: Sequence[Image], camera: CameraModel) -> tupl
         best = rays.sharpest(bright, u, v, BELOW * height)
         steps = share * np.linspace(-1.0, 1.0, 5) / 40.0
         u, v = best[0] + steps * width, best[1] + steps * height
-    found: list[tuple[float, FloatArray, list[FloatArray]]] = []
+    found: list[CommonPoint] = []
     for marking in MARKINGS:
         points = list(map(partial(marking_points, camera=camera, vanishing_px=best, marking=marking), images))
         u, v = best[0] + 0.02 * width * np.linspace(-1, 1, 11), best[1] + 0.035 * height * np.linspace(-1, 1, 21)
         place = rays.sharpest(points, u, v, None)
-        found.append((sum(rays.sharpness(p, *place) for p in points), place, points))
-    return max(found, key=lambda each: each[0])[1:]
+        sharpness = sum(rays.sharpness(p, *place) for p in points)
+        found.append(CommonPoint(vanishing_px=place, points=points, marking=marking, sharpness=sharpness))
+    return max(found, key=lambda each: each.sharpness)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -62,7 +62,8 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.sim": GROUND | {"automodel.runtime.clocks", "automodel.runtime.os_signals", "automodel.sources.errors"},
     "automodel.console": {"automodel", "automodel.interfaces", "automodel.signals", "automodel.runtime.os_signals"},
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
-    "calibration": PARTS - {"automodel.pipelines", "automodel.perception"} | {"automodel.perception.markings.ridge"},
+    "calibration": PARTS - {"automodel.pipelines", "automodel.perception"}
+    | {"automodel.perception.markings.ridge", "automodel.perception.markings.marking_width"},
     "automodel.assembly": PARTS,
     "automodel.doctor": PARTS | {"automodel.assembly"},
     "automodel.bench": PARTS | {"automodel.assembly"},

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from automodel.assembly.guess import DOUBTFUL, EvenSample, trustworthy, why_lost
 from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
 from automodel.config import CarConfig, parse_car
 from automodel.console.messages import say
@@ -31,6 +32,7 @@ from automodel.viewer.overlay import draw
 from automodel.viewer.video import VideoWriter
 
 AnyFrame = Frame | StereoFrame
+SELDOM = 0.05  # share of frames with a line: where fewer have one, the replay says why
 COLUMNS = (
     "pipeline", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms", "source",
 )  # fmt: skip
@@ -38,7 +40,10 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayOptions:
-    """What a replay is asked for; `rate_hz` is that of frames that carry no time."""
+    """What a replay is asked for; `rate_hz` is that of frames that carry no time.
+
+    With `guessed` the car file was guessed from the same source, and is judged by what is seen with it.
+    """
 
     source: Path
     car_file: Path | None = None
@@ -47,6 +52,7 @@ class ReplayOptions:
     csv_file: Path | None = None
     video_file: Path | None = None
     rate_hz: float | None = None
+    guessed: bool = False
 
 
 def replay(options: ReplayOptions) -> list[dict[str, object]]:
@@ -101,6 +107,7 @@ def _replay(
     loop = make_loop(car)
     statuses: Counter[LaneStatus] = Counter()
     times_ms: list[float] = []
+    sample, widths_m = EvenSample(), []
     with contextlib.ExitStack() as files:
         files.callback(source.close)
         csv = files.enter_context(PosesCsv(csv_file)) if csv_file else None
@@ -108,24 +115,39 @@ def _replay(
         bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
         for frame, moved, state in frames_of(source, motion):
             if isinstance(frame, Frame):
-                _check_size(path, frame, car)
+                _check_size(path, frame, car, options.car_file)
+                sample.add(frame.image)
             start = time.perf_counter()
             tick = loop.tick(frame, moved, state, frame.t_ns)
             times_ms.append(1e3 * (time.perf_counter() - start))
             statuses[tick.estimate.status] += 1
+            if tick.estimate.status is LaneStatus.TRACKING and tick.estimate.pose is not None:
+                widths_m.append(tick.estimate.pose.width_m)
             if csv is not None:
                 csv.row(frame, tick.estimate, tick.command, times_ms[-1])
             paint(frame, tick)
             bar()
     if loop.warning:
         say(loop.warning)
+    seen, frames = statuses[LaneStatus.TRACKING] + statuses[LaneStatus.ONE_LINE], sum(statuses.values())
+    if sample.images and seen <= SELDOM * frames:
+        say(f"{path}: a line was followed in {seen} of {frames} frames: {why_lost(sample.images, car)}")
+    if options.guessed and not trustworthy(widths_m, frames, car):
+        say(DOUBTFUL)
     return _row(path, car, statuses, times_ms)
 
 
-def _check_size(path: Path, frame: Frame, car: CarConfig) -> None:
+def _check_size(path: Path, frame: Frame, car: CarConfig, car_file: Path | None) -> None:
     try:
         check_size(frame, car.camera)
     except SourceError as error:
+        if car_file is None and path.suffix.lower() != ".mcap":
+            height, width = frame.image.shape[:2]
+            raise SourceError(
+                f"{path}: frame {frame.index} has {width}x{height} pixels, and without --car the camera is the "
+                f"simulated car's of {car.camera.width_px}x{car.camera.height_px}; give a car.toml with --car, or "
+                f"let one be guessed: automodel replay {path} --guess"
+            ) from None
         raise SourceError(f"{path}: {error}, and give it with --car") from None
 
 

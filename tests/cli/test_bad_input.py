@@ -75,8 +75,15 @@ CASES = {  # arguments -> the line on stderr
     ".bmp, .webp, .tif, .tiff, .pgm, .ppm)",
     "replay mixed": "automodel: mixed/2.png: expected 640x360 pixels as in the other images, "
     "got 160x120; use one size per folder",
-    "replay small": "automodel: small: frame 0: expected 640x360 pixels (car.toml), "
-    "got 160x120; set [camera] width_px, height_px and the intrinsics for this source, and give it with --car",
+    "replay small": "automodel: small: frame 0 has 160x120 pixels, and without --car the camera is the simulated car's of "
+    "640x360; give a car.toml with --car, or let one be guessed: automodel replay small --guess",
+    "replay small --guess": "automodel: small: no car.toml can be guessed: images: expected 3 or more of a straight road, "
+    "got 1",
+    "replay small --guess --lane-width-m nan": "automodel replay: Invalid value for '--lane-width-m': expected a finite "
+    "number, got nan (see automodel replay --help)",
+    "replay small --lane-width-m 0.4": "automodel replay: --lane-width-m and --view-deg are for --guess; otherwise car.toml "
+    "says both (see automodel replay --help)",
+    "replay missing --guess": "automodel: missing: no such file or folder",
     "replay cutpng": "automodel: cutpng/0.png: the image is cut; replace or remove it",
     "replay mixed --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
     "replay mixed --motion missing.csv": "automodel: missing.csv: no such file",
