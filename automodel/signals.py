@@ -200,7 +200,9 @@ class VehicleState:
     """The state that a vehicle reports; None for a value that it does not report.
 
     `ranges_m`: ultrasonic ranges (left, centre, right) [m], None without an echo. `steering_rad` is the last angle sent
-    to the actuator. `faults` are names. `boot_id` changes whenever the vehicle's controller restarts.
+    to the actuator, or the measured one. `faults` are names. `boot_id` changes whenever the vehicle's controller
+    restarts. `engaged`: the vehicle follows our commands. `driver_override`: a person steers, brakes or accelerates.
+    `gear`: "P", "R", "N" or "D".
     """
 
     t_ns: int
@@ -212,6 +214,9 @@ class VehicleState:
     armed: bool = False
     faults: tuple[str, ...] = field(default=())
     boot_id: int | None = None
+    engaged: bool | None = None
+    driver_override: bool | None = None
+    gear: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @click.command("replay")
-@click.argument("source", type=FILE)
+@click.argument("source", type=FILE, required=False)
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the recording's own).")
 @click.option("--motion", "motion_file", type=FILE, help="motion.csv: t_s,speed_mps,yaw_rate_radps.")
 @click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="May be given several times.")
@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     callback=finite,
     help="--guess: the horizontal field of view of the camera.",
 )
+@click.option("--can", "can_log", type=FILE, help="A recorded CAN bus: its motion, beside SOURCE or alone.")
+@click.option("--dbc", type=FILE, multiple=True, help="--can: message definitions; may be given several times.")
+@click.option("--mapping", type=FILE, help="--can: car.toml whose [link.can] says what the signals are.")
+@click.option("--motion-csv", type=FILE, default=Path("motion.csv"), show_default=True, help="--can: written here.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(as_json: bool, guess: bool, lane_width_m: float | None, view_deg: float | None, **given: Any) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of images or a donkeycar tub (v2).
@@ -46,6 +50,8 @@ def command(as_json: bool, guess: bool, lane_width_m: float | None, view_deg: fl
     from automodel.assembly.replay import COLUMNS, ReplayOptions, replay
     from automodel.console.tables import show
 
+    if not _from_can(given, as_json):
+        return 0
     options = ReplayOptions(**given)
     if guess:
         options = _guessed(options)
@@ -72,3 +78,33 @@ def _guessed(options: ReplayOptions) -> ReplayOptions:
     name = options.source.resolve().stem
     video = options.video_file or Path(f"{name}.overlay.mp4")
     return dataclasses.replace(options, car_file=Path(f"{name}.car.toml"), video_file=video, guessed=True)
+
+
+def _from_can(given: dict[str, Any], as_json: bool) -> bool:
+    """Take the options of --can out of `given` and do what they ask for; whether there is a SOURCE to replay as well.
+
+    The motion of the bus then becomes that of the replay.
+    """
+    log, dbc, mapping, motion_csv = (given.pop(name) for name in ("can_log", "dbc", "mapping", "motion_csv"))
+    source, motion_file = given["source"], given["motion_file"]
+    if log is None:
+        if source is None:
+            raise click.UsageError("SOURCE is missing; without images give --can LOG")
+        if dbc or mapping is not None:
+            raise click.UsageError("--dbc and --mapping belong to --can LOG")
+        return True
+    if mapping is None:
+        raise click.UsageError("--can needs --mapping: a car.toml whose [link.can] says what the signals are")
+    if source is not None and motion_file is not None:
+        raise click.UsageError("--can and --motion: both tell the motion; give one")
+    from automodel.assembly.can_replay import BUS_COLUMNS, MESSAGE_COLUMNS, CanReplayOptions, replay_can
+    from automodel.console.tables import show_tables
+
+    inputs = {"--can": log, "--mapping": mapping, "SOURCE": source} | {f"--dbc {path}": path for path in dbc}
+    check_outputs({"--motion-csv": motion_csv}, inputs)
+    tables = replay_can(CanReplayOptions(log=log, mapping=mapping, dbc=dbc, motion_csv=motion_csv))
+    if source is None:
+        show_tables("replay", tables, as_json, {"bus": BUS_COLUMNS, "messages": MESSAGE_COLUMNS})
+        return False
+    given["motion_file"] = motion_csv
+    return True

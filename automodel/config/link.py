@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass, field
 
+from automodel.config.can import CanConfig
 from automodel.config.parts import LINKS
 from automodel.config.toml_reader import positive
 
@@ -81,6 +82,7 @@ class LinkConfig:
     servo: ServoConfig = field(default_factory=ServoConfig)
     motor: MotorConfig = field(default_factory=MotorConfig)
     autonomos: AutonomosConfig = field(default_factory=AutonomosConfig)
+    can: CanConfig = field(default_factory=CanConfig)
 
     def __post_init__(self) -> None:
         LINKS.check("kind", self.kind)

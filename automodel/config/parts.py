@@ -94,3 +94,26 @@ CAMERAS = PartKind(
     },
     methods=("read", "close"),
 )
+CAN_CHECKSUMS = PartKind(
+    kind="checksum",
+    key="[[link.can.receive]] checksum",
+    group="automodel.can_checksums",
+    targets={
+        name: f"firmware_link.can_checks:{name}"
+        for name in (
+            "autosar_e2e_1", "autosar_e2e_2", "toyota", "honda", "hyundai", "hyundai_crc8", "chrysler", "sum8", "xor8"
+        )
+    },
+    methods=(),
+)  # fmt: skip
+CAN_COUNTERS = PartKind(
+    kind="counter",
+    key="[[link.can.receive]] counter",
+    group="automodel.can_counters",
+    targets={
+        "rolling": "firmware_link.can_checks:rolling",
+        "autosar_e2e_1": "firmware_link.can_checks:rolling_to_14",
+        "autosar_e2e_2": "firmware_link.can_checks:rolling",
+    },
+    methods=(),
+)

@@ -1,0 +1,145 @@
+"""[link.can]: which signals of a CAN bus are the vehicle's state and which ones command it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from automodel.config.parts import CAN_CHECKSUMS, CAN_COUNTERS
+from automodel.config.toml_reader import one_of, positive
+
+TIMEOUT_PERIODS = 3.0  # a message that stayed away for so many of its periods is missing
+TIMEOUT_MAX_S = 0.1  # and at the latest after this: the budget from a fault to a stop is 150 ms
+
+STATE_VALUES = (  # what signals may tell
+    "speed_mps", "yaw_rate_radps", "steering_rad", "battery_v", "engaged",
+    "driver_torque_nm", "brake", "accelerator", "gear", "boot_id",
+)  # fmt: skip
+
+
+def _distinct(name: str, names: Iterable[str]) -> None:
+    seen: set[str] = set()
+    for one in names:
+        if one in seen:
+            raise ValueError(f"{name}: {one} is there twice")
+        seen.add(one)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanMessage:
+    """A message of the bus and how it is protected; every name is one of the DBC file.
+
+    `checksum` and `counter` name functions (empty: it has none). `checksum_signal` empty: the place that is usual for
+    that checksum. `data_id` is that of AUTOSAR's profiles, -1: the frame's identifier. `quality_signal` must have the
+    raw value `quality_ok`, otherwise what the message says is invalid.
+    """
+
+    name: str
+    period_s: float
+    checksum: str = ""
+    checksum_signal: str = ""
+    data_id: int = -1
+    counter: str = ""
+    counter_signal: str = ""
+    quality_signal: str = ""
+    quality_ok: int = 1
+
+    def __post_init__(self) -> None:
+        positive(self, "period_s")
+        if self.checksum:
+            CAN_CHECKSUMS.check("checksum", self.checksum)
+        elif self.checksum_signal:
+            raise ValueError(f"checksum: expected one of {', '.join(CAN_CHECKSUMS.names)}, got none")
+        if self.counter:
+            CAN_COUNTERS.check("counter", self.counter)
+        if bool(self.counter) != bool(self.counter_signal):
+            raise ValueError("counter: expected with counter_signal, both or neither")
+        if not -1 <= self.data_id <= 0xFFFF:
+            raise ValueError(f"data_id: expected 0 .. 65535, or -1 for the identifier, got {self.data_id}")
+
+    @property
+    def timeout_s(self) -> float:
+        """How long [s] the message may stay away."""
+        return min(TIMEOUT_PERIODS * self.period_s, TIMEOUT_MAX_S)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanValue:
+    """One signal's part in a value: `factor` times the signal, plus `offset`, in the value's unit.
+
+    Several entries of the same `value` add up; they must be in one message. A frame whose value lies outside of
+    `minimum` .. `maximum` is rejected. (The ranges of DBC files are often wrong, and are not used.)
+    """
+
+    value: str
+    message: str
+    signal: str
+    factor: float = 1.0
+    offset: float = 0.0
+    minimum: float = -1e9
+    maximum: float = 1e9
+
+    def __post_init__(self) -> None:
+        one_of("value", self.value, STATE_VALUES)
+        if self.factor == 0:
+            raise ValueError("factor: expected a number other than 0, got 0.0")
+        if not self.minimum < self.maximum:
+            raise ValueError(f"minimum: {self.minimum} is not below maximum")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanConfig:
+    """The bus and the mapping. The default mapping is that of `firmware_link/dbc/automodel.dbc`.
+
+    `dbc` are files of message definitions, read together; empty: our own. `steering_ratio`: steering wheel's angle over
+    road wheels' angle, where the bus carries the former; it divides `steering_rad`.
+    """
+
+    dbc: tuple[str, ...] = ()
+    steering_ratio: float = 1.0
+    receive: tuple[CanMessage, ...] = (
+        CanMessage(
+            name="AM_STATE",
+            period_s=0.01,
+            checksum="autosar_e2e_2",
+            counter="autosar_e2e_2",
+            counter_signal="STATE_COUNTER",
+            quality_signal="STATE_VALID",
+        ),
+        CanMessage(
+            name="AM_DRIVER",
+            period_s=0.02,
+            checksum="autosar_e2e_2",
+            counter="autosar_e2e_2",
+            counter_signal="DRIVER_COUNTER",
+        ),
+        CanMessage(
+            name="AM_HEARTBEAT",
+            period_s=0.02,
+            checksum="autosar_e2e_2",
+            counter="autosar_e2e_2",
+            counter_signal="HEARTBEAT_COUNTER",
+        ),
+    )
+    state: tuple[CanValue, ...] = (
+        CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0),
+        CanValue(value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0),
+        CanValue(value="steering_rad", message="AM_STATE", signal="STEERING", minimum=-1.0, maximum=1.0),
+        CanValue(value="engaged", message="AM_STATE", signal="ENGAGED"),
+        CanValue(value="driver_torque_nm", message="AM_DRIVER", signal="DRIVER_TORQUE"),
+        CanValue(value="brake", message="AM_DRIVER", signal="BRAKE_PRESSED"),
+        CanValue(value="accelerator", message="AM_DRIVER", signal="ACCELERATOR", minimum=0.0, maximum=1.0),
+        CanValue(value="gear", message="AM_DRIVER", signal="GEAR", minimum=0.0, maximum=3.0),
+        CanValue(value="boot_id", message="AM_HEARTBEAT", signal="BOOT_ID"),
+    )
+
+    def __post_init__(self) -> None:
+        positive(self, "steering_ratio")
+        _distinct("receive", (message.name for message in self.receive))
+        supervised = {message.name for message in self.receive}
+        place: dict[str, str] = {}
+        for part in self.state:
+            if part.message not in supervised:
+                raise ValueError(f"state: {part.value} is from {part.message}, which is not in receive")
+            if place.setdefault(part.value, part.message) != part.message:
+                raise ValueError(f"state: {part.value} is from two messages, {place[part.value]} and {part.message}")
