@@ -115,7 +115,7 @@ def _replay(
         bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
         for frame, moved, state in frames_of(source, motion):
             if isinstance(frame, Frame):
-                _check_size(path, frame, car, options.car_file)
+                check_frame_size(path, frame, car, options.car_file)
                 sample.add(frame.image)
             start = time.perf_counter()
             tick = loop.tick(frame, moved, state, frame.t_ns)
@@ -137,7 +137,8 @@ def _replay(
     return _row(path, car, statuses, times_ms)
 
 
-def _check_size(path: Path, frame: Frame, car: CarConfig, car_file: Path | None) -> None:
+def check_frame_size(path: Path, frame: Frame, car: CarConfig, car_file: Path | None) -> None:
+    """Raise SourceError, with what to do, unless the frame has the size of the car's camera."""
     try:
         check_size(frame, car.camera)
     except SourceError as error:

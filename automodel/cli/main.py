@@ -24,6 +24,7 @@ COMMANDS = {
     "init": "Write a commented car.toml for a kit.",
     "doctor": "Look at machine, camera, board and calibration, and say what to do.",
     "bench": "Measure accuracy, speed, latency and the reaction to faults.",
+    "report": "Runs as one page: map, plots, pipelines side by side, the worst moments.",
     "export": "A recording as CSV and video.",
     "recover": "Make a recording readable that was cut by a power loss.",
     "train": "Train the network that finds lane markings.",

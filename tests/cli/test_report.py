@@ -1,0 +1,67 @@
+"""`automodel report` from recorded runs and images to a page."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+def test_a_recorded_run_with_its_truth_and_another_pipeline(driven: Path, tmp_path: Path, cli) -> None:
+    page = tmp_path / "report.html"
+    truth = ["--truth", driven / "truth.csv", "--pipeline", "windows"]
+    said = cli("report", driven / "run.mcap", *truth, "--html", page, "--json")
+    assert said.code == 0, said.err
+    recorded, windows = said.rows
+    assert (recorded["pipeline"], windows["pipeline"]) == ("recorded", "windows")
+    assert recorded["frames"] == windows["frames"] == 120
+    assert windows["misled_pct"] == 0.0
+    assert windows["offset_mae_m"] < 0.02
+    assert windows["disagreement_p99_m"] < 0.05
+    text = page.read_text(encoding="utf-8")
+    assert text.count("data:image/jpeg") >= 2
+    assert "drifts" not in text  # the map is the truth's
+
+    part = cli("report", driven / "run.mcap", "--from", 0.5, "--to", 1.0, "--html", page, "--json")
+    assert part.rows[0]["frames"] == pytest.approx(31, abs=1)
+    assert "drifts" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said_line"),
+    [
+        ("run.mcap --html folder", "automodel: --html folder: is a folder; give the name of a file"),
+        ("run.mcap --html run.mcap", "automodel: --html run.mcap: is the same file as RUN 1; choose another name"),
+        ("missing.mcap --html x.html", "automodel: missing.mcap: no such file"),
+        (
+            "run.mcap --from 50 --html x.html",
+            "automodel: run.mcap: no frames between --from 50 and --to inf s",
+        ),
+        (
+            "run.mcap run.mcap --truth truth.csv --html x.html",
+            "automodel report: --truth and --motion belong to one RUN; give one (see automodel report --help)",
+        ),
+        (
+            "run.mcap --truth text.csv --html x.html",
+            "automodel: text.csv:2: expected numbers in frame,offset_m,x_m,y_m,t_s, as run --truth writes",
+        ),
+        ("run.mcap --truth folder --html x.html", "automodel: folder: cannot be read: Is a directory"),
+        (
+            "run.mcap --truth other.csv --html x.html",
+            "automodel: other.csv: has none of the run's frames; is it the truth.csv of another run?",
+        ),
+    ],
+)
+def test_what_is_wrong_is_one_line_and_writes_nothing(
+    arguments: str, said_line: str, driven: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(driven / "run.mcap", "run.mcap")
+    shutil.copy(driven / "truth.csv", "truth.csv")
+    Path("folder").mkdir()
+    Path("text.csv").write_text("frame,offset_m\nx,y\n")
+    Path("other.csv").write_text("t_s,frame,offset_m,x_m,y_m\n0,99999,0,0,0\n")
+    said = cli("report", *arguments.split())
+    assert (said.code, said.out, said.line()) == (2, "", said_line)
+    assert not Path("x.html").exists()
