@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import enum
 import importlib.resources
+import math
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from automodel.config import CanConfig, CanMessage, CanValue, ConfigError
+from automodel.config import CanConfig, CanMessage, CanSignal, ConfigError
 from firmware_link.can_checks import ChecksumFunction, CounterFunction, usual_mask
 
 WINDOW_FRAMES = 10  # a message is faulty with `BAD_MAX` bad frames among so many, until there is none among them
@@ -91,23 +92,65 @@ def load_dbc(paths: Sequence[str | Path]) -> Any:
     return cantools.database.Database(messages=messages, strict=False)
 
 
-class MessageReader:
-    """Checks and decodes the payloads of one message; a payload in, verdict and values out."""
+class ProtectedMessage:
+    """A message of the DBC with its checksum and counter; raises ConfigError where it has not the signals it needs."""
 
-    def __init__(self, definition: Any, message: CanMessage, values: Sequence[CanValue], functions: Functions) -> None:
-        self._definition = definition
+    def __init__(self, database: Any, message: CanMessage, signals: Sequence[str], functions: Functions) -> None:
+        self._definition = _definition(database, message, signals)
         self._message = message
-        self._values = values
-        self.frame_id: int = definition.frame_id
-        self.extended: bool = definition.is_extended_frame
-        self.length: int = definition.length
+        self.frame_id: int = self._definition.frame_id
+        self.extended: bool = self._definition.is_extended_frame
+        self.length: int = self._definition.length
         self._data_id = self.frame_id & 0xFFFF if message.data_id < 0 else message.data_id
         self._checksum = functions.checksums[message.checksum] if message.checksum else None
         if self._checksum is not None:
             self._mask, self._shift = self._checksum_place()
-        self.count_on = functions.counters[message.counter] if message.counter else None
+        self._count_on = functions.counters[message.counter] if message.counter else None
         if message.counter_signal:
-            self.counter_bits: int = definition.get_signal_by_name(message.counter_signal).length
+            self._counter_bits: int = self._definition.get_signal_by_name(message.counter_signal).length
+
+    def checksum_in(self, data: bytes) -> int:
+        """The checksum that a payload carries."""
+        return (int.from_bytes(data, "big") & self._mask) >> self._shift
+
+    def checksum_for(self, data: bytes) -> int:
+        """The checksum that a payload must carry."""
+        assert self._checksum is not None
+        blank = (int.from_bytes(data, "big") & ~self._mask).to_bytes(len(data), "big")
+        return self._checksum(self.frame_id, self._data_id, blank)
+
+    def sealed(self, data: bytes) -> bytes:
+        """The payload with the checksum that it must carry."""
+        if self._checksum is None:
+            return data
+        blank = int.from_bytes(data, "big") & ~self._mask
+        return (blank | self.checksum_for(data) << self._shift).to_bytes(len(data), "big")
+
+    def counted_on(self, counter: int) -> int:
+        """The counter after this one; the same where the message has none."""
+        return counter if self._count_on is None else self._count_on(counter, self._counter_bits)
+
+    def _checksum_place(self) -> tuple[int, int]:
+        name = self._message.checksum_signal
+        if not name:
+            return usual_mask(self._message.checksum, self.length)
+        signal = self._definition.get_signal_by_name(name)
+        if signal.byte_order == "big_endian":
+            last = 8 * (signal.start // 8) + 7 - signal.start % 8 + signal.length  # bits from the payload's first one
+        else:
+            last = 8 * (signal.start // 8) + 8 - signal.start % 8
+            if signal.start % 8 + signal.length > 8:
+                raise ConfigError(f"[link.can] checksum_signal {name}: crosses a byte in little-endian order")
+        shift = 8 * self.length - last
+        return ((1 << signal.length) - 1) << shift, shift
+
+
+class MessageReader(ProtectedMessage):
+    """Checks and decodes the payloads of one message; a payload in, verdict and values out."""
+
+    def __init__(self, database: Any, message: CanMessage, values: Sequence[CanSignal], functions: Functions) -> None:
+        super().__init__(database, message, [value.signal for value in values], functions)
+        self._values = values
 
     def verdict(self, data: bytes) -> tuple[Verdict, dict[str, float], int | None]:
         """What the payload is but for its counter; its values (none unless it is good) and its counter."""
@@ -131,30 +174,42 @@ class MessageReader:
                 return Verdict.RANGE, {}, counter
         return Verdict.GOOD, values, counter
 
-    def checksum_in(self, data: bytes) -> int:
-        """The checksum that a payload carries."""
-        number = int.from_bytes(data, "big") & self._mask
-        return number >> self._shift
 
-    def checksum_for(self, data: bytes) -> int:
-        """The checksum that a payload must carry."""
-        assert self._checksum is not None
-        blank = (int.from_bytes(data, "big") & ~self._mask).to_bytes(len(data), "big")
-        return self._checksum(self.frame_id, self._data_id, blank)
+class MessageWriter(ProtectedMessage):
+    """Encodes the payloads of one message: values in, a payload with counter and checksum out."""
 
-    def _checksum_place(self) -> tuple[int, int]:
-        name = self._message.checksum_signal
-        if not name:
-            return usual_mask(self._message.checksum, self.length)
-        signal = self._definition.get_signal_by_name(name)
-        if signal.byte_order == "big_endian":
-            last = 8 * (signal.start // 8) + 7 - signal.start % 8 + signal.length  # bits from the payload's first one
-        else:
-            last = 8 * (signal.start // 8) + 8 - signal.start % 8
-            if signal.start % 8 + signal.length > 8:
-                raise ConfigError(f"[link.can] checksum_signal {name}: crosses a byte in little-endian order")
-        shift = 8 * self.length - last
-        return ((1 << signal.length) - 1) << shift, shift
+    def __init__(self, database: Any, message: CanMessage, values: Sequence[CanSignal], functions: Functions) -> None:
+        super().__init__(database, message, [value.signal for value in values], functions)
+        self._values = values
+        self._signals = {signal.name: signal for signal in self._definition.signals}
+        self._counter, self._held = 0, False
+        self.name = message.name
+        self.period_ns = round(message.period_s * 1e9)
+
+    def hold_counter(self) -> None:
+        """Let the next payload have the counter of the last one."""
+        self._held = True
+
+    def payload(self, told: Mapping[str, float], valid: bool = True) -> bytes:
+        """The next payload; a value that is not in `told` is 0, one that is no number too; `valid`: its quality."""
+        raw = {name: int(signal.raw_initial or 0) for name, signal in self._signals.items()}
+        for value in self._values:
+            wanted = told.get(value.value, 0.0)
+            wanted = min(max(wanted, value.minimum), value.maximum) if math.isfinite(wanted) else 0.0
+            raw[value.signal] = self._raw(value.signal, (wanted - value.offset) / value.factor)
+        if self._message.counter_signal:
+            self._counter = self._counter if self._held else self.counted_on(self._counter)
+            raw[self._message.counter_signal], self._held = self._counter, False
+        if self._message.quality_signal:
+            raw[self._message.quality_signal] = self._message.quality_ok ^ (not valid)
+        return self.sealed(bytes(self._definition.encode(raw, scaling=False, strict=False)))
+
+    def _raw(self, name: str, physical: float) -> int:
+        signal = self._signals[name]
+        raw = round((physical - float(signal.offset)) / float(signal.scale))
+        bits = signal.length - signal.is_signed
+        lowest = -(1 << bits) if signal.is_signed else 0
+        return min(max(raw, lowest), (1 << bits) - 1)
 
 
 class MessageWatch:
@@ -211,9 +266,7 @@ class MessageWatch:
         return "unseen" if self.good_ns is None else None
 
     def _counted(self, counter: int) -> bool:
-        if self._counter is None or self._reader.count_on is None:
-            return True
-        return counter == self._reader.count_on(self._counter, self._reader.counter_bits)
+        return self._counter is None or counter == self._reader.counted_on(self._counter)
 
     def _judge(self, verdict: Verdict) -> None:
         self._recent.append(verdict is not Verdict.GOOD)
@@ -236,8 +289,7 @@ class CanReceiver:
         self.watches: dict[tuple[int, bool], MessageWatch] = {}
         for message in config.receive:
             values = [value for value in config.state if value.message == message.name]
-            definition = _definition(database, message, values)
-            reader = MessageReader(definition, message, values, functions)
+            reader = MessageReader(database, message, values, functions)
             key = (reader.frame_id, reader.extended)
             if key in self.watches:
                 raise ConfigError(f"[link.can] receive: {message.name} has the identifier of another message")
@@ -266,7 +318,7 @@ class CanReceiver:
         return Snapshot(t_ns=oldest_ns, values=values, faults=tuple(faults))
 
 
-def _definition(database: Any, message: CanMessage, values: Sequence[CanValue]) -> Any:
+def _definition(database: Any, message: CanMessage, signals: Sequence[str]) -> Any:
     """The DBC's definition of a message, which must have all signals that the mapping names."""
     try:
         definition = database.get_message_by_name(message.name)
@@ -275,7 +327,7 @@ def _definition(database: Any, message: CanMessage, values: Sequence[CanValue]) 
             f"[link.can] receive: there is no message {message.name} in the DBC files; see [link.can] dbc, or --dbc"
         ) from None
     known = {signal.name for signal in definition.signals}
-    named = [message.checksum_signal, message.counter_signal, message.quality_signal, *(v.signal for v in values)]
+    named = [message.checksum_signal, message.counter_signal, message.quality_signal, *signals]
     for signal in named:
         if signal and signal not in known:
             names = ", ".join(sorted(known))

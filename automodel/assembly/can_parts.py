@@ -10,8 +10,9 @@ from firmware_link.can_receiver import Functions
 
 def can_functions(config: CanConfig) -> Functions:
     """The checksum and counter functions of all messages; raises ConfigError where one cannot be imported."""
-    checksums = {message.checksum for message in config.receive if message.checksum}
-    counters = {message.counter for message in config.receive if message.counter}
+    messages = (*config.receive, *config.send)
+    checksums = {message.checksum for message in messages if message.checksum}
+    counters = {message.counter for message in messages if message.counter}
     return Functions(
         checksums={name: find_part(CAN_CHECKSUMS, name) for name in checksums},
         counters={name: find_part(CAN_COUNTERS, name) for name in counters},

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
-from automodel.config.can import CanConfig, CanMessage, CanValue
+from automodel.config.can import CanCommand, CanConfig, CanMessage, CanSignal, CanValue
 from automodel.config.link import AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
 from automodel.config.parts import CONTROLLERS, PIPELINES
 from automodel.config.pipelines import CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
@@ -32,8 +32,10 @@ __all__ = [
     "CalibrationRecord",
     "CalibrationRecords",
     "CameraConfig",
+    "CanCommand",
     "CanConfig",
     "CanMessage",
+    "CanSignal",
     "CanValue",
     "CarConfig",
     "CenterlineConfig",

@@ -16,6 +16,8 @@ STATE_VALUES = (  # what signals may tell
     "driver_torque_nm", "brake", "accelerator", "gear", "boot_id",
 )  # fmt: skip
 
+COMMAND_VALUES = ("enable", "steering_rad", "speed_mps", "accel_mps2")  # what a command may be told as
+
 
 def _distinct(name: str, names: Iterable[str]) -> None:
     seen: set[str] = set()
@@ -64,12 +66,8 @@ class CanMessage:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CanValue:
-    """One signal's part in a value: `factor` times the signal, plus `offset`, in the value's unit.
-
-    Several entries of the same `value` add up; they must be in one message. A frame whose value lies outside of
-    `minimum` .. `maximum` is rejected. (The ranges of DBC files are often wrong, and are not used.)
-    """
+class CanSignal:
+    """One signal's part in a value: `factor` times the signal, plus `offset`, in the value's unit."""
 
     value: str
     message: str
@@ -80,7 +78,6 @@ class CanValue:
     maximum: float = 1e9
 
     def __post_init__(self) -> None:
-        one_of("value", self.value, STATE_VALUES)
         if self.factor == 0:
             raise ValueError("factor: expected a number other than 0, got 0.0")
         if not self.minimum < self.maximum:
@@ -88,15 +85,49 @@ class CanValue:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CanValue(CanSignal):
+    """A signal that tells a value of the vehicle.
+
+    Several entries of the same `value` add up; they must be in one message. A frame whose value lies outside of
+    `minimum` .. `maximum` is rejected. (The ranges of DBC files are often wrong, and are not used.)
+    """
+
+    def __post_init__(self) -> None:
+        CanSignal.__post_init__(self)
+        one_of("value", self.value, STATE_VALUES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanCommand(CanSignal):
+    """A signal that carries a part of the command, clipped to `minimum` .. `maximum`.
+
+    `enable` is 1 while the vehicle shall follow. `accel_mps2` is what brings the car to the wanted speed.
+    """
+
+    def __post_init__(self) -> None:
+        CanSignal.__post_init__(self)
+        one_of("value", self.value, COMMAND_VALUES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class CanConfig:
     """The bus and the mapping. The default mapping is that of `firmware_link/dbc/automodel.dbc`.
 
-    `dbc` are files of message definitions, read together; empty: our own. `steering_ratio`: steering wheel's angle over
-    road wheels' angle, where the bus carries the former; it divides `steering_rad`.
+    `interface` is one of python-can's; its channel is `[link] port`. `dbc` are files of message definitions, read
+    together; empty: our own. `steering_ratio`: steering wheel's angle over road wheels' angle, where the bus carries
+    the former; it divides `steering_rad` that is read and multiplies the one that is sent.
     """
 
+    interface: str = "socketcan"
+    bitrate: int = 500_000
     dbc: tuple[str, ...] = ()
     steering_ratio: float = 1.0
+    override_torque_nm: float = 3.0  # of the driver's hands; below it they rest, above it they steer
+    override_accelerator: float = 0.05  # share of the pedal's travel; its sensor's play is about 0.02
+    gears: tuple[str, ...] = ("P", "R", "N", "D")  # names of the gear signal's raw values, from 0; drives in "D" only
+    accel_gain_per_s: float = 0.8  # acceleration per speed that is missing; the vehicle's own lag is about 0.3 s
+    accel_max_mps2: float = 2.0  # ISO 15622:2018, 6.3: adaptive cruise control above 20 m/s
+    decel_max_mps2: float = 3.5  # likewise
     receive: tuple[CanMessage, ...] = (
         CanMessage(
             name="AM_STATE",
@@ -121,6 +152,21 @@ class CanConfig:
             counter_signal="HEARTBEAT_COUNTER",
         ),
     )
+    send: tuple[CanMessage, ...] = (
+        CanMessage(
+            name="AM_COMMAND",
+            period_s=0.02,
+            checksum="autosar_e2e_2",
+            counter="autosar_e2e_2",
+            counter_signal="COMMAND_COUNTER",
+        ),
+    )
+    command: tuple[CanCommand, ...] = (
+        CanCommand(value="enable", message="AM_COMMAND", signal="ENABLE"),
+        CanCommand(value="steering_rad", message="AM_COMMAND", signal="STEERING_REQUEST"),
+        CanCommand(value="speed_mps", message="AM_COMMAND", signal="SPEED_REQUEST"),
+        CanCommand(value="accel_mps2", message="AM_COMMAND", signal="ACCELERATION_REQUEST"),
+    )
     state: tuple[CanValue, ...] = (
         CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0),
         CanValue(value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0),
@@ -134,8 +180,10 @@ class CanConfig:
     )
 
     def __post_init__(self) -> None:
-        positive(self, "steering_ratio")
+        positive(self, "steering_ratio", "bitrate", "override_torque_nm", "override_accelerator")
+        positive(self, "accel_gain_per_s", "accel_max_mps2", "decel_max_mps2")
         _distinct("receive", (message.name for message in self.receive))
+        _distinct("send", (message.name for message in (*self.receive, *self.send)))
         supervised = {message.name for message in self.receive}
         place: dict[str, str] = {}
         for part in self.state:
@@ -143,3 +191,7 @@ class CanConfig:
                 raise ValueError(f"state: {part.value} is from {part.message}, which is not in receive")
             if place.setdefault(part.value, part.message) != part.message:
                 raise ValueError(f"state: {part.value} is from two messages, {place[part.value]} and {part.message}")
+        sent = {message.name for message in self.send}
+        for signal in self.command:
+            if signal.message not in sent:
+                raise ValueError(f"command: {signal.value} goes into {signal.message}, which is not in send")

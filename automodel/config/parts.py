@@ -81,6 +81,7 @@ LINKS = PartKind(
     targets={
         "arduino": "automodel.assembly.links:arduino_link",
         "autonomos": "automodel.assembly.links:autonomos_link",
+        "can": "automodel.assembly.links:can_link",
     },
     methods=("open", "poll", "send", "arm", "disarm", "close"),
 )

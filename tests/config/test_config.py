@@ -189,6 +189,7 @@ def test_units_are_in_every_name() -> None:
         "_per_m",
         "_per_s",
         "_lanes",
+        "_nm",
     )
     plain = {
         "device",
@@ -201,7 +202,17 @@ def test_units_are_in_every_name() -> None:
         "view_half_lanes",
     }
     plain |= {"one_line_speed", "coasting_speed", "uncertain_speed"}
-    plain |= {"dbc", "steering_ratio", "receive", "state"}
+    plain |= {
+        "dbc",
+        "steering_ratio",
+        "receive",
+        "state",
+        "send",
+        "command",
+        "gears",
+        "bitrate",
+        "override_accelerator",
+    }
     plain |= {"providers", "threads", "threshold", "nodes"}
     for path, value in leaves(CarConfig()):
         if isinstance(value, float | int | tuple) and not isinstance(value, bool):

@@ -1,0 +1,285 @@
+"""A full-size vehicle behind a CAN bus as a `VehicleLink`: supervised state in, limited commands out."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from automodel.config import CanConfig, CanMessage, ConfigError, VehicleConfig
+from automodel.signals import Command, VehicleState
+from firmware_link.can_limits import acceleration_mps2, limited_steering_rad
+from firmware_link.can_port import BusTrouble, CanPort, WhitelistedPort
+from firmware_link.can_receiver import CanReceiver, Functions, MessageWriter, Snapshot
+from firmware_link.errors import HandshakeError, LinkError, PortLost
+
+_MS = 1_000_000
+HELLO_TIMEOUT_NS = 5_000 * _MS  # a vehicle that was just switched on needs seconds
+ARM_NS = 300 * _MS  # the vehicle's time to engage
+VALID_NS = 100 * _MS  # no command is valid for longer
+ERRORS_MAX = (
+    3  # error frames in `ERRORS_NS` that are a fault: one or two are a disturbance, a wrong bit rate sends many
+)
+ERRORS_NS = 100 * _MS
+EARLY_SHARE = 0.25  # of a period: a loop of the same rate that comes a little early sends, and keeps the rate
+OVERDUE_SHARE = -0.25  # without a new command the last one is repeated that much after its time
+NEEDED = ("speed_mps", "steering_rad")  # without these no command can be limited
+
+
+@dataclass(slots=True)
+class _Session:
+    """The state since the bus was joined."""
+
+    opened_ns: int | None = None
+    ready: bool = False  # every supervised message has been seen and was good
+    snapshot: Snapshot = field(default_factory=lambda: Snapshot(t_ns=None, values={}, faults=()))
+    heard_ns: int = 0  # the newest time of a valid state
+    errors_ns: deque[int] = field(default_factory=deque)
+    wants_armed: bool = False
+    armed: bool = False
+    arm_ns: int = 0
+    latched: list[str] = field(default_factory=list)  # why it was disarmed, until it is armed again
+    command: Command | None = None
+    command_ns: int = 0  # when it was given
+    steering_rad: float = 0.0  # as it was sent last
+    sent_ns: int | None = None
+    due_ns: dict[str, int] = field(default_factory=dict)  # message: when it is to be sent next
+
+
+class CanLink:
+    """The vehicle of a CAN mapping.
+
+    - Messages go out in their period, from `send`, or from `poll` where no command came in time: a loop that hangs
+      sends nothing, and no timer or thread sends for it. A command is valid for 100 ms at most; expired, it disarms.
+    - While the vehicle is not armed, messages are sent with enable 0 and the measured steering angle, so that nothing
+      jumps when it is engaged.
+    - Armed means that a person asked for it, the vehicle says that it is engaged (where it can), and nothing is wrong:
+      every supervised message valid, no error on the bus, no hand or foot of the driver, gear D. Whatever of this ends
+      also ends the arming, in the same `poll`, until `arm` is called again. `VehicleState.faults` tells the cause.
+    - Steering obeys `can_limits` by the measured speed, the speed is reached by a limited acceleration.
+
+    After a LinkError (bus-off, full queue) call `close`, then `open` until it succeeds; the car stays disarmed.
+    """
+
+    def __init__(
+        self, port: CanPort, database: Any, config: CanConfig, vehicle: VehicleConfig, functions: Functions
+    ) -> None:
+        self._database, self._config, self._functions = database, config, functions
+        self._wheelbase_m = vehicle.wheelbase_m
+        told = {value.value for value in config.state}
+        missing = [name for name in NEEDED if name not in told]
+        if missing:
+            raise ConfigError(f"[link.can] state: {missing[0]} is missing; no command can be limited without it")
+        if not {"enable", "steering_rad"} <= {value.value for value in config.command}:
+            raise ConfigError("[link.can] command: expected at least enable and steering_rad")
+        self._writers = [self._writer(message) for message in config.send]
+        self._own = {(writer.frame_id, writer.extended) for writer in self._writers}
+        if self._own & self._receiver().watches.keys():
+            raise ConfigError("[link.can] send: a message has the identifier of one that is received")
+        allowed = frozenset((writer.frame_id, writer.extended, writer.length) for writer in self._writers)
+        self._port = WhitelistedPort(port, allowed)
+        self._supervision = self._receiver()
+        self._session: _Session | None = None
+
+    def _receiver(self) -> CanReceiver:
+        return CanReceiver(self._database, self._config, self._functions)
+
+    def _writer(self, message: CanMessage) -> MessageWriter:
+        values = [value for value in self._config.command if value.message == message.name]
+        return MessageWriter(self._database, message, values, self._functions)
+
+    def open(self) -> None:
+        """Join the bus; raises LinkError."""
+        self._session = None
+        self._port.open()
+        self._supervision = self._receiver()
+        self._session = _Session()
+
+    def poll(self, now_ns: int) -> VehicleState | None:
+        """Judge what has come, and send what is due; None until every supervised message has been good."""
+        session = self._live()
+        if session.opened_ns is None:
+            session.opened_ns = now_ns
+        self._hear(session, now_ns)
+        if not session.ready:
+            return None
+        self._judge(session, now_ns)
+        self._transmit(session, now_ns, OVERDUE_SHARE)
+        return self._state(session)
+
+    def send(self, command: Command, now_ns: int) -> None:
+        """Take over a command and send it when its message is due; ignored while `poll` still gives None."""
+        session = self._live()
+        if session.ready and now_ns <= command.valid_until_ns:
+            session.command, session.command_ns = command, now_ns
+            self._transmit(session, now_ns, EARLY_SHARE)
+
+    def arm(self, now_ns: int) -> None:
+        """Ask the vehicle to follow; ignored where something is wrong or a person drives."""
+        session = self._live()
+        if not session.ready or session.wants_armed:
+            return
+        session.latched.clear()
+        fault = self._fault(session, now_ns)
+        if fault is not None:
+            session.latched.append(fault)
+            return
+        session.wants_armed, session.arm_ns = True, now_ns
+        session.steering_rad = session.snapshot.values["steering_rad"]
+        session.command, session.sent_ns = None, now_ns
+
+    def disarm(self, now_ns: int) -> None:
+        """Let the vehicle go at once."""
+        session = self._live()
+        self._let_go(session)
+        if session.ready:
+            self._transmit(session, now_ns, math.inf)
+
+    def close(self) -> None:
+        """Let the vehicle go if the bus allows it, and leave the bus."""
+        session, self._session = self._session, None
+        if session is not None and session.ready:
+            self._let_go(session)
+            with contextlib.suppress(LinkError):
+                self._transmit(session, session.heard_ns, math.inf)
+        self._port.close()
+
+    def _live(self) -> _Session:
+        if self._session is None:
+            raise PortLost(f"{self._port.place}: not open")
+        return self._session
+
+    def _hear(self, session: _Session, now_ns: int) -> None:
+        received = self._port.receive(now_ns)
+        if BusTrouble.OFF in received.troubles:
+            self._let_go(session)
+            raise PortLost(f"{self._port.place}: the controller has left the bus (bus-off); look at wires and bit rate")
+        for trouble in received.troubles:
+            session.errors_ns.extend([now_ns] * (ERRORS_MAX if trouble is BusTrouble.PASSIVE else 1))
+        while session.errors_ns and now_ns - session.errors_ns[0] > ERRORS_NS:
+            session.errors_ns.popleft()
+        for frame in received.frames:
+            if (frame.frame_id, frame.extended) in self._own:
+                self._end(session, "can_second_sender")
+            self._supervision.take(frame)
+            if session.wants_armed and self._overridden(self._supervision.snapshot(frame.t_ns).values):
+                self._end(session, "driver_override")  # also where the driver has let go before the loop looked
+        session.snapshot = self._supervision.snapshot(now_ns)
+        if session.snapshot.t_ns is not None and not session.snapshot.faults:
+            session.ready = True
+            session.heard_ns = max(session.heard_ns, session.snapshot.t_ns)
+        elif not session.ready and now_ns - (session.opened_ns or 0) > HELLO_TIMEOUT_NS:
+            missing = ", ".join(fault.partition(":")[2] for fault in session.snapshot.faults)
+            raise HandshakeError(
+                f"{self._port.place}: nothing valid of {missing}; look at [link.can], dbc and bit rate"
+            )
+
+    def _judge(self, session: _Session, now_ns: int) -> None:
+        """End the arming where anything is wrong."""
+        fault = self._fault(session, now_ns)
+        if fault is not None:
+            self._end(session, fault)
+        engaged = session.snapshot.values.get("engaged")
+        if session.wants_armed and not session.armed:
+            session.armed = engaged is None or engaged != 0
+            if not session.armed and now_ns - session.arm_ns > ARM_NS:
+                self._end(session, "not_engaged")
+        elif session.armed and engaged == 0:
+            self._end(session, "disengaged")
+        given_ns = session.arm_ns if session.command is None else session.command_ns
+        until_ns = given_ns + VALID_NS
+        if session.command is not None:
+            until_ns = min(until_ns, session.command.valid_until_ns)
+        if session.armed and now_ns > until_ns and now_ns - session.arm_ns > VALID_NS:
+            self._end(session, "command_timeout")
+
+    def _fault(self, session: _Session, now_ns: int) -> str | None:
+        """Why the vehicle must not be commanded now."""
+        if session.snapshot.faults:
+            return session.snapshot.faults[0]
+        if len(session.errors_ns) >= ERRORS_MAX:
+            return "can_bus_errors"
+        return "driver_override" if self._overridden(session.snapshot.values) else None
+
+    def _overridden(self, values: Mapping[str, float]) -> bool:
+        config = self._config
+        gear = self._gear(values)
+        return (
+            abs(values.get("driver_torque_nm", 0.0)) > config.override_torque_nm
+            or values.get("brake", 0.0) != 0
+            or values.get("accelerator", 0.0) > config.override_accelerator
+            or (gear is not None and gear != "D")
+        )
+
+    def _gear(self, values: Mapping[str, float]) -> str | None:
+        if "gear" not in values:
+            return None
+        index = round(values["gear"])
+        return self._config.gears[index] if 0 <= index < len(self._config.gears) else "?"
+
+    def _end(self, session: _Session, fault: str) -> None:
+        if session.wants_armed and fault not in session.latched:
+            session.latched.append(fault)
+        self._let_go(session)
+
+    def _let_go(self, session: _Session) -> None:
+        if session.wants_armed:
+            session.due_ns.clear()  # tell it at once
+        session.wants_armed = session.armed = False
+        session.command = None
+
+    def _transmit(self, session: _Session, now_ns: int, share: float) -> None:
+        """Send the messages that are due in at most `share` of their period (below 0: since so long)."""
+        due = [w for w in self._writers if now_ns >= session.due_ns.get(w.name, now_ns) - share * w.period_ns]
+        if not due:
+            return
+        intent = self._intent(session, now_ns)
+        told = {**intent, "steering_rad": intent["steering_rad"] * self._config.steering_ratio}
+        for writer in due:
+            self._port.send(writer.frame_id, writer.payload(told), writer.extended)
+            due_ns = session.due_ns.get(writer.name, now_ns)
+            late = abs(now_ns - due_ns) > writer.period_ns
+            session.due_ns[writer.name] = (now_ns if late else due_ns) + writer.period_ns
+        session.steering_rad, session.sent_ns = intent["steering_rad"], now_ns
+
+    def _intent(self, session: _Session, now_ns: int) -> dict[str, float]:
+        """What is asked of the vehicle now."""
+        values = session.snapshot.values
+        measured_rad, measured_mps = values.get("steering_rad"), values.get("speed_mps")
+        if not session.wants_armed or measured_rad is None or measured_mps is None:
+            following_rad = session.steering_rad if measured_rad is None else measured_rad
+            return {"enable": 0.0, "steering_rad": following_rad, "speed_mps": max(measured_mps or 0.0, 0.0)}
+        command, config = session.command, self._config
+        dt_s = 0.0 if session.sent_ns is None else (now_ns - session.sent_ns) * 1e-9
+        wanted_rad = session.steering_rad if command is None else command.steering_rad
+        wanted_mps = measured_mps if command is None else command.speed_mps
+        return {
+            "enable": 1.0,
+            "steering_rad": limited_steering_rad(
+                wanted_rad, session.steering_rad, measured_mps, dt_s, self._wheelbase_m
+            ),
+            "speed_mps": max(wanted_mps, 0.0) if math.isfinite(wanted_mps) else 0.0,
+            "accel_mps2": acceleration_mps2(
+                wanted_mps, measured_mps, config.accel_gain_per_s, config.accel_max_mps2, config.decel_max_mps2
+            ),
+        }
+
+    def _state(self, session: _Session) -> VehicleState:
+        values = session.snapshot.values
+        engaged, boot_id = values.get("engaged"), values.get("boot_id")
+        return VehicleState(
+            t_ns=session.heard_ns,
+            speed_mps=values.get("speed_mps"),
+            yaw_rate_radps=values.get("yaw_rate_radps"),
+            steering_rad=values.get("steering_rad"),
+            battery_v=values.get("battery_v"),
+            armed=session.armed,
+            faults=tuple(dict.fromkeys((*session.latched, *session.snapshot.faults))),
+            boot_id=None if boot_id is None else round(boot_id),
+            engaged=None if engaged is None else engaged != 0,
+            driver_override=self._overridden(values),
+            gear=self._gear(values),
+        )

@@ -1,0 +1,424 @@
+"""The CAN link against the emulated vehicle, in virtual time: it drives, and lets go of the car whatever goes wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+
+import pytest
+
+from automodel.assembly.can_parts import can_functions
+from automodel.config import CanConfig, ConfigError, VehicleConfig
+from automodel.signals import Command, VehicleState
+from firmware_link.can_limits import (
+    BANK_TOLERANCE_MPS2,
+    LATERAL_ACCEL_MAX_MPS2,
+    LATERAL_JERK_MAX_MPS3,
+    lateral_accel_mps2,
+)
+from firmware_link.can_link import CanLink
+from firmware_link.can_port import BusTrouble, PythonCanPort, WhitelistedPort, trouble_of
+from firmware_link.can_receiver import CanFrame, Verdict, load_dbc
+from firmware_link.emulator.can_vehicle import BodyState, EmulatedCanVehicle, MemoryCanPort
+from firmware_link.errors import HandshakeError, LinkError, PortLost, PortNotFound
+
+MS = 1_000_000
+PERIOD_NS = 20 * MS
+VEHICLE = VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8)
+CONFIG = CanConfig()
+
+
+class Body:
+    """Steers at once, and integrates the acceleration."""
+
+    def __init__(self) -> None:
+        self.t_ns = 0
+        self.speed_mps, self.steering_rad, self.accel_mps2 = 15.0, 0.0, 0.0
+        self.steered = True
+
+    def drive(self, t_ns: int, steering_rad: float | None, accel_mps2: float) -> None:
+        self.speed_mps = max(self.speed_mps + self.accel_mps2 * (t_ns - self.t_ns) * 1e-9, 0.0)
+        self.t_ns, self.accel_mps2 = t_ns, accel_mps2
+        self.steered = steering_rad is not None
+        if steering_rad is not None:
+            self.steering_rad = steering_rad
+
+    def measure(self, t_ns: int) -> BodyState:
+        yaw = self.speed_mps * math.tan(self.steering_rad) / VEHICLE.wheelbase_m
+        return BodyState(speed_mps=self.speed_mps, yaw_rate_radps=yaw, steering_rad=self.steering_rad)
+
+
+class Rig:
+    """Link and vehicle on one virtual clock, and a loop of 50 Hz."""
+
+    def __init__(self, config: CanConfig = CONFIG) -> None:
+        self.t_ns = 0
+        self.body = Body()
+        database, functions = load_dbc(config.dbc), can_functions(config)
+        self.vehicle = EmulatedCanVehicle(self.body, database, config, functions)
+        self.link = CanLink(MemoryCanPort(self.vehicle, self), database, config, VEHICLE, functions)
+        self.states: list[VehicleState | None] = []
+
+    def now_ns(self) -> int:
+        return self.t_ns
+
+    def cycle(self, steering_rad: float | None = 0.0, speed_mps: float = 15.0) -> VehicleState | None:
+        """A cycle of the loop; without an angle no command is given."""
+        self.t_ns += PERIOD_NS
+        state = self.link.poll(self.t_ns)
+        if steering_rad is not None:
+            until_ns = self.t_ns + 100 * MS
+            command = Command(t_ns=self.t_ns, steering_rad=steering_rad, speed_mps=speed_mps, valid_until_ns=until_ns)
+            self.link.send(command, self.t_ns)
+        self.states.append(state)
+        return state
+
+    def driving(self, steering_rad: float = 0.0, speed_mps: float = 15.0) -> Rig:
+        """Armed and followed."""
+        self.link.open()
+        for _ in range(5):
+            self.cycle()
+        self.link.arm(self.t_ns)
+        for _ in range(10):
+            state = self.cycle(steering_rad, speed_mps)
+        assert state is not None
+        assert state.armed, state
+        assert self.vehicle.engaged
+        return self
+
+    def until_disarmed(self, **command: float) -> tuple[int, VehicleState]:
+        """How long it took until the link let go [ns], and the state."""
+        start_ns = self.t_ns
+        for _ in range(50):
+            state = self.cycle(**command)
+            assert state is not None
+            if not state.armed:
+                return self.t_ns - start_ns, state
+        raise AssertionError("still armed")
+
+
+def test_nothing_is_known_before_every_message_has_come() -> None:
+    rig = Rig()
+    rig.vehicle.wrong.missing.add("AM_DRIVER")
+    rig.link.open()
+    assert [rig.cycle() for _ in range(10)] == [None] * 10
+    assert rig.vehicle.verdicts.total() == 0, "nothing is sent to a vehicle that is not understood"
+    rig.vehicle.wrong.missing.clear()
+    rig.cycle()
+    assert rig.cycle() is not None
+
+
+def test_a_bus_without_the_vehicle_is_a_handshake_error() -> None:
+    rig = Rig()
+    rig.vehicle.wrong.missing.update(message.name for message in CONFIG.receive)
+    rig.link.open()
+    for _ in range(250):
+        assert rig.cycle() is None
+    rig.t_ns += 100 * MS
+    with pytest.raises(HandshakeError, match="nothing valid of AM_STATE, AM_DRIVER, AM_HEARTBEAT"):
+        rig.cycle()
+
+
+def test_the_state_is_the_vehicle_s() -> None:
+    rig = Rig()
+    rig.body.steering_rad = 0.03
+    rig.link.open()
+    for _ in range(3):
+        state = rig.cycle()
+    assert state is not None
+    assert state.speed_mps == pytest.approx(rig.body.speed_mps, abs=0.1)
+    assert state.steering_rad == pytest.approx(0.03, abs=1e-4)
+    assert (state.armed, state.engaged, state.driver_override, state.gear) == (False, False, False, "D")
+    assert (state.boot_id, state.faults) == (1, ())
+
+
+def test_disengaged_the_command_follows_the_measured_angle() -> None:
+    rig = Rig()
+    rig.link.open()
+    for index in range(20):
+        rig.body.steering_rad = 0.01 * math.sin(index)
+        rig.cycle(0.3)
+    assert not any(told["enable"] for _, told in rig.vehicle.accepted)
+    assert abs(rig.vehicle.accepted[-1][1]["steering_rad"] - 0.01 * math.sin(19)) < 1e-3
+    rig.body.steering_rad = 0.02
+    rig.cycle()
+    rig.link.arm(rig.t_ns)
+    for _ in range(5):
+        rig.cycle(0.02)
+    angles = [told["steering_rad"] for _, told in rig.vehicle.accepted if told["enable"]]
+    assert angles
+    assert angles[0] == pytest.approx(0.02, abs=1e-4), "the first command is where the wheels are"
+
+
+def test_it_drives_once_armed_and_sends_at_50_hz() -> None:
+    rig = Rig().driving(0.005, 15.0)
+    assert rig.body.steering_rad == pytest.approx(0.005, abs=1e-3)
+    start = len(rig.vehicle.accepted)
+    for _ in range(50):
+        rig.cycle(0.005, 16.0)
+    times = [t_ns for t_ns, _ in rig.vehicle.accepted[start:]]
+    assert len(times) == 50
+    assert {b - a for a, b in itertools.pairwise(times)} == {PERIOD_NS}
+    assert set(rig.vehicle.verdicts) == {Verdict.GOOD}
+    assert rig.vehicle.unknown == 0
+    assert rig.body.speed_mps > 15.3
+
+
+@pytest.mark.parametrize("speed_mps", [5.0, 15.0, 30.0])
+def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
+    rig = Rig().driving()
+    start = len(rig.vehicle.accepted)
+    for index in range(200):
+        rig.body.speed_mps, rig.body.accel_mps2 = speed_mps, 0.0
+        rig.cycle(0.5 if index % 80 < 40 else -0.5, speed_mps)
+    angles = [told["steering_rad"] for _, told in rig.vehicle.accepted[start + 1 :]]
+    accels = [lateral_accel_mps2(angle, speed_mps, VEHICLE.wheelbase_m) for angle in angles]
+    resolution = 2 * lateral_accel_mps2(0.00005, speed_mps, VEHICLE.wheelbase_m)  # of the signals, and of the speed
+    assert max(map(abs, accels)) <= LATERAL_ACCEL_MAX_MPS2 - BANK_TOLERANCE_MPS2 + resolution
+    steps = [abs(b - a) for a, b in itertools.pairwise(accels)]
+    assert max(steps) <= LATERAL_JERK_MAX_MPS3 * 0.02 + 2 * resolution
+    assert max(map(abs, accels)) > 1.0
+
+
+FAULTS: dict[str, tuple[Callable[[Rig], None], str]] = {
+    "state missing": (lambda rig: rig.vehicle.wrong.missing.add("AM_STATE"), "can_timeout:AM_STATE"),
+    "driver missing": (lambda rig: rig.vehicle.wrong.missing.add("AM_DRIVER"), "can_timeout:AM_DRIVER"),
+    "heartbeat missing": (lambda rig: rig.vehicle.wrong.missing.add("AM_HEARTBEAT"), "can_timeout:AM_HEARTBEAT"),
+    "stuck counter": (lambda rig: rig.vehicle.wrong.stuck_counter.add("AM_STATE"), "can_counter:AM_STATE"),
+    "stuck counter of a slow one": (
+        lambda rig: rig.vehicle.wrong.stuck_counter.add("AM_DRIVER"), "can_counter:AM_DRIVER",
+    ),
+    "bad checksum": (lambda rig: rig.vehicle.wrong.bad_checksum.add("AM_STATE"), "can_checksum:AM_STATE"),
+    "short": (lambda rig: rig.vehicle.wrong.longer_by.update(AM_STATE=-1), "can_length:AM_STATE"),
+    "long": (lambda rig: rig.vehicle.wrong.longer_by.update(AM_STATE=1), "can_length:AM_STATE"),
+    "stale": (lambda rig: rig.vehicle.wrong.frozen.add("AM_STATE"), "can_counter:AM_STATE"),
+    "out of range": (lambda rig: rig.vehicle.wrong.offset.update(speed_mps=80.0), "can_range:AM_STATE"),
+    "quality": (lambda rig: rig.vehicle.wrong.invalid.add("AM_STATE"), "can_quality:AM_STATE"),
+    "error frames": (lambda rig: setattr(rig.vehicle.wrong, "trouble", BusTrouble.ERROR), "can_bus_errors"),
+    "error passive": (lambda rig: setattr(rig.vehicle.wrong, "trouble", BusTrouble.PASSIVE), "can_bus_errors"),
+    "second sender": (lambda rig: setattr(rig.vehicle.wrong, "second_sender", True), "can_second_sender"),
+    "torque": (lambda rig: setattr(rig.vehicle.driver, "torque_nm", -3.2), "driver_override"),
+    "brake": (lambda rig: setattr(rig.vehicle.driver, "brake", True), "driver_override"),
+    "accelerator": (lambda rig: setattr(rig.vehicle.driver, "accelerator", 0.1), "driver_override"),
+    "gear": (lambda rig: setattr(rig.vehicle.driver, "gear", "N"), "driver_override"),
+    "vehicle disengages": (lambda rig: setattr(rig.vehicle, "_refused", True), "disengaged"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_every_fault_disarms_within_100_ms_for_good(name: str) -> None:
+    cause, fault = FAULTS[name]
+    rig = Rig().driving()
+    cause(rig)
+    if name == "vehicle disengages":
+        rig.vehicle.engaged = False
+    took_ns, state = rig.until_disarmed()
+    assert took_ns <= 100 * MS
+    assert fault in state.faults
+    rig.vehicle.wrong, rig.vehicle.driver = type(rig.vehicle.wrong)(), type(rig.vehicle.driver)()
+    for _ in range(30):
+        state_later = rig.cycle(0.1)
+        assert state_later is not None
+        assert not state_later.armed, "latched"
+    assert not rig.vehicle.engaged
+    rig.link.arm(rig.t_ns)
+    for _ in range(10):
+        state_later = rig.cycle()
+    assert state_later is not None
+    assert state_later.armed
+    assert state_later.faults == ()
+
+
+@pytest.mark.parametrize("name", ["torque", "brake", "accelerator", "gear"])
+def test_a_driver_is_obeyed_within_one_cycle(name: str) -> None:
+    rig = Rig().driving()
+    FAULTS[name][0](rig)
+    took_ns, state = rig.until_disarmed()
+    assert took_ns == PERIOD_NS
+    assert state.driver_override is True
+    assert not rig.vehicle.accepted[-1][1]["enable"]
+
+
+def test_a_driver_who_touched_the_brake_between_two_cycles_is_obeyed() -> None:
+    rig = Rig().driving()
+    rig.vehicle.driver.brake = True
+    rig.vehicle._send(rig.t_ns + 1)  # no message may be due in this moment, so all are sent
+    rig.vehicle._next_ns = dict.fromkeys(rig.vehicle._next_ns, rig.t_ns)
+    rig.vehicle._send(rig.t_ns + 2)
+    rig.vehicle.driver.brake = False
+    _, state = rig.until_disarmed()
+    assert "driver_override" in state.faults
+
+
+@pytest.mark.parametrize("gone", ["torque", "missing"])
+def test_it_does_not_arm_while_something_is_wrong(gone: str) -> None:
+    rig = Rig()
+    rig.link.open()
+    for _ in range(5):
+        rig.cycle()
+    if gone == "torque":
+        rig.vehicle.driver.torque_nm = 5.0
+    else:
+        rig.vehicle.wrong.missing.add("AM_STATE")
+    for _ in range(5):
+        rig.cycle()
+    rig.link.arm(rig.t_ns)
+    for _ in range(20):
+        state = rig.cycle()
+        assert state is not None
+        assert not state.armed
+    assert not any(told["enable"] for _, told in rig.vehicle.accepted)
+
+
+def test_a_vehicle_that_does_not_engage_is_given_up() -> None:
+    rig = Rig()
+    rig.link.open()
+    for _ in range(5):
+        rig.cycle()
+    rig.vehicle._refused = True
+    rig.vehicle.driver.accelerator = 0.01  # below our threshold, above the vehicle's
+    rig.link.arm(rig.t_ns)
+    for _ in range(20):
+        state = rig.cycle()
+    assert state is not None
+    assert not state.armed
+    assert "not_engaged" in state.faults
+    assert not rig.vehicle.accepted[-1][1]["enable"]
+
+
+def test_bus_off_loses_the_port_and_comes_back_disarmed() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.trouble = BusTrouble.OFF
+    with pytest.raises(PortLost, match="bus-off"):
+        rig.cycle()
+    rig.link.close()
+    with pytest.raises(PortNotFound):
+        rig.link.open()
+    rig.vehicle.wrong.trouble = None
+    rig.t_ns += 200 * MS
+    rig.link.open()
+    for _ in range(5):
+        state = rig.cycle(0.1)
+    assert state is not None
+    assert not state.armed
+    assert not rig.vehicle.engaged
+
+
+def test_a_full_queue_is_a_lost_port() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.queue_full = True
+    with pytest.raises(PortLost, match="queue is full"):
+        rig.cycle()
+
+
+def test_a_full_bus_changes_nothing() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.flood_frames = 10
+    for _ in range(50):
+        state = rig.cycle()
+    assert state is not None
+    assert state.armed
+
+
+def test_a_loop_that_gives_no_command_is_disarmed_and_one_that_hangs_sends_nothing() -> None:
+    rig = Rig().driving()
+    sent = len(rig.vehicle.accepted)
+    states = [rig.cycle(None) for _ in range(8)]
+    assert [state is not None and state.armed for state in states] == [True] * 5 + [False] * 3
+    assert "command_timeout" in states[-1].faults  # type: ignore[union-attr]
+    assert len(rig.vehicle.accepted) > sent
+    rig = Rig().driving()
+    sent = len(rig.vehicle.accepted)
+    rig.vehicle.advance(rig.t_ns + 150 * MS)
+    assert len(rig.vehicle.accepted) == sent
+    assert not rig.vehicle.engaged, "the vehicle lets go by itself"
+
+
+@pytest.mark.parametrize("angle", [math.nan, math.inf])
+def test_what_is_no_number_is_never_sent(angle: float) -> None:
+    rig = Rig().driving(0.01)
+    for _ in range(5):
+        rig.cycle(angle, angle)
+    for _, told in rig.vehicle.accepted[-5:]:
+        assert told["steering_rad"] == pytest.approx(0.01, abs=1e-4)
+        assert told["accel_mps2"] < 0
+        assert told["speed_mps"] == 0.0
+
+
+def test_closing_lets_the_vehicle_go() -> None:
+    rig = Rig().driving()
+    rig.link.close()
+    rig.link.close()
+    assert not rig.vehicle.accepted[-1][1]["enable"]
+    with pytest.raises(PortLost):
+        rig.link.poll(rig.t_ns)
+
+
+def test_a_steering_wheel_s_angle_goes_both_ways_by_the_ratio() -> None:
+    signals = tuple(
+        dataclasses.replace(value, minimum=-1e9, maximum=1e9) if value.value == "steering_rad" else value
+        for value in CONFIG.state
+    )
+    rig = Rig(dataclasses.replace(CONFIG, steering_ratio=16.0, state=signals)).driving(0.01)
+    state = rig.cycle(0.01)
+    assert state is not None
+    assert state.steering_rad == pytest.approx(0.01, abs=1e-3)
+    assert rig.vehicle.accepted[-1][1]["steering_rad"] == pytest.approx(0.16, abs=1e-2)
+
+
+def test_only_frames_on_the_list_are_sent() -> None:
+    rig = Rig()
+    port = WhitelistedPort(MemoryCanPort(rig.vehicle, rig), frozenset({(0x100, False, 8)}))
+    port.open()
+    for frame_id, extended, length in ((0x101, False, 8), (0x100, True, 8), (0x100, False, 7)):
+        with pytest.raises(LinkError, match="is not one that may be sent"):
+            port.send(frame_id, bytes(length), extended)
+    port.send(0x100, bytes(8), False)
+    assert rig.vehicle.verdicts.total() == 1
+
+
+def test_a_mapping_without_speed_or_with_our_own_identifier_is_refused() -> None:
+    state = tuple(value for value in CONFIG.state if value.value != "speed_mps")
+    with pytest.raises(ConfigError, match="speed_mps is missing"):
+        Rig(dataclasses.replace(CONFIG, state=state))
+    with pytest.raises(ConfigError, match="at least enable and steering_rad"):
+        Rig(dataclasses.replace(CONFIG, command=CONFIG.command[1:]))
+
+
+def test_error_frames_of_socketcan() -> None:
+    assert trouble_of(0x40, bytes(8)) is BusTrouble.OFF
+    assert trouble_of(0x04, bytes((0, 0x10, 0, 0, 0, 0, 0, 0))) is BusTrouble.PASSIVE
+    assert trouble_of(0x04, bytes((0, 0x01, 0, 0, 0, 0, 0, 0))) is BusTrouble.ERROR
+    assert trouble_of(0x08, bytes(8)) is BusTrouble.ERROR
+
+
+def test_a_virtual_bus_carries_frames_with_the_time_of_their_arrival() -> None:
+    first, second = (PythonCanPort("virtual", "test_can_link", 500_000) for _ in range(2))
+    first.open()
+    second.open()
+    first.send(0x123, b"\x01\x02", False)
+    (frame,) = second.receive(1_000).frames
+    assert (frame.frame_id, frame.data, frame.extended, frame.t_ns) == (0x123, b"\x01\x02", False, 1_000)
+    assert isinstance(frame, CanFrame)
+    assert second.receive(2_000).frames == ()
+    first.close()
+    second.close()
+    with pytest.raises(PortLost):
+        second.receive(0)
+
+
+def test_what_waited_in_a_queue_is_not_late() -> None:
+    """Bus time runs 5 s behind; the second frame came in time and was fetched 50 ms late."""
+    port = PythonCanPort("virtual", "x", 500_000)
+    assert port._arrival_ns(1_000 * MS, 6_000 * MS) == 6_000 * MS
+    assert port._arrival_ns(1_010 * MS, 6_060 * MS) == 6_010 * MS
+    assert port._arrival_ns(1_060 * MS, 6_055 * MS) == 6_055 * MS  # a smaller delay: never after now
+    assert port._arrival_ns(3_000 * MS, 8_500 * MS) == 8_500 * MS  # the others are too long ago
+
+
+def test_a_bus_that_is_not_there_is_one_line() -> None:
+    with pytest.raises(PortNotFound, match="the CAN bus cannot be opened") as caught:
+        PythonCanPort("nonsense", "can0", 500_000).open()
+    assert "\n" not in str(caught.value)
