@@ -225,4 +225,5 @@ def _scaled(camera: CameraConfig, lane: LaneConfig) -> CarConfig:
         front_overhang_m=usual.vehicle.front_overhang_m * scale,
         rear_overhang_m=usual.vehicle.rear_overhang_m * scale,
     )
-    return replace(usual, camera=camera, lane=lane, vehicle=vehicle)
+    control = replace(usual.control, lookahead_min_m=usual.control.lookahead_min_m * scale)
+    return replace(usual, camera=camera, lane=lane, vehicle=vehicle, control=control)

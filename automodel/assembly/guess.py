@@ -151,6 +151,9 @@ def car_text(guess: GuessedCar, source: str) -> str:
         _row("width_m", lane.width_m, 3, sigma["width_m"]),
         _row("marking_width_m", lane.marking_width_m, 4),
         f'markings = "{lane.markings}"',
+        "",
+        "[control]",
+        _row("lookahead_min_m", guess.car.control.lookahead_min_m, 3),
     ]
     return "\n".join(rows) + "\n"
 

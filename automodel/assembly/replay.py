@@ -6,6 +6,7 @@ No vehicle link is imported, let alone opened. The same frames give the same est
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -29,7 +30,7 @@ from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import MotionTable, read_motion_csv
 from automodel.sources.images import check_size
 from automodel.viewer.overlay import draw
-from automodel.viewer.video import VideoWriter
+from automodel.viewer.video import film_writer
 
 AnyFrame = Frame | StereoFrame
 SELDOM = 0.05  # share of frames with a line: where fewer have one, the replay says why
@@ -42,7 +43,8 @@ COLUMNS = (
 class ReplayOptions:
     """What a replay is asked for; `rate_hz` is that of frames that carry no time.
 
-    With `guessed` the car file was guessed from the same source, and is judged by what is seen with it.
+    `from_s` and `to_s` count from the first frame. With `guessed` the car file was guessed from the same source, and is
+    judged by what is seen with it.
     """
 
     source: Path
@@ -53,6 +55,8 @@ class ReplayOptions:
     video_file: Path | None = None
     rate_hz: float | None = None
     guessed: bool = False
+    from_s: float = 0.0
+    to_s: float = math.inf
 
 
 def replay(options: ReplayOptions) -> list[dict[str, object]]:
@@ -94,6 +98,20 @@ def frames_of(source: Source, motion: MotionTable | None) -> Iterator[tuple[AnyF
                 yield frame, unknown, None
 
 
+def frames_between(
+    source: Source, motion: MotionTable | None, from_s: float, to_s: float
+) -> Iterator[tuple[float, AnyFrame, Motion, VehicleState | None]]:
+    """Those of `frames_of` from `from_s` to `to_s` after the first, each after its own time since then [s]."""
+    first_ns = None
+    for frame, moved, state in frames_of(source, motion):
+        first_ns = frame.t_ns if first_ns is None else first_ns
+        t_s = (frame.t_ns - first_ns) * 1e-9
+        if t_s > to_s:
+            return
+        if t_s >= from_s:
+            yield t_s, frame, moved, state
+
+
 def _named(path: Path, pipeline: str) -> Path:
     return path.with_name(f"{path.stem}.{pipeline.replace(':', '.')}{path.suffix}")
 
@@ -113,7 +131,7 @@ def _replay(
         csv = files.enter_context(PosesCsv(csv_file)) if csv_file else None
         paint = _painter(files, video_file, car, rate_hz)
         bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
-        for frame, moved, state in frames_of(source, motion):
+        for _, frame, moved, state in frames_between(source, motion, options.from_s, options.to_s):
             if isinstance(frame, Frame):
                 check_frame_size(path, frame, car, options.car_file)
                 sample.add(frame.image)
@@ -157,13 +175,14 @@ def _painter(
 ) -> Callable[[AnyFrame, Tick], None]:
     if path is None:
         return lambda frame, tick: None
-    video = files.enter_context(VideoWriter(path, rate_hz))
+    video = film_writer(path, rate_hz)
+    files.enter_context(video)
     camera = GroundCamera.from_config(car.camera)
 
     def paint(frame: AnyFrame, tick: Tick) -> None:
         image = frame.left if isinstance(frame, StereoFrame) else frame.image
-        note = f"{frame.t_ns * 1e-9:.2f} s"
-        video.write(draw(image, tick.estimate, camera, tick.command, car.vehicle.reference_x_m, note))
+        note, vehicle = f"{frame.t_ns * 1e-9:.2f} s  frame {frame.index}", car.vehicle
+        video.write(draw(image, tick.estimate, camera, tick.command, vehicle.reference_x_m, note, vehicle.wheelbase_m))
 
     return paint
 

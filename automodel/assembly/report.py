@@ -15,7 +15,7 @@ import numpy as np
 
 from automodel import __version__
 from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
-from automodel.assembly.replay import AnyFrame, check_frame_size, frames_of
+from automodel.assembly.replay import AnyFrame, check_frame_size, frames_between
 from automodel.config import CarConfig, ConfigError, parse_car
 from automodel.console.progress import progress
 from automodel.geometry import GroundCamera
@@ -93,7 +93,8 @@ class _Eye:
 
     def picture(self, image: Image, seen: Seen, note: str) -> Image:
         """The frame with the overlay."""
-        return draw(image, seen.estimate, self._camera, seen.command, self.car.vehicle.reference_x_m, note)
+        vehicle = self.car.vehicle
+        return draw(image, seen.estimate, self._camera, seen.command, vehicle.reference_x_m, note, vehicle.wheelbase_m)
 
 
 def _gather(options: ReportOptions, path: Path) -> ReportedRun:
@@ -103,15 +104,8 @@ def _gather(options: ReportOptions, path: Path) -> ReportedRun:
     motion = read_motion_csv(options.motion_file) if options.motion_file is not None else None
     worst, events, motions = _Worst(car.lane.width_m), [], []
     with contextlib.closing(source), progress(f"report {path.name}", getattr(source, "frame_count", None)) as bar:
-        first_ns = None
-        for frame, moved, _ in frames_of(source, motion):
+        for t_s, frame, moved, _ in frames_between(source, motion, options.from_s, options.to_s):
             bar()
-            first_ns = frame.t_ns if first_ns is None else first_ns
-            t_s = (frame.t_ns - first_ns) * 1e-9
-            if t_s < options.from_s:
-                continue
-            if t_s > options.to_s:
-                break
             if isinstance(frame, Frame):
                 check_frame_size(path, frame, car, options.car_file)
             step = source.step if isinstance(source, RecordingSource) else None
@@ -120,7 +114,7 @@ def _gather(options: ReportOptions, path: Path) -> ReportedRun:
             for eye, word in seen.items():
                 eye.recorder.add(t_s, frame.index, word.estimate, word.time_ms)
             motions.append(moved)
-            events += [((event.t_ns - first_ns) * 1e-9, event) for event in happened]
+            events += [(t_s + (event.t_ns - frame.t_ns) * 1e-9, event) for event in happened]
             worst.look(t_s, frame, seen, happened)
     if not motions:
         raise ConfigError(f"{path}: no frames between --from {options.from_s:g} and --to {options.to_s:g} s")

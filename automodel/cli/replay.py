@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 @click.option("--motion", "motion_file", type=FILE, help="motion.csv: t_s,speed_mps,yaw_rate_radps.")
 @click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="May be given several times.")
 @click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
-@click.option("--video", "video_file", type=FILE, help="Write an MP4 with the overlay here.")
+@click.option("--video", "video_file", type=FILE, help="Write the overlay here: .mp4, or .webp to animate a page.")
 @click.option(
     "--rate",
     "rate_hz",
@@ -41,8 +41,19 @@ if TYPE_CHECKING:
 @click.option("--dbc", type=FILE, multiple=True, help="--can: message definitions; may be given several times.")
 @click.option("--mapping", type=FILE, help="--can: car.toml whose [link.can] says what the signals are.")
 @click.option("--motion-csv", type=FILE, default=Path("motion.csv"), show_default=True, help="--can: written here.")
+@click.option(
+    "--from",
+    "from_s",
+    type=click.FloatRange(0),
+    callback=finite,
+    default=0.0,
+    help="Begin so many seconds after the start.",
+)
+@click.option("--to", "to_s", type=click.FloatRange(0, min_open=True), callback=finite, help="End there.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
-def command(as_json: bool, guess: bool, lane_width_m: float | None, view_deg: float | None, **given: Any) -> int:
+def command(
+    as_json: bool, guess: bool, lane_width_m: float | None, view_deg: float | None, to_s: float | None, **given: Any
+) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of images or a donkeycar tub (v2).
 
     Of a camera that nothing is known of: automodel replay VIDEO --guess.
@@ -52,7 +63,7 @@ def command(as_json: bool, guess: bool, lane_width_m: float | None, view_deg: fl
 
     if not _from_can(given, as_json):
         return 0
-    options = ReplayOptions(**given)
+    options = ReplayOptions(to_s=math.inf if to_s is None else to_s, **given)
     if guess:
         options = _guessed(options)
     elif lane_width_m is not None or view_deg is not None:

@@ -131,8 +131,8 @@ def export_video(recording: Recording, path: str | Path, car: CarConfig, progres
             image = image_of(step.frame)
             check_size(Frame(t_ns=step.frame.t_ns, index=step.frame.index, image=image), car.camera)
             command = step.commands[0] if step.commands else None
-            note = f"frame {step.frame.index}"
-            video.write(draw(image, step.estimate, camera, command, car.vehicle.reference_x_m, note))
+            note, vehicle = f"frame {step.frame.index}", car.vehicle
+            video.write(draw(image, step.estimate, camera, command, vehicle.reference_x_m, note, vehicle.wheelbase_m))
             frames += 1
             if progress is not None:
                 progress(frames)

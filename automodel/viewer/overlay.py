@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import cv2
 import numpy as np
@@ -14,23 +16,30 @@ from automodel.types import FloatArray, Image
 
 Colour = tuple[int, int, int]  # BGR
 
-GREEN: Colour = (60, 220, 60)
-ORANGE: Colour = (0, 140, 255)
-YELLOW: Colour = (0, 255, 255)
-MAGENTA: Colour = (255, 60, 255)
+# Okabe and Ito 2008: colours that colour-blind people tell apart, lightened where they lie on dark floors
+BLUE: Colour = (233, 180, 86)
+ORANGE: Colour = (0, 159, 230)
+YELLOW: Colour = (66, 228, 240)
+PURPLE: Colour = (190, 140, 225)
+VERMILION: Colour = (40, 110, 235)
 GREY: Colour = (150, 150, 150)
 WHITE: Colour = (240, 240, 240)
-RED: Colour = (60, 60, 255)
 STATUS_COLOURS = {
-    LaneStatus.TRACKING: GREEN,
+    LaneStatus.TRACKING: BLUE,
     LaneStatus.ONE_LINE: YELLOW,
     LaneStatus.COASTING: ORANGE,
-    LaneStatus.LOST: RED,
+    LaneStatus.LOST: VERMILION,
 }
+LEGEND = (
+    ("lines", BLUE), ("points", YELLOW), ("middle, with its bound", ORANGE), ("crossing", PURPLE), ("steering", WHITE)
+)  # fmt: skip
 
 _LEGIBLE_WIDTH_PX = 640  # smaller frames are enlarged by a whole factor to about this width
 _SAMPLES = 80
 _BAND_SHARE = 0.35  # of the band's colour in the picture below it
+_LANE_SHARE = 0.15  # the same of the lane between its lines
+_STEERED_LANES = 2.0  # length of the steered path
+_INSET_HEIGHT, _INSET_LANES = 0.34, (3.0, 1.5)  # of the picture's height; the inset shows so far ahead and to each side
 _SHIFT = 4  # bits below the pixel in drawing coordinates
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
@@ -42,8 +51,12 @@ def draw(
     command: Command | None = None,
     reference_x_m: float = 0.0,
     note: str = "",
+    wheelbase_m: float | None = None,
 ) -> Image:
-    """The frame in BGR with lines (green; dashed if not seen), centerline (orange), points and crossing.
+    """The frame in BGR with lines (blue; dashed if not seen), centerline (orange), points and crossing.
+
+    The lane between two lines that are followed is tinted. With `wheelbase_m` the steered path is drawn in white.
+    The inset shows the same from above, `_INSET_LANES` lane widths ahead and to each side.
 
     A translucent band about the centerline is as wide to each side as the offset may be wrong (`offset_bound_m`, drawn
     up to a lane's width); there is none where no bound is stated. Below the picture is a strip with status, pose and
@@ -54,18 +67,11 @@ def draw(
     scale = scale_of(image.shape[1])
     canvas = _canvas(image, scale)
     if estimate is not None:
-        ground = _Ground(canvas, camera, scale)
-        pose = estimate.pose
-        if estimate.centerline is not None and pose is not None and math.isfinite(pose.offset_bound_m):
-            ground.band(estimate.centerline, min(pose.offset_bound_m, pose.width_m))
-        for line in (estimate.left, estimate.right):
-            if line is not None:
-                ground.line(line)
-        if estimate.centerline is not None:
-            ground.curve(estimate.centerline, ORANGE)
-        if estimate.crossing is not None:
-            width_m = estimate.pose.width_m if estimate.pose is not None else 0.4
-            ground.crossing(crossing_ends(estimate.crossing, estimate.centerline, reference_x_m, width_m))
+        steered = _steered(estimate, command, wheelbase_m)
+        _draw_estimate(_Ground(canvas, partial(_seen_from, camera, scale)), estimate, steered, reference_x_m)
+        if estimate.pose is not None:
+            inset = _inset(canvas, estimate.pose.width_m)
+            _draw_estimate(inset, estimate, steered, reference_x_m)
     colour = GREY if estimate is None else STATUS_COLOURS[estimate.status]
     strip = _strip(canvas.shape[1], status_lines(estimate, command, note), colour)
     return _even(np.vstack((canvas, strip)))
@@ -116,15 +122,64 @@ def crossing_ends(
     return middle - half, middle + half
 
 
-class _Ground:
-    """Draws lines and points of the ground."""
+def _draw_estimate(ground: _Ground, estimate: LaneEstimate, steered: FloatArray | None, reference_x_m: float) -> None:
+    pose, left, right = estimate.pose, estimate.left, estimate.right
+    if left is not None and right is not None and left.seen and right.seen:
+        ground.between(left.curve, right.curve)
+    if estimate.centerline is not None and pose is not None and math.isfinite(pose.offset_bound_m):
+        ground.band(estimate.centerline, min(pose.offset_bound_m, pose.width_m))
+    for line in (left, right):
+        if line is not None:
+            ground.line(line)
+    if estimate.centerline is not None:
+        ground.curve(estimate.centerline, ORANGE)
+    if steered is not None:
+        ground.polyline(steered, WHITE, False)
+    if estimate.crossing is not None:
+        width_m = pose.width_m if pose is not None else 0.4
+        ground.crossing(crossing_ends(estimate.crossing, estimate.centerline, reference_x_m, width_m))
 
-    def __init__(self, canvas: Image, camera: GroundCamera, scale: int) -> None:
-        self._canvas, self._camera, self._scale = canvas, camera, scale
+
+def _steered(estimate: LaneEstimate, command: Command | None, wheelbase_m: float | None) -> FloatArray | None:
+    """The path (n, 2) [m] of the rear axle that the command steers; None where nothing is steered or seen."""
+    if command is None or wheelbase_m is None or estimate.pose is None:
+        return None
+    s = np.linspace(0.0, wheelbase_m + _STEERED_LANES * estimate.pose.width_m, _SAMPLES)
+    turn = s * math.tan(command.steering_rad) / wheelbase_m
+    # the chord of an arc: sinc(turn / 2) long, in half its turn's direction
+    return np.column_stack((np.cos(0.5 * turn), np.sin(0.5 * turn))) * (s * np.sinc(turn / math.tau))[:, None]
+
+
+def _seen_from(camera: GroundCamera, scale: int, points_m: FloatArray) -> FloatArray:
+    """Ground points (n, 2) [m] -> pixels (n, 2) of the enlarged frame."""
+    return (camera.ground_to_px(points_m) + 0.5) * scale - 0.5
+
+
+def _inset(canvas: Image, width_m: float) -> _Ground:
+    """The dark inset in the upper right corner: the ground from above, the car's rear axle at its lower border."""
+    height = round(_INSET_HEIGHT * canvas.shape[0])
+    ahead, aside = _INSET_LANES
+    width = round(height * 2.0 * aside / ahead)
+    margin = max(4, canvas.shape[1] // 80)
+    view = canvas[margin : margin + height, canvas.shape[1] - margin - width : canvas.shape[1] - margin]
+    view[:] = (0.35 * view).astype(np.uint8)
+    px_per_m = height / (ahead * width_m)
+
+    def from_above(points_m: FloatArray) -> FloatArray:
+        return np.column_stack((0.5 * width - px_per_m * points_m[:, 1], height - 1.0 - px_per_m * points_m[:, 0]))
+
+    return _Ground(view, from_above)
+
+
+class _Ground:
+    """Draws lines and points of the ground; `project` gives their pixels (n, 2) on the canvas."""
+
+    def __init__(self, canvas: Image, project: Callable[[FloatArray], FloatArray]) -> None:
+        self._canvas, self._project = canvas, project
         self._thick = max(2, canvas.shape[1] // 320)
 
     def line(self, line: LaneLine) -> None:
-        self.curve(line.curve, GREEN, dashed=not line.seen)
+        self.curve(line.curve, BLUE, dashed=not line.seen)
         radius = self._thick + 1
         for point in self._pixels(line.points_m):
             if np.isfinite(point).all():
@@ -132,25 +187,35 @@ class _Ground:
                 cv2.circle(self._canvas, centre, radius * 2**_SHIFT, YELLOW, -1, cv2.LINE_AA, _SHIFT)
 
     def curve(self, curve: Curve, colour: Colour, dashed: bool = False) -> None:
-        self._polyline(curve.position(np.linspace(0.0, curve.length_m, _SAMPLES)), colour, dashed)
+        self.polyline(curve.position(np.linspace(0.0, curve.length_m, _SAMPLES)), colour, dashed)
 
     def band(self, curve: Curve, half_m: float) -> None:
         """Tint the ground within `half_m` [m] of a curve."""
         s = np.linspace(0.0, curve.length_m, _SAMPLES)
-        left, right = (self._pixels(curve.offset_position(s, side_m)) for side_m in (half_m, -half_m))
+        self._tint(curve.offset_position(s, half_m), curve.offset_position(s, -half_m), ORANGE, _BAND_SHARE)
+
+    def between(self, left: Curve, right: Curve) -> None:
+        """Tint the ground between two lines, as far as both are known."""
+        length_m = min(left.length_m, right.length_m)
+        s = np.linspace(0.0, length_m, _SAMPLES)
+        self._tint(left.position(s), right.position(s), BLUE, _LANE_SHARE)
+
+    def _tint(self, left_m: FloatArray, right_m: FloatArray, colour: Colour, share: float) -> None:
+        left, right = self._pixels(left_m), self._pixels(right_m)
         there = np.asarray(np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1))
         inside = np.zeros(self._canvas.shape[:2], np.uint8)
         for i in np.flatnonzero(there[:-1] & there[1:]):
             corners = np.stack((left[i], left[i + 1], right[i + 1], right[i]))
             cv2.fillConvexPoly(inside, np.round(corners * 2**_SHIFT).astype(np.int32), 1, cv2.LINE_8, _SHIFT)
         tinted = self._canvas[inside > 0]
-        self._canvas[inside > 0] = np.round(tinted + _BAND_SHARE * (np.array(ORANGE) - tinted)).astype(np.uint8)
+        self._canvas[inside > 0] = np.round(tinted + share * (np.array(colour) - tinted)).astype(np.uint8)
 
     def crossing(self, ends: tuple[FloatArray, FloatArray]) -> None:
         share = np.linspace(0.0, 1.0, _SAMPLES // 4)[:, None]
-        self._polyline(ends[0] + share * (ends[1] - ends[0]), MAGENTA, False)
+        self.polyline(ends[0] + share * (ends[1] - ends[0]), PURPLE, False)
 
-    def _polyline(self, points_m: FloatArray, colour: Colour, dashed: bool) -> None:
+    def polyline(self, points_m: FloatArray, colour: Colour, dashed: bool) -> None:
+        """A line through points (n, 2) [m]."""
         pixels = self._pixels(points_m)
         there = np.asarray(np.isfinite(pixels).all(axis=1))
         for i in np.flatnonzero(there[:-1] & there[1:]):
@@ -162,7 +227,7 @@ class _Ground:
         """Pixels (n, 2) of the canvas; NaN where a point is not visible or far outside."""
         if not len(points_m):
             return np.empty((0, 2))
-        pixels = (self._camera.ground_to_px(points_m) + 0.5) * self._scale - 0.5
+        pixels = self._project(points_m)
         far = 2.0 * max(self._canvas.shape[:2])
         with np.errstate(invalid="ignore"):
             near = np.all(np.abs(pixels) <= far, axis=1)
@@ -177,17 +242,28 @@ def _canvas(image: Image, scale: int) -> Image:
 
 
 def _strip(width_px: int, lines: tuple[str, str], colour: Colour) -> Image:
-    """A dark strip with two lines of text, the first in the colour of the status; as large as the width allows."""
+    """A dark strip: two lines of text, the first in the colour of the status, as large as fits, and the legend."""
     size = 0.58 * width_px / _LEGIBLE_WIDTH_PX
     margin = max(4, width_px // 80)
-    widest = max(cv2.getTextSize(text, _FONT, size, 1)[0][0] for text in lines)
-    size *= min(1.0, (width_px - 2 * margin) / max(widest, 1))
     thick = 1 if width_px < 900 else 2
+    widest = max(cv2.getTextSize(text, _FONT, size, thick)[0][0] for text in lines)
+    size *= min(1.0, (width_px - 2 * margin) / max(widest, 1))
     row = round(25 * width_px / _LEGIBLE_WIDTH_PX) + 4
-    strip = np.full((2 * row + margin, width_px, 3), 24, np.uint8)
+    strip = np.full((3 * row + margin, width_px, 3), 24, np.uint8)
     for number, (text, ink) in enumerate(zip(lines, (colour, WHITE), strict=True), 1):
         cv2.putText(strip, text, (margin, number * row - row // 5), _FONT, size, ink, thick, cv2.LINE_AA)
+    _write_legend(strip, (margin, 3 * row - row // 5), row // 2)
     return strip
+
+
+def _write_legend(strip: Image, place: tuple[int, int], swatch_px: int) -> None:
+    """What the colours stand for, from `place` (u, v) on."""
+    size, (u, v) = 0.45 * strip.shape[1] / _LEGIBLE_WIDTH_PX, place
+    for text, colour in LEGEND:
+        strip[v - swatch_px : v, u : u + swatch_px] = colour
+        u += swatch_px + swatch_px // 2
+        cv2.putText(strip, text, (u, v), _FONT, size, WHITE, 1, cv2.LINE_AA)
+        u += cv2.getTextSize(text, _FONT, size, 1)[0][0] + swatch_px
 
 
 def _even(image: Image) -> Image:

@@ -14,7 +14,7 @@ from automodel.geometry import GroundCamera
 from automodel.signals import Command, Crossing, LaneEstimate, LaneLine, LanePose, LaneStatus
 from automodel.viewer import overlay
 from automodel.viewer.overlay import crossing_ends, draw, scale_of, status_lines
-from automodel.viewer.video import VideoWriter
+from automodel.viewer.video import VideoWriter, film_writer
 
 CAMERA = CameraConfig()
 GROUND = GroundCamera.from_config(CAMERA)
@@ -53,13 +53,42 @@ def colour_at(picture: np.ndarray, x_m: float, y_m: float) -> tuple[int, ...]:
     return tuple(int(v) for v in picture[row, column])
 
 
-def test_lines_are_green_and_the_centerline_orange_where_they_lie() -> None:
+def tinted(grey: int) -> tuple[int, ...]:
+    """The colour of a grey ground in the lane."""
+    return tuple(round(grey + 0.15 * (channel - grey)) for channel in overlay.BLUE)
+
+
+def test_lines_are_blue_and_the_centerline_orange_where_they_lie() -> None:
     picture = draw(BLACK, estimate(), GROUND)
     for x_m in (0.5, 0.75, 1.2, 1.7):
-        assert colour_at(picture, x_m, 0.2) == overlay.GREEN
-        assert colour_at(picture, x_m, -0.2) == overlay.GREEN
+        assert colour_at(picture, x_m, 0.2) == overlay.BLUE
+        assert colour_at(picture, x_m, -0.2) == overlay.BLUE
         assert colour_at(picture, x_m, 0.0) == overlay.ORANGE
-        assert colour_at(picture, x_m, 0.1) == (0, 0, 0)
+        assert colour_at(picture, x_m, 0.1) == tinted(0)  # the lane between its lines
+    assert colour_at(picture, 1.2, 0.3) == (0, 0, 0)
+
+
+def test_the_steered_path_is_the_circle_of_the_rear_axle() -> None:
+    command = Command(t_ns=0, steering_rad=0.2, speed_mps=1.0, valid_until_ns=0)
+    radius_m = 0.26 / math.tan(0.2)
+    white = draw(BLACK, estimate(), GROUND, command, wheelbase_m=0.26)
+    for s_m in (0.6, 0.8, 1.0):
+        x_m, y_m = radius_m * math.sin(s_m / radius_m), radius_m * (1.0 - math.cos(s_m / radius_m))
+        assert colour_at(white, x_m, y_m) == overlay.WHITE
+    assert colour_at(draw(BLACK, estimate(), GROUND, command), x_m, y_m) != overlay.WHITE
+
+
+def test_the_inset_shows_the_lane_from_above() -> None:
+    inset = draw(BLACK, estimate(), GROUND)[8:130, 510:632]
+    height, width = inset.shape[:2]
+    lane_px = height / 3.0  # three lane widths ahead
+    row = height - 1 - round(0.75 / 0.4 * lane_px)  # between two points
+    for side in (-0.5, 0.5):
+        column = round(0.5 * width + side * lane_px)
+        assert (inset[row, column - 1 : column + 2] == overlay.BLUE).all(axis=1).any()
+    assert tuple(inset[row, width // 2]) == overlay.ORANGE
+    lost = draw(BLACK, LaneEstimate(t_ns=0, status=LaneStatus.LOST), GROUND)
+    assert not lost[:360].any()
 
 
 def test_measured_points_are_marked() -> None:
@@ -69,11 +98,11 @@ def test_measured_points_are_marked() -> None:
 
 
 def test_a_line_that_is_not_seen_is_dashed() -> None:
-    def green(picture: np.ndarray) -> int:
-        return int((picture[:360, 330:] == overlay.GREEN).all(axis=2).sum())
+    def blue(picture: np.ndarray) -> int:
+        return int((picture[:360, 330:] == overlay.BLUE).all(axis=2).sum())
 
-    whole = green(draw(BLACK, estimate(right=dataclasses.replace(lane_line(-0.2), points_m=np.empty((0, 2)))), GROUND))
-    dashed = green(draw(BLACK, estimate(right=lane_line(-0.2, seen=False)), GROUND))
+    whole = blue(draw(BLACK, estimate(right=dataclasses.replace(lane_line(-0.2), points_m=np.empty((0, 2)))), GROUND))
+    dashed = blue(draw(BLACK, estimate(right=lane_line(-0.2, seen=False)), GROUND))
     assert 0.25 * whole < dashed < 0.75 * whole
 
 
@@ -81,7 +110,7 @@ def test_the_crossing_lies_across_the_lane_at_its_distance() -> None:
     crossing = Crossing(distance_m=0.6, angle_rad=math.pi / 2)
     picture = draw(BLACK, estimate(crossing=crossing), GROUND, reference_x_m=0.13)
     for y_m in (-0.1, 0.1):
-        assert colour_at(picture, 0.73, y_m) == overlay.MAGENTA
+        assert colour_at(picture, 0.73, y_m) == overlay.PURPLE
     assert colour_at(picture, 0.73, 0.25) == (0, 0, 0)
 
 
@@ -115,7 +144,7 @@ def test_the_status_is_legible_in_its_colour_below_the_picture() -> None:
         lost = status is LaneStatus.LOST
         value = LaneEstimate(t_ns=0, status=status) if lost else estimate(status=status)
         strip = draw(BLACK, value, GROUND)[360:]
-        assert 20 < len(strip) < 90
+        assert 20 < len(strip) < 120
         assert (strip == colour).all(axis=2).any()
         assert not (strip[:, -4:].max() > 24)  # the text ends inside
 
@@ -151,15 +180,15 @@ def test_a_band_about_the_centerline_is_as_wide_as_the_offset_may_be_wrong() -> 
         for y_m in (-0.09, -0.05, 0.05, 0.09):
             blue, green, red = colour_at(picture, x_m, y_m)
             assert blue < 100 < green < red < 200  # orange, and the picture is seen through it
-        assert colour_at(picture, x_m, 0.11) == colour_at(picture, x_m, -0.11) == (100, 100, 100)
+        assert colour_at(picture, x_m, 0.11) == colour_at(picture, x_m, -0.11) == tinted(100)
     assert colour_at(picture, 0.75, 0.0) == overlay.ORANGE  # the centerline lies upon it
 
 
 def test_there_is_no_band_without_a_bound_and_none_wider_than_the_lane_on_both_sides() -> None:
     grey = np.full((360, 640), 100, np.uint8)
-    assert colour_at(draw(grey, estimate(), GROUND), 1.2, 0.02) == (100, 100, 100)
+    assert colour_at(draw(grey, estimate(), GROUND), 1.2, 0.02) == tinted(100)
     wide = draw(grey, bounded(50.0), GROUND)
-    assert colour_at(wide, 1.2, 0.38) == colour_at(wide, 1.2, 0.05) != (100, 100, 100)
+    assert colour_at(wide, 1.2, 0.38) not in (tinted(100), (100, 100, 100))
     assert colour_at(wide, 1.2, 0.42) == (100, 100, 100)
 
 
@@ -180,7 +209,7 @@ def test_a_small_picture_has_its_overlay_at_the_right_place() -> None:
     assert picture.shape[0] > 480
     # a pixel centre u of the small picture is at 4 u + 1.5 of the large one
     v, u = 59.5 + 120.0 * 0.18 / 0.8, 79.5 - 120.0 * 0.2 / 0.8
-    assert tuple(picture[round(4 * v + 1.5), round(4 * u + 1.5)]) == overlay.GREEN
+    assert tuple(picture[round(4 * v + 1.5), round(4 * u + 1.5)]) == overlay.BLUE
 
 
 def test_curves_behind_the_camera_and_far_outside_do_no_harm() -> None:
@@ -218,6 +247,34 @@ def test_a_video_is_written_at_its_rate(tmp_path: Path) -> None:
         levels.append(float(image.mean()))
     capture.release()
     np.testing.assert_allclose(levels, range(0, 201, 20), atol=4)
+
+
+def test_an_animated_picture_is_a_webp_of_some_frames_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "v.webp"
+    with film_writer(path, 25.0) as film:
+        for level in range(0, 200, 10):
+            film.write(np.full((96, 960), level, np.uint8))
+    there, animation = cv2.imreadanimation(str(path))
+    assert there
+    assert len(animation.frames) == 10  # every second one
+    assert set(animation.durations) == {80}
+    assert animation.frames[0].shape[:2] == (48, 480)
+    np.testing.assert_allclose([frame[..., :3].mean() for frame in animation.frames], range(0, 200, 20), atol=6)
+
+
+def test_an_animated_picture_that_is_too_long_or_not_finished_is_not_written(tmp_path: Path) -> None:
+    with film_writer(tmp_path / "v.webp", 12.5) as film:
+        for _ in range(400):
+            film.write(np.zeros((4, 4), np.uint8))
+        with pytest.raises(ConfigError, match="32 s long at most; use --from and --to"):
+            film.write(np.zeros((4, 4), np.uint8))
+    (tmp_path / "v.webp").unlink()
+    with pytest.raises(RuntimeError, match="stop"), film_writer(tmp_path / "v.webp", 20.0) as film:  # noqa: PT012
+        film.write(np.zeros((48, 64), np.uint8))
+        raise RuntimeError("stop")
+    with pytest.raises(ConfigError, match="there is no folder"):
+        film_writer(tmp_path / "no" / "v.webp", 20.0)
+    assert not list(tmp_path.iterdir())
 
 
 def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:

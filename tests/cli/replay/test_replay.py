@@ -209,3 +209,14 @@ def test_a_replay_knows_no_actuator(driven: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.csv").exists()
     assert "a replay imports firmware_link" in refused.stderr  # the trap works
+
+
+def test_a_part_of_a_recording(driven: Path, tmp_path: Path, cli) -> None:
+    table, film = tmp_path / "poses.csv", tmp_path / "part.webp"
+    said = cli("replay", driven / "run.mcap", "--from", 0.5, "--to", 1.0, "--csv", table, "--video", film, "--json")
+    assert said.rows[0]["frames"] == pytest.approx(31, abs=1)
+    whole = list(Recording(driven / "run.mcap").steps())
+    first, *_, last = rows_of(table)
+    assert float(first["t_s"]) - whole[0].frame.t_ns * 1e-9 == pytest.approx(0.5, abs=0.02)
+    assert float(last["t_s"]) - whole[0].frame.t_ns * 1e-9 == pytest.approx(1.0, abs=0.02)
+    assert film.stat().st_size > 1000
