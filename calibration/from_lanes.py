@@ -190,6 +190,14 @@ STRAY_SIGMAS = 4.0  # of the images' own spread; beyond both limits it is one
 LEAST_SHARE = 0.3  # of the images that must show a straight road
 LEAST_SUPPORT = 0.4  # sum over an image's lines of the share of rows on which each is seen
 CURVED = 5.0  # sigmas of `BENDING`
+# What two halves of one drive may differ by. A pitch beyond it, or two lanes taken for one, is no error of measurement;
+# the halves of right calibrations differ by a third of it.
+SAME_PITCH_RAD, SAME_HEIGHT = math.radians(1.5), 1.15
+LEAST_SURE = 0.05  # of the height: one sigma from which on it counts as unknown
+# One sigma of the pitch from which on it counts as unknown: of cameras in random worlds the right ones had up to
+# 0.26 deg, those that took a bend or a reflection for a straight line 0.5 deg and more.
+SURE_PITCH_RAD = math.radians(0.4)
+WHAT_HELPS = "use a part of the drive with a straight road and few reflections"
 ROUNDS = 100  # of the bootstrap
 STATED = ("z_m", "pitch_rad", "yaw_rad", "roll_rad")  # of which a sigma is given
 SCALE_CAR_M, FULL_SIZE_M = (0.5, 1.0, 2.0), (5.0, 10.0, 20.0)
@@ -276,6 +284,33 @@ def sharpest_markings(images: Sequence[Image], camera: CameraModel, markings: st
         for name in wanted
     ]
     return max(seen, key=lambda each: each[0].sharpness)
+
+
+def check_consistent(images: Sequence[Image], camera: CameraModel, found: LanesCalibration) -> None:
+    """Raise ValueError where the images leave height or pitch open, or the drive's halves show different cameras.
+
+    A bend or a reflection that is taken for straight lines is the same in images in a row, not over the whole drive.
+    """
+    share = found.std["z_m"] / found.extrinsics.z_m
+    if not share < LEAST_SURE:
+        raise ValueError(f"images: they leave the height of the camera open by {100.0 * share:.0f} %; {WHAT_HELPS}")
+    if not found.std["pitch_rad"] < SURE_PITCH_RAD:
+        open_deg = math.degrees(found.std["pitch_rad"])
+        raise ValueError(f"images: they leave the pitch of the camera open by {open_deg:.1f} deg; {WHAT_HELPS}")
+    middle = len(images) // 2
+    for part, half in (("first", images[:middle]), ("second", images[middle:])):
+        try:
+            own = camera_from_lanes(
+                half, camera, found.lane_width_m, found.extrinsics, markings=found.markings
+            ).extrinsics
+        except ValueError:  # mostly bends: the other half has the straight road
+            continue
+        pitch_rad, ratio = own.pitch_rad - found.extrinsics.pitch_rad, own.z_m / found.extrinsics.z_m
+        if abs(pitch_rad) > SAME_PITCH_RAD or not 1.0 / SAME_HEIGHT < ratio < SAME_HEIGHT:
+            raise ValueError(
+                f"images: the {part} half of the drive shows a camera {math.degrees(pitch_rad):+.1f} deg lower and "
+                f"{ratio:.2f} times as high as all of it; {WHAT_HELPS}"
+            )
 
 
 def line_residuals(images: Sequence[Image], camera: CameraModel, markings: str) -> FloatArray:

@@ -23,7 +23,7 @@ from automodel.sources.errors import SourceError
 from automodel.types import FloatArray, Image
 from calibration.boards import Board
 from calibration.car_file import check_car_file, write_values
-from calibration.from_lanes import LanesCalibration, camera_from_lanes
+from calibration.from_lanes import LanesCalibration, camera_from_lanes, check_consistent
 from calibration.ground import NAMES, GroundCalibration, GroundPoints, camera_from_points
 from calibration.pictures import ground_picture, picture_folder, write_pictures
 from calibration.printed_targets import ArucoSheet, SheetPlace, camera_from_sheet, find_sheet
@@ -173,7 +173,9 @@ class StraightDrive:
                 seen.append(image)
                 bar()
         seen = seen[:: max(1, math.ceil(len(seen) / LANE_FRAMES))]
-        found = camera_from_lanes(seen, CameraModel.from_config(car.camera), width_m, car.camera.extrinsics)
+        camera = CameraModel.from_config(car.camera)
+        found = camera_from_lanes(seen, camera, width_m, car.camera.extrinsics)
+        check_consistent(seen, camera, found)
         return Found(
             method=f"a lane of {width_m:g} m, {found.frames_used} of {found.frames_seen} images of a drive",
             extrinsics=found.extrinsics,

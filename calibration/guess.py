@@ -20,18 +20,20 @@ from automodel.geometry import CameraModel, GroundCamera
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
-from calibration.from_lanes import STATED, LanesCalibration, camera_from_lanes, line_residuals, sharpest_markings
+from calibration.from_lanes import (
+    STATED,
+    LanesCalibration,
+    camera_from_lanes,
+    check_consistent,
+    line_residuals,
+    sharpest_markings,
+)
 
 # The horizontal field of view of webcams, phones, dashcams and the cameras of car kits lies between 50 and 80 deg (two
 # sigmas); a wrong one makes pitch and heading wrong in proportion, offsets hardly.
 USUAL_VIEW_RAD, VIEW_SIGMA_RAD = math.radians(64.0), math.radians(8.0)
 DISTORTIONS = (-0.45, -0.35, -0.25, -0.15, -0.08, 0.0, 0.08, 0.15)  # k1 that are tried
 MOUNTED_RAD = math.radians(2.0)  # one sigma of the yaw of a camera that was mounted to look ahead, by eye
-# What two halves of one drive may differ by. A pitch beyond it, or two lanes taken for one, is no error of measurement;
-# right guesses differ by a third of it.
-SAME_PITCH_RAD, SAME_HEIGHT = math.radians(1.5), 1.15
-LEAST_SURE = 0.05  # of the height: one sigma from which on there is no guess
-WHAT_HELPS = "use a part of the drive with a straight road and few reflections"
 SIGNIFICANT = 3.0  # sigmas by which lines must be straighter with a distortion than without one
 LENS_IMAGES = 12  # of those given, in which the lens is looked for
 SEARCH_WIDTH_PX = 640  # larger images are made smaller for the search: a marking is still some pixels wide
@@ -82,7 +84,7 @@ def guess_car(
     view_rad = USUAL_VIEW_RAD if field_of_view_rad is None else field_of_view_rad
     lens = _lens(small, view_rad)
     found = _facing_ahead(camera_from_lanes(small, lens, 1.0, Extrinsics(x_m=0.0), markings="both"), lens)
-    _check_halves(small, lens, found)
+    check_consistent(small, lens, found)
     marking = _marking_width(small, lens, found)
     width_m, width_sigma_m = _lane_width(lane_width_m, marking)
     sigma = _sigmas(small, lens, found, 0.0 if field_of_view_rad is not None else VIEW_SIGMA_RAD, view_rad)
@@ -157,25 +159,6 @@ def _facing_ahead(found: LanesCalibration, lens: CameraModel) -> LanesCalibratio
         extrinsics=replace(found.extrinsics, yaw_rad=found.extrinsics.yaw_rad * share),
         std=found.std | {"yaw_rad": yaw_sigma_rad},
     )
-
-
-def _check_halves(images: Sequence[Image], lens: CameraModel, found: LanesCalibration) -> None:
-    """Raise ValueError where the images leave the height open, or the halves of the drive show different cameras."""
-    share = found.std["z_m"] / found.extrinsics.z_m
-    if not share < LEAST_SURE:
-        raise ValueError(f"images: they leave the height of the camera open by {100.0 * share:.0f} %; {WHAT_HELPS}")
-    middle = len(images) // 2
-    for part, half in (("first", images[:middle]), ("second", images[middle:])):
-        try:
-            own = camera_from_lanes(half, lens, 1.0, Extrinsics(x_m=0.0), markings=found.markings).extrinsics
-        except ValueError:  # mostly bends: the other half has the straight road
-            continue
-        pitch_rad, ratio = own.pitch_rad - found.extrinsics.pitch_rad, own.z_m / found.extrinsics.z_m
-        if abs(pitch_rad) > SAME_PITCH_RAD or not 1.0 / SAME_HEIGHT < ratio < SAME_HEIGHT:
-            raise ValueError(
-                f"images: the {part} half of the drive shows a camera {math.degrees(pitch_rad):+.1f} deg lower and "
-                f"{ratio:.2f} times as high as all of it; {WHAT_HELPS}"
-            )
 
 
 def _marking_width(images: Sequence[Image], lens: CameraModel, found: LanesCalibration) -> float:

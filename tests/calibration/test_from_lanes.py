@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from functools import cache
@@ -14,7 +15,14 @@ import pytest
 
 from automodel.config import Extrinsics
 from automodel.geometry import GroundCamera, cam_from_body_rotation
-from calibration.from_lanes import LanesCalibration, camera_from_lanes, level, solve_attitude, steepness
+from calibration.from_lanes import (
+    LanesCalibration,
+    camera_from_lanes,
+    check_consistent,
+    level,
+    solve_attitude,
+    steepness,
+)
 from calibration.vanishing_point_fit import ConvergingLines
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 from tests.support.slow_lane import rest_slow
@@ -104,6 +112,34 @@ def test_all_lengths_grow_with_the_lane_s_width_and_nothing_else_changes() -> No
     assert two.extrinsics.z_m == 2.0 * one.extrinsics.z_m
     assert two.extrinsics.pitch_rad == one.extrinsics.pitch_rad
     assert (two.residual_px, two.vanishing_px) == (one.residual_px, one.vanishing_px)
+
+
+def test_two_cameras_in_one_drive_are_refused() -> None:
+    camera = mounted()
+    images = drive(camera)
+    found = camera_from_lanes(images, camera.camera, LANE_M)
+    check_consistent(images, camera.camera, found)
+    other = drive(mounted(z_m=2.6))
+    mixed = camera_from_lanes([*images, *other], camera.camera, LANE_M)
+    with pytest.raises(ValueError, match="half of the drive shows a camera"):
+        check_consistent([*images, *other], camera.camera, mixed)
+    with pytest.raises(ValueError, match="leave the height of the camera open by 9 %"):
+        check_consistent(
+            images, camera.camera, dataclasses.replace(found, std={**found.std, "z_m": 0.09 * found.extrinsics.z_m})
+        )
+    with pytest.raises(ValueError, match=r"leave the pitch of the camera open by 0\.6 deg"):
+        check_consistent(images, camera.camera, dataclasses.replace(found, std={**found.std, "pitch_rad": 0.01}))
+
+
+def test_bends_that_pass_for_straight_roads_are_refused() -> None:
+    camera = mounted(z_m=1.4, pitch_rad=0.02)
+    rng = np.random.default_rng(0)
+    bends = [
+        draw(camera, road(rng.normal() * 0.3, DASHES, rng.uniform(0, 12)), rng.normal() * 0.005, -1.0 / 170.0, seed=k)
+        for k in range(10)
+    ]
+    with pytest.raises(ValueError, match=r"leave the pitch|show a curve"):
+        check_consistent(bends, camera.camera, camera_from_lanes(bends, camera.camera, LANE_M))
 
 
 def test_one_bend_among_straight_roads_is_left_out() -> None:

@@ -119,6 +119,13 @@ def test_a_straight_drive_between_lines(place: Path, cli) -> None:
     assert row["pitch_rad"] == pytest.approx(MOUNT.pitch_rad, abs=0.02)
     assert row["method"].startswith("a lane of 0.4 m, ")
     assert row["errors"][0]["within_mm"] is None
+    assert 0.0 < row["std_pitch_rad"] < 0.02
+    said = cli("calibrate", "ground", "drive", "--from-lanes", "--lane-width-m", 0.42)
+    assert said.code == 0, said.err
+    car = load_car(Path("car.toml"))
+    assert car.lane.width_m == 0.42  # what the height rests on
+    assert car.lane.markings == "light"
+    assert car.camera.extrinsics.z_m == pytest.approx(1.05 * MOUNT.z_m, rel=0.06)
 
 
 @pytest.mark.slow
