@@ -11,15 +11,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
-from cantools.autosar.end_to_end import compute_profile2_crc
-from crccheck.crc import Crc
-
 ChecksumFunction = Callable[[int, int, bytes], int]
 CounterFunction = Callable[[int, int], int]
 
 
 @lru_cache(maxsize=8)
 def _crc8_table(polynomial: int) -> bytes:
+    from crccheck.crc import Crc
+
     crc = Crc(8, polynomial)
     return bytes(crc.reset().process(bytes([value])).final() for value in range(256))
 
@@ -42,6 +41,8 @@ def autosar_e2e_1(frame_id: int, data_id: int, data: bytes) -> int:
 
 def autosar_e2e_2(frame_id: int, data_id: int, data: bytes) -> int:
     """AUTOSAR E2E profile 2 with one data id for all counter values; the CRC is byte 0, as in cantools."""
+    from cantools.autosar.end_to_end import compute_profile2_crc  # loads all of cantools
+
     return compute_profile2_crc(data, data_id & 0xFF) or 0
 
 

@@ -10,28 +10,37 @@ from pathlib import Path
 
 import numpy as np
 
+from automodel.assembly.can_parts import can_functions
 from automodel.assembly.registry import make_part
 from automodel.config import CarConfig, ConfigError
 from automodel.config.parts import LINKS
-from automodel.geometry import GroundCamera
+from automodel.geometry import SE2, GroundCamera
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, VirtualClock
 from automodel.sim.appearance import Appearance
-from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.full_size import FullSizeConfig, FullSizePlant
+from automodel.sim.plant import CarState, Plant, PlantConfig
 from automodel.sim.renderer import Renderer
 from automodel.sim.sources import LockStepSource, RealTimeWorld
 from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import Scene, UltrasonicRanges, World
+from automodel.sim.world import FullSizeWorld, Scene, UltrasonicRanges, World
+from firmware_link.can_receiver import load_dbc
 from firmware_link.emulator.autonomos import EmulatedAutonomos
 from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.can_vehicle import EmulatedCanVehicle, MemoryCanPort
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 
 STYLES = ("clean", "competition", "varied")
-BOARDS = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos"}  # simulated board -> its [link] kind
+BOARDS = {
+    "emulated": "arduino",
+    "avr": "arduino",
+    "autonomos": "autonomos",
+    "can": "can",
+}  # simulated board -> its [link] kind
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
 
 
@@ -40,7 +49,7 @@ class Simulation:
     """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor.
 
     `link` is the board: "emulated"; "avr", the firmware itself on a simulated microcontroller; "autonomos", that of an
-    AutoNOMOS car.
+    AutoNOMOS car; "can", a full-size vehicle on a CAN bus.
     """
 
     track: str = "tmr"
@@ -85,23 +94,35 @@ def renderer(track: Track, car: CarConfig, look: Appearance, nod_max_rad: float 
 
 
 def build_world(car: CarConfig, simulation: Simulation) -> World:
-    """The car at the start of its lane, standing."""
+    """The scale car at the start of its lane, standing."""
+    vehicle = car.vehicle
+    true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
+    bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
+    track, start, follower, reach = _surroundings(car, simulation)
+    ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
+    eye = renderer(track, car, appearance(simulation.style, simulation.seed))
+    return World(Plant(true, start, ranges), eye, follower, reach)
+
+
+def build_full_size_world(car: CarConfig, simulation: Simulation) -> FullSizeWorld:
+    """The full-size car at the start of its lane, standing; its centre of mass where ours is by default."""
+    true = FullSizeConfig(wheelbase_m=car.vehicle.wheelbase_m, cg_to_front_m=0.47 * car.vehicle.wheelbase_m)
+    track, start, follower, reach = _surroundings(car, simulation)
+    eye = renderer(track, car, appearance(simulation.style, simulation.seed))
+    return FullSizeWorld(FullSizePlant(true, start), eye, follower, reach)
+
+
+def _surroundings(
+    car: CarConfig, simulation: Simulation
+) -> tuple[Track, SE2, TruthFollower, Callable[[CarState], float]]:
+    """The track, where the car starts on it, what follows its truth, and how far its body reaches to the side."""
     track = load_track(simulation.track)
     lane = track.lane(simulation.direction)
     start = track.start
     if simulation.direction != track.start_direction:
         start = lane.pose(_straight_place(lane, lane.centerline.project((start.x_m, start.y_m))[0]))
-    vehicle = car.vehicle
-    true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
-    bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
-    ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
-    follower = TruthFollower(lane, vehicle.reference_x_m)
-    return World(
-        Plant(true, start, ranges),
-        renderer(track, car, appearance(simulation.style, simulation.seed)),
-        follower,
-        lambda state: follower.lateral_reach_m(state, vehicle),
-    )
+    follower = TruthFollower(lane, car.vehicle.reference_x_m)
+    return track, start, follower, lambda state: follower.lateral_reach_m(state, car.vehicle)
 
 
 def _straight_place(lane: Lane, from_s_m: float) -> float:
@@ -115,6 +136,8 @@ def _straight_place(lane: Lane, from_s_m: float) -> float:
 
 def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Virtual time: the bytes go through memory, the board's timers run on the same clock."""
+    if simulation.link == "can":
+        return _full_size_lock_step(car, simulation, on_scene)
     with contextlib.ExitStack() as leaving:
         program = _program(car, simulation, leaving)
         world = build_world(car, simulation)
@@ -133,6 +156,21 @@ def lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
         return SimulatedCar(source=source, link=link, clock=clock, close=leaving.pop_all().close)
 
 
+def _full_size_lock_step(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """The full-size car: CAN frames go through memory."""
+    world, config = build_full_size_world(car, simulation), car.link.can
+    vehicle = EmulatedCanVehicle(world, load_dbc(config.dbc), config, can_functions(config))
+
+    def advance(t_ns: int) -> None:
+        vehicle.advance(t_ns)
+        world.settle(t_ns)
+
+    clock = VirtualClock(0, advance)
+    source = LockStepSource(world, clock, car.camera.rate_hz, LATENCY_NS, on_scene)
+    link: VehicleLink = make_part(LINKS, "can", car, MemoryCanPort(vehicle, clock))
+    return SimulatedCar(source=source, link=link, clock=clock, close=source.close)
+
+
 def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | None = None) -> tuple[World, PtyBoard]:
     """World and board for a process of their own; the board answers on a pseudo terminal."""
     world = build_world(car, simulation)
@@ -141,6 +179,8 @@ def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | N
 
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Real time: camera and board live in another process, behind shared memory and a serial port."""
+    if simulation.link == "can":
+        raise ConfigError("--realtime: the full-size car on its CAN bus is simulated in lock-step only")
     shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
     with contextlib.ExitStack() as leaving:
         program = _program(car, simulation, leaving)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.resources
 import os
 from pathlib import Path
 
@@ -16,8 +15,10 @@ from calibration.car_file import replace_file
 KITS = {  # each in automodel/cli/kits/<name>.toml
     "nano-arduino": "Jetson Nano, CSI camera, Arduino Nano: cars like the AutoModelCar.",
     "jetracer": "JetRacer: its Jetson and camera; an Arduino Nano replaces its servo driver.",
+    "full-size": "A full-size car on a CAN bus; as it is written the simulated one.",
     "sim": "The simulated car, no hardware at all.",
 }
+_TRACK = {"full-size": " --track ring"}
 _NEXT = "next: measure what is marked +, then: automodel doctor --car"
 
 
@@ -35,19 +36,24 @@ def command(kit: str | None, out: Path, listing: bool, force: bool) -> int:
         return 0
     if kit is None:
         raise click.UsageError(f"KIT is missing: one of {', '.join(KITS)}")
-    if kit == "can":
-        raise ConfigError("can: this version has no link over CAN; replay and the simulator need no link")
     if kit not in KITS:
         raise click.BadParameter(f"expected one of {', '.join(KITS)}, got {kit!r}", param_hint="KIT")
     backup = write_new(out, kit_text(kit), force)
     say(f"{out}: written for {kit}" + (f"; the old one is {backup}" if backup else ""))
-    say(f"{_NEXT} {out}" if kit != "sim" else f"next: automodel run --car {out}")
+    say(
+        f"{_NEXT} {out}" if kit not in ("sim", "full-size") else f"next: automodel run --car {out}{_TRACK.get(kit, '')}"
+    )
     return 0
 
 
 def kit_text(kit: str) -> str:
     """The car.toml of one of KITS."""
-    return (importlib.resources.files("automodel.cli") / "kits" / f"{kit}.toml").read_text(encoding="utf-8")
+    return kit_path(kit).read_text(encoding="utf-8")
+
+
+def kit_path(kit: str) -> Path:
+    """The file of one of KITS."""
+    return Path(__file__).parent / "kits" / f"{kit}.toml"
 
 
 def write_new(path: Path, text: str, force: bool) -> Path | None:

@@ -22,7 +22,12 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
 )
 @click.option("--laps", type=click.IntRange(1), help="End after so many laps (simulated car; default 1).")
 @click.option("--duration", "duration_s", type=ABOVE_ZERO, callback=finite, help="End after so many seconds.")
-@click.option("--track", default="tmr", show_default=True, help="Simulated: tmr, oval, chicane, a .toml or .csv file.")
+@click.option(
+    "--track",
+    default="tmr",
+    show_default=True,
+    help="Simulated: tmr, oval, chicane, circuit, ring, a .toml or .csv file.",
+)
 @click.option(
     "--direction",
     type=click.Choice(["forward", "reverse"]),
@@ -41,9 +46,10 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
 @click.option(
     "--link",
     "board",
-    type=click.Choice(("emulated", "avr", "autonomos")),
+    type=click.Choice(("emulated", "avr", "autonomos", "can")),
     help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr), autonomos "
-    "that of an AutoNOMOS car.  [default: emulated, or autonomos where [link] kind says so]",
+    "that of an AutoNOMOS car, can a full-size car (without --car that of `init full-size` on the track ring).  "
+    "[default: as [link] kind says, emulated]",
 )
 @click.option(
     "--realtime", is_flag=True, help="Simulated: against the real clock, camera and board in another process."
@@ -72,6 +78,12 @@ def command(
     from automodel.console.messages import say
     from automodel.console.tables import show
 
+    if rest["board"] == "can" and car_file is None:
+        from automodel.cli.init import kit_path
+
+        car_file = kit_path("full-size")
+        if ctx.get_parameter_source("track") is not ParameterSource.COMMANDLINE:
+            rest["track"] = "ring"
     car, text = read_car(car_file, pipeline, speed_mps, lossless)
     options = RunOptions(**rest)  # type: ignore[arg-type]
     check_outputs({"--truth": options.truth}, {"--car": car_file, "--record": options.record})

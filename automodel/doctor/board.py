@@ -188,7 +188,7 @@ def board_findings(car: CarConfig, link: Board, clock: SleepingClock) -> Generat
 
 
 def can_finding(networks: Path = Path("/sys/class/net")) -> Finding:
-    """The CAN interfaces of this machine, which no link uses yet."""
+    """The CAN interfaces of this machine; what they carry is judged from a recording."""
     found = []
     for kind in sorted(networks.glob("*/type")):
         try:
@@ -198,7 +198,7 @@ def can_finding(networks: Path = Path("/sys/class/net")) -> Finding:
         except OSError:  # it was removed meanwhile
             continue
     here = f"here are: {', '.join(found)}" if found else "this machine has no CAN interface"
-    return skip("can", f"no link over CAN is available yet; {here}")
+    return skip("can", f"the bus is not examined here: record it, and see automodel replay --can; {here}")
 
 
 def _listen(link: Board, clock: SleepingClock) -> tuple[Hello | None, Listened]:

@@ -16,7 +16,7 @@ import numpy as np
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.os_signals import signals_held_back
 from automodel.signals import Frame
-from automodel.sim.world import Scene, World
+from automodel.sim.world import Scene, Surroundings
 from automodel.sources.errors import SourceError
 
 
@@ -29,7 +29,12 @@ class LockStepSource:
     """
 
     def __init__(
-        self, world: World, clock: VirtualClock, rate_hz: float, latency_ns: int, on_scene: Callable[[Scene], None]
+        self,
+        world: Surroundings[Any],
+        clock: VirtualClock,
+        rate_hz: float,
+        latency_ns: int,
+        on_scene: Callable[[Scene], None],
     ) -> None:
         self.world, self.clock = world, clock
         self._latency_ns = latency_ns
@@ -80,7 +85,7 @@ class Port(Protocol):
         ...
 
 
-WorldFactory = Callable[..., tuple[World, Port]]
+WorldFactory = Callable[..., tuple[Surroundings[Any], Port]]
 
 
 class RealTimeWorld:

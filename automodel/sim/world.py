@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from automodel.curves import TabulatedCurve
 from automodel.geometry import SE2
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LanePose, LaneStatus, Motion
+from automodel.sim.full_size import FullSizePlant
 from automodel.sim.plant import CarState, Plant, Ranges
 from automodel.sim.track import Lane
 from automodel.sim.truth import Truth, TruthFollower
@@ -122,7 +123,22 @@ class Scene:
     reach_m: float
 
 
-class World:
+class Dynamics(Protocol):
+    """A car whose motion is determined for its actuators' dead time."""
+
+    def advance(self, t_ns: int) -> None:
+        """Advance to `t_ns`."""
+        ...
+
+    def predicted(self, t_ns: int) -> CarState:
+        """The state at `t_ns`, at most the dead time ahead."""
+        ...
+
+
+DynamicsT = TypeVar("DynamicsT", bound=Dynamics)
+
+
+class Surroundings(Generic[DynamicsT]):
     """The plant behind a lock (a served board has its own thread), with its camera and ground truth.
 
     The plant's actuators have dead times, during which its motion is already determined: `capture` can render a frame
@@ -130,20 +146,10 @@ class World:
     """
 
     def __init__(
-        self, plant: Plant, renderer: Eye, follower: TruthFollower, reach: Callable[[CarState], float]
+        self, plant: DynamicsT, renderer: Eye, follower: TruthFollower, reach: Callable[[CarState], float]
     ) -> None:
         self.plant, self.renderer, self.follower, self._reach = plant, renderer, follower, reach
         self._lock = threading.Lock()
-
-    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """The pulses at the board's pins."""
-        with self._lock:
-            self.plant.set_pulses(t_ns, servo_us, motor_us)
-
-    def read_sensors(self, t_ns: int) -> BoardSensors:
-        """The readings of the board's sensors."""
-        with self._lock:
-            return self.plant.read_sensors(t_ns)
 
     def capture(self, t_ns: int, index: int) -> tuple[Image, Scene]:
         """Image and truth at `t_ns`, which is now or at most the plant's shortest dead time ahead."""
@@ -158,6 +164,34 @@ class World:
         """Advance the plant to `t_ns`, beyond the board's last step."""
         with self._lock:
             self.plant.advance(t_ns)
+
+
+class World(Surroundings[Plant]):
+    """The world of a scale car: its controller board's peripherals."""
+
+    def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
+        """The pulses at the board's pins."""
+        with self._lock:
+            self.plant.set_pulses(t_ns, servo_us, motor_us)
+
+    def read_sensors(self, t_ns: int) -> BoardSensors:
+        """The readings of the board's sensors."""
+        with self._lock:
+            return self.plant.read_sensors(t_ns)
+
+
+class FullSizeWorld(Surroundings[FullSizePlant]):
+    """The world of a full-size car: its vehicle controller's body."""
+
+    def drive(self, t_ns: int, steering_rad: float | None, accel_mps2: float) -> None:
+        """Steer and accelerate from `t_ns` on."""
+        with self._lock:
+            self.plant.demand(t_ns, steering_rad, accel_mps2)
+
+    def measure(self, t_ns: int) -> CarState:
+        """The state at `t_ns`."""
+        with self._lock:
+            return self.plant.predicted(t_ns)
 
 
 class Eye(Protocol):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -21,15 +21,23 @@ from firmware_link.transport import Clock
 _MS = 1_000_000
 COMMAND_TIMEOUT_NS = 100 * _MS
 OVERRIDE_TORQUE_NM = 3.0
+OUTBOX_FRAMES = 2000  # half a second of a full bus
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BodyState:
+class BodyState(Protocol):
     """What the vehicle's sensors say."""
 
-    speed_mps: float
-    yaw_rate_radps: float
-    steering_rad: float
+    @property
+    def speed_mps(self) -> float:
+        """Forward positive."""
+
+    @property
+    def yaw_rate_radps(self) -> float:
+        """Anticlockwise positive."""
+
+    @property
+    def steering_rad(self) -> float:
+        """Of the road wheels, left positive."""
 
 
 class VehicleBody(Protocol):
@@ -98,7 +106,7 @@ class EmulatedCanVehicle:
         self._next_ns: dict[str, int] = {}
         self._now_ns: int | None = None
         self._last: dict[str, bytes] = {}
-        self._outbox: list[CanFrame] = []
+        self._outbox: deque[CanFrame] = deque(maxlen=OUTBOX_FRAMES)
 
     @property
     def unknown(self) -> int:
@@ -122,8 +130,8 @@ class EmulatedCanVehicle:
             self.accepted.append((frame.t_ns, dict(watch.values)))
             self._follow(frame.t_ns)
 
-    def advance(self, t_ns: int) -> list[CanFrame]:
-        """What the vehicle has sent up to `t_ns` since the last call."""
+    def advance(self, t_ns: int) -> None:
+        """Let the vehicle act and send up to `t_ns`."""
         if self._now_ns is None:
             self._now_ns = t_ns
             self._next_ns = {writer.name: t_ns for writer in self._writers}
@@ -131,7 +139,11 @@ class EmulatedCanVehicle:
             self._now_ns = min(self._now_ns + _MS, t_ns)
             self._follow(self._now_ns)
             self._send(self._now_ns)
-        sent, self._outbox = self._outbox, []
+
+    def collect(self) -> list[CanFrame]:
+        """What the vehicle has sent since the last call, the newest `OUTBOX_FRAMES`."""
+        sent = list(self._outbox)
+        self._outbox.clear()
         return sent
 
     def _follow(self, t_ns: int) -> None:
@@ -210,14 +222,16 @@ class MemoryCanPort:
         """Join the bus; raises PortNotFound while the controller is off."""
         if self._vehicle.wrong.trouble is BusTrouble.OFF:
             raise PortNotFound(f"{self.place}: the CAN bus cannot be opened: bus-off")
-        self._vehicle.advance(self._clock.now_ns())  # what was sent before is lost
+        self._vehicle.advance(self._clock.now_ns())
+        self._vehicle.collect()  # what was sent before is lost
         self._open = True
 
     def receive(self, now_ns: int) -> Received:
         """What has come."""
         self._check()
         trouble = self._vehicle.wrong.trouble
-        frames = self._vehicle.advance(now_ns)
+        self._vehicle.advance(now_ns)
+        frames = self._vehicle.collect()
         if trouble is not None:  # nothing gets through
             return Received(troubles=(trouble,) * 3)
         return Received(frames=tuple(frames))

@@ -32,6 +32,11 @@ def lock_step(rate_hz: float = 50.0, latency_ns: int = 3 * MS) -> tuple[LockStep
     return LockStepSource(world, clock, rate_hz, latency_ns, scenes.append), clock, scenes
 
 
+def pulses(source: LockStepSource, t_ns: int, servo_us: float, motor_us: float) -> None:
+    assert isinstance(source.world, World)
+    source.world.set_pulses(t_ns, servo_us, motor_us)
+
+
 class TestWorld:
     def test_a_picture_ahead_of_its_time_is_the_picture_of_that_time(self) -> None:
         ahead, at_time = small_world(), small_world()
@@ -128,7 +133,7 @@ class TestLockStep:
 
     def test_pulses_move_the_car_in_the_pictures(self) -> None:
         source, _, scenes = lock_step()
-        source.world.set_pulses(0, RIGHT_US, FORWARD_US)
+        pulses(source, 0, RIGHT_US, FORWARD_US)
         for _ in range(50):
             assert source.read(1.0) is not None
         ways = [scene.car.distance_m for scene in scenes]
@@ -140,7 +145,7 @@ class TestLockStep:
         told = []
         for _ in range(2):
             source, _, scenes = lock_step()
-            source.world.set_pulses(0, RIGHT_US, FORWARD_US)
+            pulses(source, 0, RIGHT_US, FORWARD_US)
             pictures = []
             for _ in range(30):
                 frame = source.read(0.1)

@@ -51,7 +51,7 @@ CASES = {  # arguments -> the line on stderr
     "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",
     "run --car usb.toml --laps 3": "automodel: --laps: is for the simulated car, and usb.toml names a real one",
     "run --car usb.toml --seed 0": "automodel: --seed: is for the simulated car, and usb.toml names a real one",
-    "run --track tmrr": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, tmr, or "
+    "run --track tmrr": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, ring, tmr, or "
     "the path of a .toml or .csv file",
     "run --track missing.toml": "automodel: missing.toml: no such file",
     "run --track track.toml": "automodel: track.toml:2: closed: true, but the road's end misses its "
@@ -99,7 +99,7 @@ CASES = {  # arguments -> the line on stderr
     "recover text.mcap": "automodel: text.mcap: not an MCAP file",
     "recover run.mcap -o run.mcap": "automodel: run.mcap: is the file to recover; choose another name for the output",
     "recover head.mcap": "automodel: head.mcap: nothing to recover: no complete message before the cut",
-    "bench accuracy --track tmrr --jobs 1": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, tmr, or "
+    "bench accuracy --track tmrr --jobs 1": "automodel: tmrr: no such track; expected one of chicane, circuit, oval, ring, tmr, or "
     "the path of a .toml or .csv file",
     "bench accuracy --plot missing/x.png": "automodel: --plot missing/x.png: there is no folder missing",
 }

@@ -30,6 +30,37 @@ DIFFERENCES = {
         "vehicle.reference_x_m": 0.128,
         "vehicle.width_m": 0.19,
     },
+    "full-size": {
+        "vehicle.wheelbase_m": 2.65,
+        "vehicle.reference_x_m": 1.25,
+        "vehicle.width_m": 1.80,
+        "vehicle.front_overhang_m": 0.90,
+        "vehicle.rear_overhang_m": 0.80,
+        "vehicle.ticks_per_m": 50.0,
+        "camera.width_px": 672,
+        "camera.height_px": 376,
+        "camera.rate_hz": 50.0,
+        "camera.intrinsics.fx_px": 350.0,
+        "camera.intrinsics.fy_px": 350.0,
+        "camera.intrinsics.cx_px": 335.5,
+        "camera.intrinsics.cy_px": 187.5,
+        "camera.extrinsics.x_m": 1.65,
+        "camera.extrinsics.z_m": 1.35,
+        "camera.extrinsics.pitch_rad": 0.08,
+        "lane.width_m": 3.5,
+        "lane.marking_width_m": 0.15,
+        "control.speed_mps": 15.0,
+        "control.lateral_accel_mps2": 1.8,
+        "control.decel_mps2": 2.5,
+        "control.lookahead_s": 0.8,
+        "control.lookahead_min_m": 5.0,
+        "control.actuator_delay_s": 0.13,
+        "link.kind": "can",
+        "safety.steering_rate_max_radps": 0.5,
+        "safety.speed_max_mps": 15.0,
+        "safety.lateral_accel_max_mps2": 2.4,
+        "safety.lateral_jerk_max_mps3": 5.0,
+    },
     "sim": {},
 }
 UNITS = {  # the ending of a key -> how its comment begins
@@ -92,7 +123,15 @@ def test_a_kit_says_all_that_people_set(kit: str) -> None:
     """All sections in full; of the pipelines' own keys only some: their place is the README."""
     keys = given(parse_toml(kit_text(kit), kit))
     left_out = {key for key in flat(CarConfig()) if key not in keys}
-    own = ("pipeline.", "calibration.", "camera.right", "link.autonomos.", "control.", "lane.dark_markings")
+    own = (
+        "pipeline.",
+        "calibration.",
+        "camera.right",
+        "link.autonomos.",
+        "link.can.",
+        "control.",
+        "lane.dark_markings",
+    )
     assert {key for key in left_out if not key.startswith(own)} == set()
     assert {"control.speed_mps", "control.controller", "pipeline.name"} <= keys
 
@@ -137,8 +176,10 @@ def test_nothing_is_overwritten_unasked(cli, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said_so"),
     [
-        ("can", "automodel: can: this version has no link over CAN; replay and the simulator need no link"),
-        ("", "automodel init: KIT is missing: one of nano-arduino, jetracer, sim (see automodel init --help)"),
+        (
+            "",
+            "automodel init: KIT is missing: one of nano-arduino, jetracer, full-size, sim (see automodel init --help)",
+        ),
         ("sim --out no/car.toml", "automodel: no/car.toml: cannot be written: No such file or directory"),
         ("sim --out .", "automodel: .: is a folder; give the name of a file"),
     ],

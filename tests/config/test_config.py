@@ -67,7 +67,7 @@ REFUSED = {
     "[control]\nspeed_mps = -1": "car.toml:2: [control] speed_mps: expected a number >= 0, got -1.0",
     "[control]\nobstacle_stop_m = 0.4\nobstacle_go_m = 0.3": "car.toml:3: [control] obstacle_go_m: 0.3 is less than "
     "obstacle_stop_m",
-    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: expected one of arduino, autonomos, or "
+    '[link]\nkind = "ardiuno"': "car.toml:2: [link] kind: expected one of arduino, autonomos, can, or "
     "package.module:Class, got 'ardiuno'; did you mean 'arduino'?",
     "[link]\nbaud = 0": "car.toml:2: [link] baud: expected a positive number, got 0",
     "[link.servo]\npulse_us = [1500, 1400, 1300]": "car.toml:2: [link.servo] pulse_us: must rise from entry to entry",

@@ -21,13 +21,20 @@ from firmware_link.can_limits import (
 from firmware_link.can_link import CanLink
 from firmware_link.can_port import BusTrouble, PythonCanPort, WhitelistedPort, trouble_of
 from firmware_link.can_receiver import CanFrame, Verdict, load_dbc
-from firmware_link.emulator.can_vehicle import BodyState, EmulatedCanVehicle, MemoryCanPort
+from firmware_link.emulator.can_vehicle import EmulatedCanVehicle, MemoryCanPort
 from firmware_link.errors import HandshakeError, LinkError, PortLost, PortNotFound
 
 MS = 1_000_000
 PERIOD_NS = 20 * MS
 VEHICLE = VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8)
 CONFIG = CanConfig()
+
+
+@dataclasses.dataclass(frozen=True)
+class Measured:
+    speed_mps: float
+    yaw_rate_radps: float
+    steering_rad: float
 
 
 class Body:
@@ -45,9 +52,9 @@ class Body:
         if steering_rad is not None:
             self.steering_rad = steering_rad
 
-    def measure(self, t_ns: int) -> BodyState:
+    def measure(self, t_ns: int) -> Measured:
         yaw = self.speed_mps * math.tan(self.steering_rad) / VEHICLE.wheelbase_m
-        return BodyState(speed_mps=self.speed_mps, yaw_rate_radps=yaw, steering_rad=self.steering_rad)
+        return Measured(speed_mps=self.speed_mps, yaw_rate_radps=yaw, steering_rad=self.steering_rad)
 
 
 class Rig:

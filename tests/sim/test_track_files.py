@@ -148,7 +148,7 @@ def test_not_toml() -> None:
 
 
 def test_no_such_track_names_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"^tnr: no such track; expected one of chicane, circuit, oval, tmr"):
+    with pytest.raises(ConfigError, match=r"^tnr: no such track; expected one of chicane, circuit, oval, ring, tmr"):
         load_track("tnr")
 
 

@@ -1,0 +1,63 @@
+"""`automodel run --link can`: a full-size car over emulated CAN frames."""
+
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from automodel.recording.reader import Recording
+from automodel.signals import Command, VehicleState
+
+RUN = ("run", "--link", "can", "--pipeline", "contour")
+
+
+@pytest.mark.slow
+def test_it_drives_at_15_mps_through_a_bend(cli, tmp_path: Path) -> None:
+    truth, recording = tmp_path / "truth.csv", tmp_path / "run.mcap"
+    said = cli(*RUN, "--duration", "28", "--truth", truth, "--record", recording, "--json")
+    assert said.code == 0
+    (row,) = said.rows
+    assert (row["left_lane"], row["stops"]) == (0, 0)
+    assert row["max_abs_offset_m"] <= 0.5
+    with open(truth, newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert max(abs(float(line["curvature_per_m"])) for line in rows) == pytest.approx(1 / 150, rel=0.02)
+    values = [message.value for message in Recording(recording)]
+    states = [value for value in values if isinstance(value, VehicleState)]
+    assert max(state.speed_mps or 0.0 for state in states) == pytest.approx(15.0, abs=0.3)
+    last = states[-1]
+    assert (last.armed, last.engaged, last.driver_override, last.gear, last.faults) == (True, True, False, "D", ())
+    angles = np.array([value.steering_rad for value in values if isinstance(value, Command)])
+    assert np.max(np.abs(angles)) < math.radians(3)
+
+
+def test_its_kit_drives(cli, tmp_path: Path) -> None:
+    car = tmp_path / "car.toml"
+    assert cli("init", "full-size", "--out", car).code == 0
+    said = cli("run", "--car", car, "--track", "ring", "--pipeline", "contour", "--duration", "3", "--json")
+    assert (said.code, said.rows[0]["stops"]) == (0, 0)
+
+
+def test_real_time_is_refused_in_one_line(cli) -> None:
+    said = cli(*RUN, "--realtime", "--duration", "1")
+    assert said.code == 2
+    assert said.err == "automodel: --realtime: the full-size car on its CAN bus is simulated in lock-step only\n"
+
+
+def test_a_bus_that_is_not_there_is_one_line(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tests.support.fake_cars import StillCamera, road
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("automodel.assembly.drive.make_camera", lambda car: StillCamera(road()))
+    car = tmp_path / "car.toml"
+    car.write_text(
+        '[camera]\nsource = "usb"\n[link]\nkind = "can"\nport = "can0"\n[link.can]\ninterface = "nonsense"\n'
+    )
+    said = cli("run", "--car", car)
+    assert said.code in (1, 2)
+    assert "the CAN bus cannot be opened" in said.err
+    assert "Traceback" not in said.err
