@@ -128,7 +128,6 @@ class CanLink:
             session.latched.append(fault)
             return
         session.wants_armed, session.arm_ns = True, now_ns
-        session.steering_rad = session.snapshot.values["steering_rad"]
         session.command, session.sent_ns = None, now_ns
 
     def disarm(self, now_ns: int) -> None:

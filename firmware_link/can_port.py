@@ -13,6 +13,8 @@ from firmware_link.errors import LinkError, PortLost, PortNotFound
 FRAMES_MAX = 1000  # in one go: five times what a bus of 500 kbit/s can carry in a cycle of 20 ms
 OFFSET_WINDOW_NS = 1_000_000_000  # the smallest delay of this time tells the offset between the clocks
 _NO_BITRATE = frozenset({"virtual", "udp_multicast", "socketcan"})  # the last one's is set by `ip link`
+_ECHOING = frozenset({"udp_multicast"})  # hears its own frames, as no controller does
+_ECHOES_MAX = 100  # two seconds of the own frames
 _EXTRA: dict[str, dict[str, Any]] = {"udp_multicast": {"hop_limit": 0}}  # never beyond this machine
 _BUS_OFF, _CONTROLLER, _PASSIVE = 0x40, 0x04, 0x30  # linux/can/error.h: classes in the id, and data[1]
 
@@ -59,6 +61,7 @@ class PythonCanPort:
         self.place = f"{channel} ({interface})"
         self._bus: Any = None
         self._offsets: deque[tuple[int, int]] = deque()  # when seen, and monotonic less bus time
+        self._echoes: deque[tuple[int, bytes, bool]] = deque(maxlen=_ECHOES_MAX)  # sent, and not heard yet
 
     def open(self) -> None:
         """Join the bus; raises PortNotFound."""
@@ -68,6 +71,7 @@ class PythonCanPort:
         if self._interface not in _NO_BITRATE:
             arguments["bitrate"] = self._bitrate
         self._offsets.clear()
+        self._echoes.clear()
         try:
             self._bus = can.Bus(interface=self._interface, channel=self._channel, **arguments)
         except (can.CanError, OSError, ValueError, ImportError) as error:
@@ -90,6 +94,9 @@ class PythonCanPort:
                 elif not message.is_remote_frame:
                     t_ns = self._arrival_ns(round(message.timestamp * 1e9), now_ns)
                     data, extended = bytes(message.data), message.is_extended_id
+                    if (message.arbitration_id, data, extended) in self._echoes:
+                        self._echoes.remove((message.arbitration_id, data, extended))
+                        continue
                     frames.append(CanFrame(t_ns=t_ns, frame_id=message.arbitration_id, data=data, extended=extended))
             state = self._live().state
         except NotImplementedError:
@@ -109,6 +116,8 @@ class PythonCanPort:
         message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
         try:
             self._live().send(message, timeout=0)
+            if self._interface in _ECHOING:
+                self._echoes.append((frame_id, data, extended))
         except (can.CanError, OSError) as error:
             reason = " ".join(str(error).split())
             raise PortLost(

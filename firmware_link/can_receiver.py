@@ -242,8 +242,6 @@ class MessageWatch:
                 verdict = Verdict.COUNTER
             self._counter = counter
         count.verdicts[verdict] += 1
-        if verdict is Verdict.QUALITY:
-            self.values = {}
         if verdict is Verdict.GOOD:
             self.values = {**self.values, **values}
             self.good_ns, self._missing = t_ns, False

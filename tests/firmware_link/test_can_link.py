@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import time
 from collections.abc import Callable
 
 import pytest
@@ -429,3 +430,28 @@ def test_a_bus_that_is_not_there_is_one_line() -> None:
     with pytest.raises(PortNotFound, match="the CAN bus cannot be opened") as caught:
         PythonCanPort("nonsense", "can0", 500_000).open()
     assert "\n" not in str(caught.value)
+
+
+def test_two_ports_of_a_multicast_bus_hear_each_other_and_not_themselves() -> None:
+    first, second = (PythonCanPort("udp_multicast", "239.74.163.42", 500_000) for _ in range(2))
+    try:
+        first.open()
+        second.open()
+        first.send(0x100, b"\x01", False)
+    except LinkError as error:
+        pytest.skip(f"no multicast here: {error}")
+    assert heard(second) == [(0x100, b"\x01")]
+    second.send(0x100, b"\x02", False)
+    assert heard(first) == [(0x100, b"\x02")]
+    first.close()
+    second.close()
+
+
+def heard(port: PythonCanPort) -> list[tuple[int, bytes]]:
+    """What comes within a second, but no longer than until something has come."""
+    for t_ms in range(200):
+        frames = port.receive(t_ms * MS).frames
+        if frames:
+            return [(frame.frame_id, frame.data) for frame in frames]
+        time.sleep(0.005)
+    return []
