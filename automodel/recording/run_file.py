@@ -50,7 +50,7 @@ _CROSSING = _object("distance_m:number angle_rad:number")
 _ESTIMATE_PARTS = {"pose": _POSE, "crossing": _CROSSING, "left": _LINE, "right": _LINE, "centerline": _CURVE}
 _STATE = (
     "t_ns:integer speed_mps:number yaw_rate_radps:number steering_rad:number ranges_m:numbers battery_v:number"
-    " armed:boolean faults:strings boot_id:integer"
+    " armed:boolean faults:strings boot_id:integer engaged:boolean driver_override:boolean gear:string"
 )
 
 SCHEMAS: dict[str, tuple[str, _Schema]] = {
