@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from automodel.config import CanConfig, CanMessage, CanSignal, ConfigError
+from automodel.config.toml_reader import MOST_TEXT_BYTES, check_file
 from firmware_link.can_checks import ChecksumFunction, CounterFunction, usual_mask
 
 WINDOW_FRAMES = 10  # a message is faulty with `BAD_MAX` bad frames among so many, until there is none among them
@@ -79,6 +80,7 @@ def load_dbc(paths: Sequence[str | Path]) -> Any:
         return cantools.database.load_string(own.read_text(encoding="utf-8"), "dbc")
     messages: list[Any] = []
     for path in paths:
+        check_file(path, MOST_TEXT_BYTES)
         try:
             text = Path(path).read_bytes().decode("cp1252")
             read: Any = cantools.database.load_string(text, "dbc", strict=False)

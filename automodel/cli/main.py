@@ -8,9 +8,12 @@ import logging
 import os
 import signal
 import sys
+import traceback
+from pathlib import Path
 
 # One thread for BLAS: its matrices are tiny here, waking a second core costs more than it saves, and jitters.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(8192**2))  # a few kB of PNG may unpack to gigabytes
 
 import click
 
@@ -29,6 +32,9 @@ COMMANDS = {
     "recover": "Make a recording readable that was cut by a power loss.",
     "train": "Train the network that finds lane markings.",
 }
+
+TRACEBACK = "AUTOMODEL_TRACEBACK"  # an environment variable: errors that are mistakes of ours, with their traceback
+_LONGEST = 400  # characters of such an error's text
 
 
 class LazyGroup(click.Group):
@@ -91,6 +97,12 @@ def run(arguments: list[str]) -> int:
         return error.code if isinstance(error.code, int) else 1
     except (ValueError, OSError) as error:
         return _error(f"automodel: {_one_line(error)}", 2)
+    except Exception as error:  # a mistake of ours: a user is helped by its line, we by its traceback
+        if os.environ.get(TRACEBACK):
+            raise
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        cause = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {_one_line(error)}"
+        return _error(f"automodel: unexpected {cause[:_LONGEST]} (set {TRACEBACK}=1 for the traceback)", 1)
     return code if isinstance(code, int) else 0
 
 

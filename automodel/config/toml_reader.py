@@ -10,6 +10,7 @@ import datetime
 import difflib
 import math
 import re
+import stat
 import sys
 import types
 import typing
@@ -21,7 +22,12 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+from automodel.config.ranges import out_of_range
+
 T = TypeVar("T")
+
+MOST_TEXT_BYTES = 2**26  # [byte] 64 MiB: a race track's centreline has 1 MiB, the labels of TuSimple 20
+_SHOWN = 40  # characters of a wrong value that an error quotes
 
 
 class ConfigError(ValueError):
@@ -44,8 +50,24 @@ def not_negative(section: object, *names: str) -> None:
             raise ValueError(f"{name}: expected a number >= 0, got {value}")
 
 
-def read_text(path: str | Path) -> str:
-    """The file's text; raises ConfigError when it cannot be read."""
+def check_file(path: str | Path, most_bytes: int | None = None) -> None:
+    """Raise ConfigError for a device or a pipe, whose reading may never end, and for a larger file than `most_bytes`.
+
+    What is missing, a folder or not readable is left to whoever opens it.
+    """
+    try:
+        status = Path(path).stat()
+    except (OSError, ValueError):
+        return
+    if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+        raise ConfigError(f"{path}: is a device or a pipe; give the name of a file")
+    if most_bytes is not None and stat.S_ISREG(status.st_mode) and status.st_size > most_bytes:
+        raise ConfigError(f"{path}: has {status.st_size / 2**20:.0f} MiB; at most {most_bytes / 2**20:.0f} are read")
+
+
+def read_text(path: str | Path, most_bytes: int = MOST_TEXT_BYTES) -> str:
+    """The file's text; raises ConfigError when it cannot be read or is larger than `most_bytes`."""
+    check_file(path, most_bytes)
     try:
         return Path(path).read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -64,6 +86,10 @@ def parse_toml(text: str, file: str) -> dict[str, Any]:
         line = re.search(r"\(at line (\d+)", str(error))
         number = line.group(1) if line else len(text.splitlines())  # without a line it says "at end of document"
         raise ConfigError(f"{file}:{number}: not TOML: {re.sub(r' [(]at .*', '', str(error))}") from None
+    except RecursionError:
+        raise ConfigError(f"{file}: nested too deep; is this the right file?") from None
+    except ValueError as error:  # of Python's int(): thousands of digits
+        raise ConfigError(f"{file}: not TOML: {str(error).partition(';')[0]}") from None
 
 
 def read_section(cls: type[T], table: dict[str, Any], text: str, file: str, path: tuple[str, ...] = ()) -> T:
@@ -98,7 +124,7 @@ def read_section(cls: type[T], table: dict[str, Any], text: str, file: str, path
 
 def _value(hint: Any, raw: Any, text: str, file: str, path: tuple[str, ...]) -> Any:
     def wrong(expected: str) -> ConfigError:
-        return ConfigError(f"{where(text, file, path[:-1], path[-1])}: expected {expected}, got {raw!r}")
+        return ConfigError(f"{where(text, file, path[:-1], path[-1])}: expected {expected}, got {_shown(raw)}")
 
     origin = typing.get_origin(hint)
     if origin is types.UnionType or origin is typing.Union:
@@ -119,16 +145,28 @@ def _value(hint: Any, raw: Any, text: str, file: str, path: tuple[str, ...]) -> 
     elif hint is int:
         if not isinstance(raw, int) or isinstance(raw, bool):
             raise wrong("a whole number")
-    elif hint is float:
-        if not isinstance(raw, int | float) or isinstance(raw, bool) or not math.isfinite(raw):
-            raise wrong("a finite number")
-        return float(raw)
+    elif hint is float and (not isinstance(raw, int | float) or isinstance(raw, bool) or not _finite(raw)):
+        raise wrong("a finite number")
     elif hint is datetime.date:
         if not isinstance(raw, datetime.date) or isinstance(raw, datetime.datetime):
             raise wrong("a date (2026-01-31, without quotes)")
     elif hint is str and not isinstance(raw, str):
         raise wrong("a string")
+    if hint in (int, float):
+        if expected := out_of_range(path, raw):
+            raise wrong(expected)
+        return hint(raw)
     return raw
+
+
+def _finite(number: float) -> bool:
+    """Whether it is a number; a whole one of any size is."""
+    return isinstance(number, int) or math.isfinite(number)
+
+
+def _shown(raw: object) -> str:
+    text = repr(raw)
+    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
 
 
 def where(text: str, file: str, path: tuple[str, ...], key: str | None, error: object = None) -> str:

@@ -15,6 +15,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
 
+from automodel.config.toml_reader import check_file
 from automodel.recording.codec import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, TOPICS, Value, decode, decode_image
 from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
 from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, MotionSource, StereoFrame, VehicleState
@@ -107,6 +108,7 @@ class Recording:
             yield _step(frame, state, waiting)
 
     def _open(self) -> IO[bytes]:
+        check_file(self.path)
         try:
             return open(self.path, "rb")
         except FileNotFoundError:

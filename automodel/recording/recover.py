@@ -20,6 +20,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 from zstandard import ZstdError
 
 from automodel.config import ConfigError
+from automodel.config.toml_reader import check_file
 from automodel.output_files import output_path
 from automodel.recording.codec import CAMERA, LEFT
 from automodel.recording.run_file import CHUNK_BYTES
@@ -177,6 +178,7 @@ class _Copy:
 
 
 def _open(path: Path) -> IO[bytes]:
+    check_file(path)
     try:
         file = open(path, "rb")  # noqa: SIM115 - handed to the caller's with
     except FileNotFoundError:

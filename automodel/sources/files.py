@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from automodel.config.toml_reader import ConfigError
+from automodel.config.toml_reader import ConfigError, check_file
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.images import opencv_silenced, read_image, with_channels
@@ -26,6 +26,9 @@ SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".pgm", "
 HEADER = ("t_s", "speed_mps", "yaw_rate_radps")  # of motion.csv
 _COUNT_TOLERANCE = 0.02  # containers derive the number of frames from the duration, which is not exact
 _IMAGE, _ANGLE, _THROTTLE = "cam/image_array", "user/angle", "user/throttle"  # keys of a tub's records
+_MOST_INDEX = 2**31  # of a tub's record: a year at 60 images a second
+_MOST_INPUT = 10.0  # of a driver's input, -1 .. 1; some tubs go a little beyond it
+_MOST_MOTION = (1e9, 200.0, 100.0)  # [s] 30 years, [m/s] and [rad/s] faster than any car
 
 
 class VideoSource:
@@ -192,8 +195,8 @@ def read_tub(folder: Path) -> tuple[TubRecord, ...]:
     if not isinstance(catalogs, dict) or not isinstance(catalogs.get("paths"), list):
         raise SourceError(f'{manifest}: not a tub of version 2: its last line has no "paths" list')
     deleted = catalogs.get("deleted_indexes", [])
-    if not isinstance(deleted, list):
-        raise SourceError(f"{manifest}:{lines[-1][0]}: deleted_indexes is not a list")
+    if not isinstance(deleted, list) or not all(isinstance(index, int) for index in deleted):
+        raise SourceError(f"{manifest}:{lines[-1][0]}: deleted_indexes is not a list of whole numbers")
     records = []
     for name in catalogs["paths"]:
         path = folder / str(name)
@@ -205,6 +208,8 @@ def read_tub(folder: Path) -> tuple[TubRecord, ...]:
 
 
 def _json_lines(path: Path) -> list[tuple[int, Any]]:
+    if path.exists() and not path.is_file():
+        raise SourceError(f"{path}: is not a file")
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
@@ -217,7 +222,7 @@ def _json_lines(path: Path) -> list[tuple[int, Any]]:
             continue
         try:
             values.append((number, json.loads(line)))
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):  # the first also for a number of thousands of digits
             raise SourceError(f"{path}:{number}: not JSON: the line is cut or damaged; delete it") from None
     return values
 
@@ -228,20 +233,30 @@ def _record(folder: Path, path: Path, number: int, entry: Any) -> TubRecord:
     index = entry.get("_index")
     if not isinstance(index, int) or isinstance(index, bool):
         raise SourceError(f"{path}:{number}: a record without _index")
+    if not 0 <= index <= _MOST_INDEX:
+        raise SourceError(f"{path}:{number}: _index: expected 0 .. {_MOST_INDEX}")
     return TubRecord(
         index=index,
-        image=folder / "images" / entry[_IMAGE],
+        image=_image_path(folder, path, number, entry[_IMAGE]),
         angle=_number(path, number, entry, _ANGLE),
         throttle=_number(path, number, entry, _THROTTLE),
     )
+
+
+def _image_path(folder: Path, path: Path, number: int, name: str) -> Path:
+    """The image `name` of a record; a tub from a stranger may not point at files outside its own folder."""
+    images = folder / "images"
+    if "\0" in name or not (images / name).resolve().is_relative_to(images.resolve()):
+        raise SourceError(f"{path}:{number}: {_IMAGE}: {name!r} is outside the tub's images/")
+    return images / name
 
 
 def _number(path: Path, number: int, entry: dict[str, Any], key: str) -> float | None:
     value = entry.get(key)
     if value is None:
         return None
-    if not isinstance(value, int | float) or isinstance(value, bool) or not math.isfinite(value):
-        raise SourceError(f"{path}:{number}: {key}: expected a number, got {value!r}")
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= _MOST_INPUT:
+        raise SourceError(f"{path}:{number}: {key}: expected a number, -1 .. 1, got {str(value)[:40]}")
     return float(value)
 
 
@@ -266,6 +281,7 @@ class MotionTable:
 
 def read_motion_csv(path: str | Path) -> MotionTable:
     """Read `t_s,speed_mps,yaw_rate_radps`; t_s counts from the first frame. Raises ConfigError with file and line."""
+    check_file(path)
     try:
         with open(path, encoding="utf-8-sig", newline="") as file:
             rows = list(csv.reader(file))
@@ -289,12 +305,14 @@ def _numbers(path: str | Path, line: int, row: list[str]) -> list[float]:
     if len(row) != len(HEADER):
         raise ConfigError(f"{path}:{line}: expected {len(HEADER)} values, got {len(row)}")
     values = []
-    for name, cell in zip(HEADER, row, strict=True):
+    for name, cell, most in zip(HEADER, row, _MOST_MOTION, strict=True):
         try:
             value = float(cell)
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise ConfigError(f"{path}:{line}: {name}: expected a finite number, got {cell.strip()!r}")
+            raise ConfigError(f"{path}:{line}: {name}: expected a finite number, got {cell.strip()[:40]!r}")
+        if abs(value) > most:
+            raise ConfigError(f"{path}:{line}: {name}: expected at most {most:g}, got {value:g}")
         values.append(value)
     return values

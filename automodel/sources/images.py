@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -30,11 +32,31 @@ def opencv_silenced() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(level)
 
 
+@contextmanager
+def decoders_silenced() -> Iterator[None]:
+    """Suppress what libpng and others write to stderr by themselves; other threads are not heard either."""
+    try:
+        kept = os.dup(2)
+    except OSError:  # it is closed
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
 def read_image(path: Path, colour: bool) -> Image:
     """The image in a file, (h, w) grey or (h, w, 3) BGR; raises SourceError if it is missing, cut or not an image.
 
     The end marker is checked first, as decoders silently fill the missing part of a cut JPEG with grey.
     """
+    if path.exists() and not path.is_file():
+        raise SourceError(f"{path}: is not a file")
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -44,7 +66,11 @@ def read_image(path: Path, colour: bool) -> Image:
             raise SourceError(f"{path}: the image is cut; replace or remove it")
     image: Image | None = None
     if data:
-        with opencv_silenced():
+        with (
+            opencv_silenced(),
+            decoders_silenced(),
+            contextlib.suppress(cv2.error),
+        ):  # it raises for a size beyond 2^30 pixels
             flag = cv2.IMREAD_COLOR if colour else cv2.IMREAD_GRAYSCALE
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flag)  # type: ignore[assignment]
     if image is None:

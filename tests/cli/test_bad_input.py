@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -12,6 +14,8 @@ import numpy as np
 import pytest
 
 from automodel.config import PIPELINE_NAMES
+from automodel.sources.errors import SourceError
+from automodel.sources.images import read_image
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 TEXTS = {
@@ -28,6 +32,11 @@ TEXTS = {
     '[[pieces]]\nkind = "line"\nlength_m = 2.0\n',
     "open.toml": 'name = "x"\nclosed = false\n[floor]\nx0_m = 0.0\ny0_m = 0.0\nx1_m = 1.0\ny1_m = 1.0\n'
     '[[pieces]]\nkind = "line"\nlength_m = 2.0\n',
+    "digits.toml": f"[camera]\nrate_hz = 1{'0' * 400}\n",
+    "more_digits.toml": f"[camera]\nwidth_px = {'1' * 5000}\n",
+    "deep.toml": f"x = {'[' * 100_000}",
+    "hold.toml": "[safety]\nhold_s = 30.0\n",
+    "point.toml": "[vehicle]\nwheelbase_m = 1e-300\n",
     "columns.csv": "x_m,y_m\n1,2\n",
     "motion.csv": "t_s,speed_mps,yaw_rate_radps\n0.0,1.0,nan\n",
     "text.mcap": "hello",
@@ -42,6 +51,19 @@ CASES = {  # arguments -> the line on stderr
     "run --car type.toml": "automodel: type.toml:2: [camera] width_px: expected a whole number, got '640'",
     "run --car nan.toml": "automodel: nan.toml:2: [camera.intrinsics] fx_px: expected a finite number, got nan",
     "run --car cut.toml": "automodel: cut.toml:3: not TOML: Expected ']' at the end of a table declaration",
+    "run --car digits.toml": f"automodel: digits.toml:2: [camera] rate_hz: expected at most 1000, got 1{'0' * 39}...",
+    "run --car more_digits.toml": "automodel: more_digits.toml: not TOML: Exceeds the limit (4300 digits) for integer string "
+    "conversion: value has 5000 digits",
+    "run --car deep.toml": "automodel: deep.toml: nested too deep; is this the right file?",
+    "run --car hold.toml": "automodel: hold.toml:2: [safety] hold_s: expected at most 2, got 30.0",
+    "run --car point.toml": "automodel: point.toml:2: [vehicle] wheelbase_m: expected at least 0.02, got 1e-300",
+    "run --car pipe": "automodel: pipe: is a device or a pipe; give the name of a file",
+    "run --car /dev/zero": "automodel: /dev/zero: is a device or a pipe; give the name of a file",
+    "run --track pipe.toml": "automodel: pipe.toml: is a device or a pipe; give the name of a file",
+    "replay pipe.mcap": "automodel: pipe.mcap: is a device or a pipe; give the name of a file",
+    "recover pipe.mcap": "automodel: pipe.mcap: is a device or a pipe; give the name of a file",
+    "replay mixed --motion pipe": "automodel: pipe: is a device or a pipe; give the name of a file",
+    "replay bomb": "automodel: bomb/0.png: not an image, or a damaged one; replace or remove it",
     "run --car binary.toml": "automodel: binary.toml: cannot be read: not a text file in UTF-8",
     "run --car folder": "automodel: folder: cannot be read: Is a directory",
     "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: expected one of "
@@ -119,6 +141,16 @@ USAGE = {  # arguments -> how the line begins, and what it names
 }
 
 
+def png_of_size(width_px: int, height_px: int) -> bytes:
+    """A PNG that says it has this size, with next to no data."""
+    parts = [(b"IHDR", struct.pack(">IIBBBBB", width_px, height_px, 8, 0, 0, 0, 0)), (b"IDAT", zlib.compress(b"\0"))]
+    chunks = (
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in (*parts, (b"IEND", b""))
+    )
+    return b"\x89PNG\r\n\x1a\n" + b"".join(chunks)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory, driven: Path) -> Path:
     """A folder full of files that are wrong."""
@@ -134,6 +166,10 @@ def files(tmp_path_factory: pytest.TempPathFactory, driven: Path) -> Path:
         (folder / name).mkdir()
         for number, size in enumerate(sizes):
             cv2.imwrite(str(folder / name / f"{number}.png"), np.zeros(size, np.uint8))
+    for name in ("pipe", "pipe.toml", "pipe.mcap"):
+        os.mkfifo(folder / name)
+    (folder / "bomb").mkdir()
+    (folder / "bomb" / "0.png").write_bytes(png_of_size(65_000, 65_000))
     (folder / "cutpng").mkdir()
     picture = (folder / "mixed" / "0.png").read_bytes()
     (folder / "cutpng" / "0.png").write_bytes(picture[: len(picture) // 2])
@@ -158,6 +194,25 @@ def test_wrong_arguments_name_themselves_and_the_help(arguments: str, files: Pat
     assert said.line().startswith(command)
     assert named in said.line()
     assert said.line().endswith(f"(see {command[:-2]} --help)")
+
+
+@pytest.mark.parametrize("size", [(65_000, 65_000), (640, 360)])
+def test_decoders_write_nothing_of_their_own(size: tuple[int, int], tmp_path: Path, capfd) -> None:
+    (tmp_path / "0.png").write_bytes(png_of_size(*size))
+    with pytest.raises(SourceError, match="not an image, or a damaged one"):
+        read_image(tmp_path / "0.png", colour=False)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_mistake_of_ours_is_one_line_too(cli, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("automodel.cli.main.importlib.import_module", lambda name: 1 // 0)
+    said = cli("init", "--list")
+    assert said.code == 1
+    assert said.line().startswith("automodel: unexpected ZeroDivisionError at test_bad_input.py:")
+    assert said.line().endswith("(set AUTOMODEL_TRACEBACK=1 for the traceback)")
+    monkeypatch.setenv("AUTOMODEL_TRACEBACK", "1")
+    with pytest.raises(ZeroDivisionError):
+        cli("init", "--list")
 
 
 def test_an_input_is_never_overwritten(files: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
