@@ -232,12 +232,13 @@ class LaneTracking:
             return None
         if self._reckoned is None:
             return self._watch(lines, followed)
-        own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
-        share = self._hypotheses.update((*lines, *own), self._kinds)
+        own = [line.points_m for line, _ in _sides(followed) if line.seen]
+        seen = self._together(lines, own)
+        share = self._hypotheses.update(seen, self._kinds)
         best, measured = self._hypotheses.all[0], self._measured(followed.pose)
         alone = Hypotheses()
         alone.start(((measured, 0.0),))
-        alone.update((*lines, *own), self._kinds)
+        alone.update(seen, self._kinds)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
         apart = self._apart(measured, best.belief)
@@ -254,7 +255,16 @@ class LaneTracking:
         elif self._sure(best) and (not own or self._beats(best, said, alone.all[0].news)):
             self._believe(best.belief)
             return best.belief if apart > self.config.differs or self._vaguer(measured, best.belief) else None
+        elif self._refuted(measured):
+            return self._reckoned
         return None
+
+    def _refuted(self, measured: LaneBelief) -> bool:
+        """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out."""
+        reckoned = self._reckoned
+        if reckoned is None or not self.reckons or self._confusable(reckoned):
+            return False
+        return self._said < self.config.exists and self._apart(measured, reckoned) > self.config.gate
 
     def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
         """Log-odds [nats] from which on the estimator's word ends the doubt: of one line four times as many."""
@@ -330,15 +340,15 @@ class LaneTracking:
         belief, measured = self._belief, self._measured(followed.pose)
         assert belief is not None
         self._around_m = 0.0
-        own = [_sighted(line.points_m) for line, _ in _sides(followed) if line.seen]
+        own = [line.points_m for line, _ in _sides(followed) if line.seen]
         around, known = Hypotheses(), replace(belief, road=self._bends.road)
         around.start(((known, 0.0), (known.without_road(), -self.config.exists)))  # its bends may be another thing's
-        around.update((*lines, *own), self._kinds, self._news_m / self._unit)
+        around.update(self._together(lines, own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
             self._contradict(belief)
         elif best.assigned:
-            self._learn(best.belief, measured, bool(best.line(LEFT) and best.line(RIGHT)))
+            self._learn(best.belief, measured, self._is_pair(belief, best))
             if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)
                 return best.belief
@@ -347,6 +357,17 @@ class LaneTracking:
         if not own and not self.in_doubt and self._strays(measured):
             return self._belief
         return None
+
+    def _together(self, lines: tuple[SightedLine, ...], own: list[FloatArray]) -> tuple[SightedLine, ...]:
+        """All lines in view, and what the estimator alone sees: no paint is a witness twice, in two roles perhaps."""
+        scanned = lines
+        for points in own:
+            alone = np.ones(len(points), np.bool_)
+            for line in scanned:
+                alone &= _distances(points, line.points_m) > self._bends.road.marking_width_m
+            if np.count_nonzero(alone) > 1:
+                lines = (*lines, _sighted(points[alone]))
+        return lines
 
     def _strays(self, measured: LaneBelief) -> bool:
         """Whether an estimator that sees no line has left the road that is remembered."""
@@ -366,6 +387,13 @@ class LaneTracking:
         pair = self.reckons and best.line(LEFT) and best.line(RIGHT)
         otherwise = bool(pair) and self._apart(measured, best.belief) > self.config.differs
         return otherwise or self._vaguer(measured, best.belief)
+
+    def _is_pair(self, belief: LaneBelief, best: Hypothesis) -> bool:
+        """Whether both lines are in view; as long as that has not been so for a while, not by specks."""
+        roles = (LEFT, RIGHT)
+        if not all(best.line(role) for role in roles):
+            return False
+        return self.paired or all(self._stands_out(belief, best, [role]) for role in roles)
 
     def _stands_out(self, belief: LaneBelief, best: Hypothesis, roles: list[float]) -> bool:
         """Whether the lines of these roles are more than specks that lie where a line would, as was believed."""
@@ -497,6 +525,17 @@ class LaneTracking:
 def _sides(followed: Followed) -> tuple[tuple[LaneLine, float], tuple[LaneLine, float]]:
     """The lane's lines with their roles."""
     return (followed.left, LEFT), (followed.right, RIGHT)
+
+
+def _distances(points_m: FloatArray, line_m: FloatArray) -> FloatArray:
+    """How far points (n, 2) [m] lie from a line through points (k, 2) [m]: (n,) [m]."""
+    start, along = line_m[:-1], np.diff(line_m, axis=0)
+    if not len(along):
+        return np.asarray(np.hypot(*(points_m - line_m[0]).T))
+    away = points_m[:, None] - start
+    share = np.clip(np.einsum("nki,ki->nk", away, along) / np.einsum("ki,ki->k", along, along), 0.0, 1.0)
+    rest = away - share[:, :, None] * along
+    return np.asarray(np.hypot(rest[..., 0], rest[..., 1]).min(axis=1))
 
 
 def _sighted(points_m: FloatArray) -> SightedLine:

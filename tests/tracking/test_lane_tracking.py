@@ -219,6 +219,25 @@ def test_after_a_jump_to_another_line_the_estimator_is_sent_back(jump: float) ->
     assert not drive.doubted
 
 
+@pytest.mark.parametrize("way", [0.3, -0.3])
+def test_an_estimator_that_no_line_bears_out_is_sent_back_to_where_the_odometry_puts_the_lane(way: float) -> None:
+    drive = driving()
+    drive.follow(said(way * LANE_M, NONE))
+    drive.tracking._contradict(drive.tracking._measured(said(0.0).pose))
+    drive.follow(said(way * LANE_M, NONE))
+    assert drive.anew is not None
+    assert drive.anew.offset_m == pytest.approx(0.0, abs=0.02)
+
+
+def test_no_paint_is_a_witness_twice() -> None:
+    tracking, lines = LaneTracking(CAR, CONFIG), sights(0.0)
+    beside = lines[0].points_m + np.array((0.0, 2.0 * CAR.lane.marking_width_m))
+    assert tracking._together(lines, [line.points_m for line in lines]) == lines
+    both = tracking._together(lines, [np.concatenate((lines[0].points_m, beside))])
+    assert len(both) == len(lines) + 1
+    assert {tuple(point) for point in both[-1].points_m} <= {tuple(point) for point in beside}
+
+
 def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
     drive = driving()
     drive.follow(said(0.6 * LANE_M))
