@@ -132,11 +132,14 @@ class ImageMotion:
         if not len(start):
             return None
         most = self._consensus(start, end)
-        with_it, at_most = (int(np.count_nonzero(self._near(start, end, each))) for each in (expected, most))
-        if with_it >= max(config.agree * at_most, config.least):
+        near = [np.count_nonzero(self._near(start, end, each)) for each in (expected, most)]
+        if near[0] >= max(config.agree * near[1], config.least):
             return True
-        with_it, at_most = (int(np.count_nonzero(self._about(start, end, each))) for each in (expected, most))
-        return False if with_it < config.agree * at_most and at_most >= config.least else None
+        with_it, with_most = (self._about(start, end, each) for each in (expected, most))
+        alone, count = np.count_nonzero(with_it & ~with_most), np.count_nonzero(with_most)
+        if alone >= config.least or count < config.least:  # what moves otherwise may be lamps in a shiny floor
+            return None
+        return False if np.count_nonzero(with_it) < config.agree * count else None
 
     def _fits(self, frame: Frame) -> bool:
         camera = self._camera.camera

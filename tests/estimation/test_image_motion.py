@@ -185,6 +185,22 @@ def test_the_ground_contradicts_an_absurd_motion(speed: float, yaw_rate: float) 
     assert agrees(frames(0.8, 0.4, 2, floor()), speed, yaw_rate) == {False}
 
 
+@pytest.mark.parametrize("ground", [True, False])
+def test_lamps_contradict_no_motion_that_some_of_the_ground_bears_out(ground: bool) -> None:
+    """Most corners stand still; those of a strip of texture move as the car does, if there is one."""
+    seen = []
+    for frame in frames(0.8, 0.4, 6, floor(), noisy=False):
+        image = np.full_like(frame.image, 90)
+        if ground:
+            strip = slice(round(0.6 * HEIGHT), HEIGHT)
+            image[strip] = frame.image[strip]
+        for k, u in enumerate(range(30, WIDTH, 60)):
+            cv2.circle(image, (u, round((0.45 + 0.04 * (k % 3)) * HEIGHT)), 6, 140, -1)
+        seen.append(dataclasses.replace(frame, image=image))
+    said = agrees(seen, 0.8, 0.4)
+    assert False not in said if ground else said == {False}
+
+
 @pytest.mark.parametrize(("pitch_deg", "height"), [(1.5, 1.0), (-1.5, 1.0), (0.0, 1.08), (0.0, 0.92)])
 def test_a_camera_that_is_set_a_little_wrong_contradicts_no_right_motion(pitch_deg: float, height: float) -> None:
     place = CAR.camera.extrinsics
