@@ -118,21 +118,26 @@ class LineScan:
             start = end
             if rows[there.stop - 1] - rows[there.start] + 1 < least or 2 * bars[rows[there]].sum() > end - there.start:
                 continue
-            piece = self._line_piece(rows[there], middles[there], sizes[there])
-            if piece is not None:
-                pieces.append(piece)
+            pieces += self._line_pieces(rows[there], middles[there], sizes[there], int(least))
         return pieces
 
-    def _line_piece(self, rows: IntArray, middles: FloatArray, sizes: IntArray) -> _Piece | None:
-        """The piece of an area; `middles` and number of pixels of each of its `rows` (n,). None: it is no line's."""
+    def _line_pieces(self, rows: IntArray, middles: FloatArray, sizes: IntArray, least: int) -> list[_Piece]:
+        """The pieces of an area of `rows` (n,), with the `middles` and numbers of pixels of each; none of no line's.
+
+        One that bends more than a parabola is cut, as long as its halves are longer than `least` rows.
+        """
         view = self.view
         x = np.asarray(view.x_far_m - (rows[::-1] + 0.5) * view.m_per_row, dtype=np.float64)
         y: FloatArray = view.half_width_m - (middles[::-1] + 0.5) * view.m_per_px
         fit, middle, off = _parabola(x, y)
         slope = abs(float(fit[1]))
         across = float(sizes.mean()) * view.m_per_px / math.hypot(1.0, slope)
+        if off >= self._marking_m and len(rows) >= 2 * least:
+            half = len(rows) // 2
+            halves = (slice(half), slice(half, None))
+            return [one for part in halves for one in self._line_pieces(rows[part], middles[part], sizes[part], least)]
         narrow = across < self.config.wide * self._marking_m and off < self._marking_m
-        return _Piece(x=x, y=y, fit=fit, middle=middle) if slope < self._SLOPE and narrow else None
+        return [_Piece(x=x, y=y, fit=fit, middle=middle)] if slope < self._SLOPE and narrow else []
 
     def _bars(self, lines: Image) -> Bools:
         """The rows (h,) of a zebra crossing: several bars next to each other, at least in most of the rows around."""

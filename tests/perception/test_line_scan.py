@@ -67,6 +67,18 @@ def test_a_solid_and_a_dashed_line_are_found_as_two(road: Road) -> None:
     assert dashed.span_m > 1.0  # joined over its gaps
 
 
+@pytest.mark.parametrize("curvature", [1.3, -1.3])
+def test_a_line_through_a_tight_bend_is_found_up_to_where_it_lies_across(curvature: float) -> None:
+    """It bends by more than a parabola follows, and is one connected area."""
+    road = Road(curvature_per_m=curvature)
+    for place in (-0.5, 0.5):
+        lines = scanned(road.line(place * LANE_M))
+        assert lines
+        for line in lines:
+            assert lateral(road, line) == pytest.approx(np.full(len(line.points_m), place * LANE_M), abs=0.015)
+        assert sum(line.painted_m for line in lines) > 0.35
+
+
 def test_a_solid_line_is_painted_all_along_and_a_dashed_one_by_its_share() -> None:
     solid, dashed = scanned(STRAIGHT.line(-0.2)), scanned(STRAIGHT.dashed(0.2, DASH_M, GAP_M))
     assert solid[0].painted_m == pytest.approx(2.0, abs=0.05)
