@@ -21,6 +21,7 @@ from automodel.types import Bools, Float32Array, FloatArray, Floats, Image, Ints
 PER_MARKING = 8  # samples
 SCALES = (PER_MARKING // 2, PER_MARKING, 2 * PER_MARKING)  # of the filters
 FAINT = 0.5  # of the highest ridge of a row: what is lower does not count
+STREAK_RAD = 0.15  # from the direction to the camera: a ridge's place in two neighbouring rows is wrong by a sample
 LOW = 0.7  # scales: the narrowest ridge of a scale; the widest is twice as wide
 
 
@@ -60,17 +61,24 @@ def ridge_widths(
     return row[plain], at[plain].astype(np.intp), widths[plain], heights[plain]
 
 
-def continued(row: Ints, at: Ints, widths: Floats, heights: Floats, ahead: Floats) -> tuple[Floats, Floats]:
+def continued(
+    row: Ints, at: Ints, widths: Floats, heights: Floats, ahead: Floats, foot: tuple[float, float] | None = None
+) -> tuple[Floats, Floats]:
     """Those of the ridges (n,) that go on in the next row: widths (m,) across their own direction, and heights (m,).
 
-    `ahead` (r,) [samples] is the distance of the rows' ground. A ridge goes on where the next row has one of about the
-    same width at less than 45 degrees.
+    `ahead` (r,) [samples] is the distance of the rows' ground, `foot` (ahead, at) [samples] the ground below the
+    camera. A ridge goes on where the next row has one of about the same width at less than 45 degrees. One that points
+    to the camera may be the streak of a lamp in a shiny floor, and does not count.
     """
     following = row == row[:, None] + 1
     ratio = widths / widths[:, None]
     following &= (ratio > 0.75) & (ratio < 1.0 / 0.75)
     depth = ahead[row] - ahead[row][:, None]
-    lean = np.where(following, np.abs((at - at[:, None]) / np.where(following, depth, 1.0)), 1.0)
+    slopes = (at - at[:, None]) / np.where(following, depth, 1.0)
+    if foot is not None:
+        away = np.arctan(slopes) - np.arctan2(at - foot[1], ahead[row] - foot[0])[:, None]
+        following &= np.abs(away) > STREAK_RAD
+    lean = np.where(following, np.abs(slopes), 1.0)
     slope = lean.min(axis=1, initial=1.0)
     goes_on = slope < 1.0
     return widths[goes_on] / np.sqrt(1.0 + slope[goes_on] ** 2), heights[goes_on]
@@ -111,8 +119,8 @@ class MarkingWidth:
     LATERAL_LANES = 1.2  # to each side of the car, over a lane width ahead
     EVERY = 32  # frames between two measurements once the width is settled
     BIN = 0.07  # relative width of a bin of the histogram
-    MEMORY = 0.9  # share of the histogram that is kept at a measurement
-    PRIOR = 8.0
+    MEMORY = 0.98  # share of the histogram that is kept at a measurement: a crossing shows other widths for seconds
+    PRIOR = 20.0
     CHANGE = 1.3  # ratio from which on a width is used instead of the last one, and reported
     SETTLED = 0.05  # relative sigma from which on an estimate is used
 
@@ -133,6 +141,7 @@ class MarkingWidth:
         y = np.arange(-half, half) * self._step_m
         self._pixels, self._within = lookup.pixels(np.broadcast_to(y, (len(lookup.rows), len(y))))
         self._ahead = lookup.ahead_m / self._step_m
+        self._foot = (float(camera.centre_m[0]) / self._step_m, half + float(camera.centre_m[1]) / self._step_m)
         self._noises = least_ridge(self._pixels.size / FALSE_SAMPLES)
         self._rounding = rounding_noise(SCALES[0] // 2)
         self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
@@ -156,7 +165,8 @@ class MarkingWidth:
         self._counts *= self.MEMORY
         for brightness in self._brightness:
             values = brightness.read(image, self._pixels).astype(np.float32)
-            widths, _ = continued(*ridge_widths(values, self._within, self._noises, self._rounding), self._ahead)
+            ridges = ridge_widths(values, self._within, self._noises, self._rounding)
+            widths, _ = continued(*ridges, self._ahead, self._foot)
             self.add(widths)
         if self.sigma > self.SETTLED:
             return False

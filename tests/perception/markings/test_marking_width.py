@@ -74,6 +74,16 @@ def test_what_does_not_go_on_in_the_next_row_does_not_count_and_a_slant_is_undon
     assert heights.tolist() == [0.0, 1.0]
 
 
+@pytest.mark.parametrize(("on_ray", "counts"), [(True, 0), (False, 3)])
+def test_what_points_to_the_camera_does_not_count(on_ray: bool, counts: int) -> None:
+    """A streak lies on a ray from the ground below the camera, 40 samples before the nearest row."""
+    ahead = np.array((100.0, 80.0, 60.0, 40.0))
+    rays, lines = (0.5 * ahead).round().astype(int), np.full(4, 50)
+    at = rays if on_ray else lines
+    across, _ = continued(np.arange(4), at, np.full(4, 8.0), np.ones(4), ahead, (0.0, 0.0))
+    assert len(across) == counts
+
+
 @pytest.mark.parametrize("factor", [0.5, 0.7, 1.0, 1.5, 2.0])
 @pytest.mark.parametrize("yaw_rad", [0.0, 0.35])
 def test_the_width_is_found_from_half_of_it_to_twice_of_it(factor: float, yaw_rad: float) -> None:
