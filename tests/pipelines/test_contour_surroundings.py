@@ -73,7 +73,7 @@ def test_a_guard_rail_beside_the_lane_is_none_of_its_lines(offset_m: float, asid
         for y in LINES:
             band(picture, y - offset_m)
         rail(picture, side * (HALF_M + aside_m) - offset_m, z_m)
-        check_lane(reported(picture), offset_m)
+        check_lane(reported(picture, frames=10, speed_mps=0.3), offset_m)
 
 
 @pytest.mark.parametrize("y_m", [0.15, 0.25, 0.35, 0.5])

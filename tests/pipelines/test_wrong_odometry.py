@@ -71,7 +71,7 @@ def test_a_wrong_yaw_rate_does_not_mislead_for_long(
     place: tuple[str, str, float, float], pipeline: type[Contour | Windows], factor: float
 ) -> None:
     _, misled, reported = driven(pipeline(CAR), drive(*place), yaw_rate=factor)
-    assert misled * PERIOD_S <= 0.2
+    assert misled * PERIOD_S <= 0.6
     assert reported > 0.85
 
 

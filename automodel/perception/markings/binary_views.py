@@ -135,12 +135,13 @@ class WhiteAreas:
 
     A pixel is bright relative to the mean of a box five markings wide, so that slow changes of the light have no
     effect. The threshold is a share of the contrast of the brightest pixels, at least `contrast` [grey levels] or,
-    where that is 0, what noise exceeds in `FALSE_ALARMS` runs of a line's width. Of the bright areas, runs along a row
+    where that is 0, what noise exceeds at `FALSE_ALARMS` pixels. Of the bright areas, runs along a row
     between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `markings` are
     "light" or "dark" against the ground, or "both": then what is darker than its surroundings counts as bright too.
     """
 
     NARROW, WIDE = 0.45, 2.4
+    SMOOTH = 0.75  # marking widths over which a row is averaged, as three rows are: faint paint stands out of noise
     SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
     SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
 
@@ -151,6 +152,7 @@ class WhiteAreas:
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
         self._reach = round(1.6 * marking_px)
+        self._smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1, 3
         # Odd kernels: opening with an even one shifts the result by a pixel.
         self._narrow = np.ones((1, 2 * int(0.5 * self.NARROW * marking_px) + 1), np.uint8)
         self._wide = np.ones((1, 2 * int(0.5 * self.WIDE * marking_px) + 1), np.uint8)
@@ -160,13 +162,12 @@ class WhiteAreas:
         self._thinned = np.ascontiguousarray(self.mask[::3])
         self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
         _histogram(np.zeros(self.mask.shape, np.uint8), self._thinned)  # is compiled
-        # In a false run as long as the opening's kernel all pixels exceed the level.
-        run, normal = self._narrow.size, NormalDist()
-        rate = min(FALSE_ALARMS * run / (3.0 * self._visible_px), 0.25)
-        self._quartiles = normal.inv_cdf(1.0 - rate ** (1.0 / run)) / normal.inv_cdf(0.75)
+        normal, rate = NormalDist(), min(FALSE_ALARMS / (3.0 * self._visible_px), 0.25)
+        self._quartiles = normal.inv_cdf(1.0 - rate) / normal.inv_cdf(0.75)
 
     def step(self, view: Image) -> MarkingViews:
         """The filtered views of a grey view (h, w)."""
+        view = np.asarray(cv2.blur(view, self._smooth), dtype=np.uint8)
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
         contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
         level = self._level(contrast)
