@@ -20,9 +20,7 @@ _MS = 1_000_000
 HELLO_TIMEOUT_NS = 5_000 * _MS  # a vehicle that was just switched on needs seconds
 ARM_NS = 300 * _MS  # the vehicle's time to engage
 VALID_NS = 100 * _MS  # no command is valid for longer
-ERRORS_MAX = (
-    3  # error frames in `ERRORS_NS` that are a fault: one or two are a disturbance, a wrong bit rate sends many
-)
+ERRORS_MAX = 3  # error frames in `ERRORS_NS` that are a fault: a disturbance is one or two, a wrong bit rate many
 ERRORS_NS = 100 * _MS
 EARLY_SHARE = 0.25  # of a period: a loop of the same rate that comes a little early sends, and keeps the rate
 OVERDUE_SHARE = -0.25  # without a new command the last one is repeated that much after its time
