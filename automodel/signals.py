@@ -15,6 +15,8 @@ import numpy as np
 from automodel.curves.base import Curve
 from automodel.types import FloatArray, Image
 
+FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
+
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
     array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)

@@ -193,7 +193,7 @@ CURVED = 5.0  # sigmas of `BENDING`
 # What two halves of one drive may differ by. A pitch beyond it, or two lanes taken for one, is no error of measurement;
 # the halves of right calibrations differ by a third of it.
 SAME_PITCH_RAD, SAME_HEIGHT = math.radians(1.5), 1.15
-LEAST_SURE = 0.05  # of the height: one sigma from which on it counts as unknown
+SURE_HEIGHT = 0.05  # of the height: one sigma from which on it counts as unknown
 # One sigma of the pitch from which on it counts as unknown: of cameras in random worlds the right ones had up to
 # 0.26 deg, those that took a bend or a reflection for a straight line 0.5 deg and more.
 SURE_PITCH_RAD = math.radians(0.4)
@@ -292,7 +292,7 @@ def check_consistent(images: Sequence[Image], camera: CameraModel, found: LanesC
     A bend or a reflection that is taken for straight lines is the same in images in a row, not over the whole drive.
     """
     share = found.std["z_m"] / found.extrinsics.z_m
-    if not share < LEAST_SURE:
+    if not share < SURE_HEIGHT:
         raise ValueError(f"images: they leave the height of the camera open by {100.0 * share:.0f} %; {WHAT_HELPS}")
     if not found.std["pitch_rad"] < SURE_PITCH_RAD:
         open_deg = math.degrees(found.std["pitch_rad"])

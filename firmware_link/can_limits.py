@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-LATERAL_ACCEL_MAX_MPS2 = 3.0  # ISO 11270:2014, 5.2.2
+LATERAL_ACCEL_MAX_MPS2 = 3.0  # ISO 11270:2014
 LATERAL_JERK_MAX_MPS3 = 5.0  # likewise
 # g sin of 0.06 rad, an ordinary road's bank (as in commaai/opendbc): it adds to or takes from what the driver feels, so
 # that much is left free; without it a turn against the bank would exceed the standard's bound

@@ -35,12 +35,8 @@ from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 
 STYLES = ("clean", "competition", "varied")
-BOARDS = {
-    "emulated": "arduino",
-    "avr": "arduino",
-    "autonomos": "autonomos",
-    "can": "can",
-}  # simulated board -> its [link] kind
+# simulated board -> its [link] kind
+BOARDS = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos", "can": "can"}
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
 
 

@@ -16,7 +16,7 @@ from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import PIPELINE_NAMES, CarConfig
 from automodel.console.workers import Tick, spread
-from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
+from automodel.signals import FALSE_LANE, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
 from automodel.sim.truth import Truth, TruthFollower
@@ -27,7 +27,6 @@ COLUMNS = (
     "pipeline", "track", "style", "seed", "heading_mae_deg", "offset_mae_m", "availability_pct", "false_lane_pct",
     "misled_pct", "bound_exceeded_pct", "bound_median_m", "offset_p99_m", "heading_p99_deg", "offset_mae_pct", "frames",
 )  # fmt: skip
-FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
 
 Row = dict[str, Any]
 

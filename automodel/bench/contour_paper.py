@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.bench.accuracy import FALSE_LANE, Case, RenderedDrive, Row
+from automodel.bench.accuracy import Case, RenderedDrive, Row
 from automodel.config import CarConfig
 from automodel.console.messages import say
 from automodel.console.workers import Tick, spread
 from automodel.pipelines.contour import Contour
-from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
+from automodel.signals import FALSE_LANE, Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.trajectory import Drive, Odometer
 from automodel.sim.truth import Truth
 from automodel.viewer.plots import plotted

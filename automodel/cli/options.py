@@ -47,6 +47,24 @@ def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> f
     return value
 
 
+RATE = click.option(
+    "--rate",
+    "rate_hz",
+    type=click.FloatRange(0, 1000, min_open=True),
+    callback=finite,
+    help="Frames a second, for sources that do not say.",
+)
+FROM = click.option(
+    "--from",
+    "from_s",
+    type=click.FloatRange(0),
+    callback=finite,
+    default=0.0,
+    help="Begin so many seconds after the start.",
+)
+TO = click.option("--to", "to_s", type=click.FloatRange(0, min_open=True), callback=finite, help="End there.")
+
+
 def check_outputs(outputs: Mapping[str, Path | None], inputs: Mapping[str, Path | None]) -> None:
     """Refuse what could not be written, or would overwrite an input, before any work is done; raises ConfigError.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
+from automodel.cli.options import ABOVE_ZERO, FILE, FROM, PIPELINE, RATE, TO, check_outputs, finite
 
 if TYPE_CHECKING:
     from automodel.assembly.replay import ReplayOptions
@@ -22,13 +22,7 @@ if TYPE_CHECKING:
 @click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="May be given several times.")
 @click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
 @click.option("--video", "video_file", type=FILE, help="Write the overlay here: .mp4, or .webp to animate a page.")
-@click.option(
-    "--rate",
-    "rate_hz",
-    type=click.FloatRange(0, 1000, min_open=True),
-    callback=finite,
-    help="Frames a second, for sources that do not say.",
-)
+@RATE
 @click.option("--guess", is_flag=True, help="Guess the car.toml from the images, write NAME.car.toml and the overlay.")
 @click.option("--lane-width-m", type=ABOVE_ZERO, callback=finite, help="--guess: the lane's width, which scales all.")
 @click.option(
@@ -41,15 +35,8 @@ if TYPE_CHECKING:
 @click.option("--dbc", type=FILE, multiple=True, help="--can: message definitions; may be given several times.")
 @click.option("--mapping", type=FILE, help="--can: car.toml whose [link.can] says what the signals are.")
 @click.option("--motion-csv", type=FILE, default=Path("motion.csv"), show_default=True, help="--can: written here.")
-@click.option(
-    "--from",
-    "from_s",
-    type=click.FloatRange(0),
-    callback=finite,
-    default=0.0,
-    help="Begin so many seconds after the start.",
-)
-@click.option("--to", "to_s", type=click.FloatRange(0, min_open=True), callback=finite, help="End there.")
+@FROM
+@TO
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(
     as_json: bool, guess: bool, lane_width_m: float | None, view_deg: float | None, to_s: float | None, **given: Any

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from automodel.cli.options import FILE, PIPELINE, check_outputs, finite
+from automodel.cli.options import FILE, FROM, PIPELINE, RATE, TO, check_outputs
 
 COLUMNS = (
     "pipeline", "availability_pct", "disagreement_median_m", "offset_bound_median_m", "misled_pct", "p50_ms", "frames"
@@ -21,17 +21,9 @@ COLUMNS = (
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the recording's own).")
 @click.option("--motion", "motion_file", type=FILE, help="motion.csv of the one RUN.")
 @click.option("--truth", "truth_file", type=FILE, help="truth.csv of the one RUN.")
-@click.option(
-    "--rate",
-    "rate_hz",
-    type=click.FloatRange(0, 1000, min_open=True),
-    callback=finite,
-    help="Frames a second, for sources that do not say.",
-)
-@click.option(
-    "--from", "from_s", type=click.FloatRange(0), callback=finite, default=0.0, help="Seconds from the start."
-)
-@click.option("--to", "to_s", type=click.FloatRange(0, min_open=True), callback=finite, help="Seconds from the start.")
+@RATE
+@FROM
+@TO
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(as_json: bool, to_s: float | None, **given: Any) -> int:
     """One page (HTML, nothing else needed) about each RUN: a recording, video, folder of images or tub.

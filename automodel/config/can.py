@@ -126,7 +126,7 @@ class CanConfig:
     override_accelerator: float = 0.05  # share of the pedal's travel; its sensor's play is about 0.02
     gears: tuple[str, ...] = ("P", "R", "N", "D")  # names of the gear signal's raw values, from 0; drives in "D" only
     accel_gain_per_s: float = 0.8  # acceleration per speed that is missing; the vehicle's own lag is about 0.3 s
-    accel_max_mps2: float = 2.0  # ISO 15622:2018, 6.3: adaptive cruise control above 20 m/s
+    accel_max_mps2: float = 2.0  # ISO 15622:2018: adaptive cruise control above 20 m/s
     decel_max_mps2: float = 3.5  # likewise
     receive: tuple[CanMessage, ...] = (
         CanMessage(

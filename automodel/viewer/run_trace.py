@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from automodel.signals import Event, LaneEstimate, LaneStatus, Motion, MotionSource
+from automodel.signals import FALSE_LANE, Event, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.types import FloatArray, Image
-
-MISLED_LANES = 0.25  # of the lane's width: off by more, while the bound says less, misleads (as in `bench accuracy`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,7 +157,7 @@ def _against_truth(trace: RunTrace, truth_m: FloatArray | None) -> dict[str, obj
         return {"offset_mae_m": None, "misled_pct": None}
     error = np.abs(trace.offset_m - truth_m)
     known = np.isfinite(error)
-    off = error[known] > MISLED_LANES * trace.width_m[known]
+    off = error[known] > FALSE_LANE * trace.width_m[known]
     bound = trace.offset_bound_m[known]
     misled = off & ~(np.where(np.isfinite(bound), bound, np.inf) >= error[known])
     return {

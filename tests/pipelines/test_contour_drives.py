@@ -11,11 +11,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from automodel.bench.accuracy import FALSE_LANE
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.geometry import SE2
 from automodel.pipelines.contour import Contour
-from automodel.signals import LaneStatus, MotionSource
+from automodel.signals import FALSE_LANE, LaneStatus, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track
 from tests.support.masked_drives import arc, gap, line, road

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from automodel.bench.accuracy import FALSE_LANE
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
 from automodel.pipelines.contour import Contour
-from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
+from automodel.signals import FALSE_LANE, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track import Track
 from automodel.sim.track_files import load_track, parse_track
 from tests.support.masked_drives import arc, gap, line, road

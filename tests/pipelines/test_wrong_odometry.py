@@ -7,11 +7,10 @@ from functools import lru_cache
 
 import pytest
 
-from automodel.bench.accuracy import FALSE_LANE
 from automodel.interfaces import Pipeline
 from automodel.pipelines.contour import Contour
 from automodel.pipelines.windows import Windows
-from automodel.signals import Motion
+from automodel.signals import FALSE_LANE, Motion
 from automodel.sim.track_files import load_track
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, check_sound
 from tests.support.slow_lane import rest_slow
@@ -71,7 +70,8 @@ def test_a_wrong_yaw_rate_does_not_mislead_for_long(
     place: tuple[str, str, float, float], pipeline: type[Contour | Windows], factor: float
 ) -> None:
     _, misled, reported = driven(pipeline(CAR), drive(*place), yaw_rate=factor)
-    assert misled * PERIOD_S <= 0.6
+    hard = pipeline is Windows and place[0] == "chicane" and factor == 0.5  # two lanes fit until the next bend
+    assert misled * PERIOD_S <= (0.6 if hard else 0.2)
     assert reported > 0.85
 
 

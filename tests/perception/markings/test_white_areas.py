@@ -126,8 +126,8 @@ def test_faint_markings_count_from_the_contrast_on() -> None:
         assert (lines[inner] > 0).mean() > 0.95 if seen else not lines.any()
 
 
-@pytest.mark.parametrize("noise", [1.5, 4.0, 16.0])
-def test_without_a_contrast_the_noise_decides(noise: float) -> None:
+@pytest.mark.parametrize(("noise", "found"), [(1.0, 0.45), (1.5, 0.6), (4.0, 0.6), (16.0, 0.6)])
+def test_without_a_contrast_the_noise_decides(noise: float, found: float) -> None:
     """Nothing on bare ground, however noisy; a line of four noises is found, and far below 12 grey levels."""
     filter_, line = white_areas(contrast=0.0), line_at(0.0)
     grain = np.random.default_rng(1).normal(0.0, noise, (VIEW.height_px, VIEW.width_px))
@@ -136,7 +136,7 @@ def test_without_a_contrast_the_noise_decides(noise: float) -> None:
     drawn = share(VIEW, line)
     inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
     painted = np.clip(100.0 + 4.0 * noise * drawn + grain, 0, 255).round().astype(np.uint8)
-    assert (filter_.step(painted).lines[inner] > 0).mean() > 0.6
+    assert (filter_.step(painted).lines[inner] > 0).mean() > found  # rounding to grey levels adds to the least noise
 
 
 def test_dark_markings_are_the_negative() -> None:
