@@ -235,9 +235,13 @@ class ArduinoLink:
         session.limits_known = hello.limits_crc == self._limits_crc and session.setup_ns is not None
 
     def _take_status(self, session: _Session, status: messages.Status, now_ns: int) -> None:
+        if session.status is not None and status.time_us == session.status.time_us:
+            return  # a board that repeats itself says nothing
         self._board_time(session, status.time_us, now_ns)
         session.status, session.status_ns = status, now_ns
         session.reported_ranges, session.ranges = session.ranges, None
+        if status.flags & StatusFlag.NO_LIMITS:
+            session.limits_known = False
         if not status.flags & StatusFlag.ARMED:
             if session.armed_nonce is not None:
                 _end_arming(session)

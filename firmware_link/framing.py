@@ -1,31 +1,35 @@
 """Frames on a serial line: bytes <-> (type, counter, payload), without I/O and independent of the payload's meaning.
 
 On the wire: `00, COBS(type, counter, payload), check, 00`. Type and counter are a byte each; the payload's length is
-fixed by the type; type, counter and payload are 16 bytes at most. The check is CRC-16/DNP (polynomial 0x3D65,
-reflected, final XOR 0xFFFF) in three bytes: 0x40 and its lowest six bits, 0x40 and the next six, 0x40 and the highest
-four. It starts from `seed` instead of 0, so that two programs with different message tables reject each other's frames.
+fixed by the type; type, counter and payload are 16 bytes at most. The check is CRC-32 (ISO 3309, that of zlib and
+Ethernet) in five bytes: 0x80 and its lowest seven bits, three more of the next seven each, 0x80 and the highest four.
+It starts from `seed` instead of 0, so that two programs with different message tables reject each other's frames.
 
-The check covers the bytes on the wire, after COBS, and contains no zeros itself. The polynomial's Hamming distance of 6
-up to 135 bits of data (P. Koopman, Best CRC Polynomials) therefore holds for the wire: a wrong bit in a COBS code moves
-zeros in the decoded data, but it is a single wrong bit for the check. The longest frames have 136 bits; the first COBS
-code is checked last, so that an error over all 136 bits would need another type, which has another length.
+The check covers the bytes on the wire, after COBS, and contains no zeros itself: a wrong bit in a COBS code moves zeros
+in the decoded data, but it is a single wrong bit for the check. The polynomial's Hamming distance (8 up to 91 bits of
+data, 7 up to 171 bits: P. Koopman, 32-Bit Cyclic Redundancy Codes for Internet Applications, 2002) therefore holds for
+the wire: the longest frames have 136 bits, a command 80.
+
+A type that programs of every version must read keeps the older check of three bytes (`CRC16_CHECK`): CRC-16/DNP
+(polynomial 0x3D65, reflected, final XOR 0xFFFF) as 0x40 and six bits each, the first byte of the wire last.
 
 The zero before each frame ends any garbage, so that the first frame after garbage is not lost.
 
-A receiver on a microcontroller needs one 20-byte buffer: collect bytes until a zero, then decode; if the buffer is
+A receiver on a microcontroller needs one 22-byte buffer: collect bytes until a zero, then decode; if the buffer is
 full, ignore everything up to the next zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 MAX_BODY_BYTES = 16  # type, counter and payload
-_CHECK_BYTES = 3
 _HEADER_BYTES = 2
-_MAX_CHUNK_BYTES = MAX_BODY_BYTES + 1 + _CHECK_BYTES  # between two zeros
+_MAX_CHUNK_BYTES = MAX_BODY_BYTES + 1 + 5  # between two zeros, with the longer check
 _POLYNOMIAL_REFLECTED = 0xA6BC  # 0x3D65 with its bits reversed
 
 
@@ -77,11 +81,36 @@ class RawFrame(NamedTuple):
     payload: bytes
 
 
+class Check(NamedTuple):
+    """What ends a frame: `length` bytes, none of them zero, from all bytes on the wire before it."""
+
+    length: int
+    of: Callable[[bytes], bytes]
+
+
+def crc32_check(seed: int) -> Check:
+    """CRC-32 in five bytes, started from `seed`."""
+    return Check(5, functools.partial(_crc32_bytes, seed))
+
+
+def _crc32_bytes(seed: int, stuffed: bytes) -> bytes:
+    crc = zlib.crc32(stuffed, seed)
+    return bytes(0x80 | crc >> shift & 0x7F for shift in (0, 7, 14, 21, 28))
+
+
+def _crc16_bytes(stuffed: bytes) -> bytes:
+    crc = crc16_dnp(stuffed[1:] + stuffed[:1])
+    return bytes((0x40 | crc & 0x3F, 0x40 | crc >> 6 & 0x3F, 0x40 | crc >> 12))
+
+
+CRC16_CHECK = Check(3, _crc16_bytes)
+
+
 class FrameFormat(NamedTuple):
-    """The constants of a frame type: the payload's length [bytes] and the CRC's start value."""
+    """The constants of a frame type: the payload's length [bytes] and the check."""
 
     payload_bytes: int
-    seed: int
+    check: Check
 
 
 @dataclass(slots=True, kw_only=True)
@@ -99,18 +128,13 @@ class FrameErrors:
         return self.cobs + self.length + self.unknown_type + self.crc
 
 
-def encode(frame_type: int, counter: int, payload: bytes, seed: int) -> bytes:
+def encode(frame_type: int, counter: int, payload: bytes, check: Check) -> bytes:
     """The bytes of one frame with delimiters; raises ValueError if it is too long."""
     body = bytes((frame_type, counter)) + payload
     if len(body) > MAX_BODY_BYTES:
         raise ValueError(f"frame type {frame_type}: expected at most {MAX_BODY_BYTES} bytes, got {len(body)}")
     stuffed = cobs_encode(body)
-    return b"\0" + stuffed + _check(stuffed, seed) + b"\0"
-
-
-def _check(stuffed: bytes, seed: int) -> bytes:
-    crc = crc16_dnp(stuffed[1:] + stuffed[:1], seed)
-    return bytes((0x40 | crc & 0x3F, 0x40 | crc >> 6 & 0x3F, 0x40 | crc >> 12))
+    return b"\0" + stuffed + check.of(stuffed) + b"\0"
 
 
 class Decoder:
@@ -145,22 +169,24 @@ class Decoder:
         if len(chunk) > _MAX_CHUNK_BYTES:
             errors.length += 1
             return None
-        stuffed = chunk[:-_CHECK_BYTES]
+        known = self._formats.get(_type_of(chunk))
+        if known is None:
+            errors.unknown_type += 1
+            return None
+        stuffed, received = chunk[: -known.check.length], chunk[-known.check.length :]
         body = cobs_decode(stuffed)
         if body is None:
             errors.cobs += 1
             return None
-        if len(body) < _HEADER_BYTES:
-            errors.length += 1
-            return None
-        known = self._formats.get(body[0])
-        if known is None:
-            errors.unknown_type += 1
-            return None
         if len(body) != known.payload_bytes + _HEADER_BYTES:
             errors.length += 1
             return None
-        if chunk[-_CHECK_BYTES:] != _check(stuffed, known.seed):
+        if received != known.check.of(stuffed):
             errors.crc += 1
             return None
         return RawFrame(body[0], body[1], body[_HEADER_BYTES:])
+
+
+def _type_of(chunk: bytes) -> int:
+    """The type of a frame between its delimiters: the byte behind the first COBS code, or the zero that this means."""
+    return chunk[1] if len(chunk) > 1 and chunk[0] > 1 else 0

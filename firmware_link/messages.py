@@ -2,8 +2,8 @@
 
 Each message is a frozen dataclass whose fields have their wire format as metadata; `TABLE` lists them with their type
 numbers: below 0x80 to the board, above from it. Payloads are little-endian. The CRC of every frame starts from
-`TABLE_HASH`, except for `Hello`: its layout never changes and its CRC starts from 0, so that two programs with
-different tables can detect it.
+`TABLE_HASH`, except for `Hello`: its layout and its check never change, so that two programs with different tables can
+detect it.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def _unpacker(field: WireField) -> Callable[[int], float | int | None]:
     return whole if scale is None else scaled
 
 
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 PULSE_STEP_US = 0.5  # the resolution of a 16-bit timer at 2 MHz
 PULSE_RANGE_US = (500.0, 2500.0)  # frames with pulses outside are refused
 
@@ -145,6 +145,7 @@ class StatusFlag(enum.IntFlag):
     """Bits of `Status.flags`."""
 
     ARMED = 1
+    NO_LIMITS = 2  # no valid Limits are known: no pulses, and Arm is refused
 
 
 class Fault(enum.IntFlag):
@@ -227,7 +228,9 @@ class Hello:
     version: int = field(metadata=wire("B", "", "protocol version"))
     reset_cause: int = field(metadata=wire("B", "", "ResetCause"))
     boot_id: int = field(metadata=wire("H", "", "new after every start"))
-    limits_crc: int = field(metadata=wire("H", "", "CRC-16/DNP of the payload of the Limits in force"))
+    limits_crc: int = field(
+        metadata=wire("H", "", "CRC-16/DNP of the payload of the Limits in force, of zeros without any")
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -325,7 +328,7 @@ def limits_crc(limits: Limits) -> int:
 def encode(message: Message, counter: int, table_hash: int = TABLE_HASH) -> bytes:
     """The frame of `message`; raises ValueError for values that cannot be encoded."""
     type_id, codec = _BY_CLASS[type(message)]
-    return framing.encode(type_id, counter, codec.pack(message), _seed(type_id, table_hash))
+    return framing.encode(type_id, counter, codec.pack(message), check_of(type_id, table_hash))
 
 
 def decode(frame: framing.RawFrame) -> Message:
@@ -337,12 +340,13 @@ def decoder(*, on_board: bool, table_hash: int = TABLE_HASH) -> framing.Decoder:
     """A decoder for the messages that the board receives, or for those that the host receives."""
     return framing.Decoder(
         {
-            entry.type_id: framing.FrameFormat(entry.codec.payload_bytes, _seed(entry.type_id, table_hash))
+            entry.type_id: framing.FrameFormat(entry.codec.payload_bytes, check_of(entry.type_id, table_hash))
             for entry in TABLE
             if entry.to_board is on_board
         }
     )
 
 
-def _seed(type_id: int, table_hash: int) -> int:
-    return 0 if type_id == _TYPES[Hello] else table_hash
+def check_of(type_id: int, table_hash: int = TABLE_HASH) -> framing.Check:
+    """The check of a type's frames: a Hello's has never changed."""
+    return framing.CRC16_CHECK if type_id == _TYPES[Hello] else framing.crc32_check(table_hash)

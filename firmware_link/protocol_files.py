@@ -20,7 +20,7 @@ _BYTES_WORDS = {1: "8", 2: "16", 4: "32"}
 
 
 def protocol_header() -> str:
-    """The whole header: the table's hash, bits, defaults, one struct a message, payload lengths by type."""
+    """The whole header: the table's hash, bits, one struct a message, payload lengths by type."""
     parts = [
         "// Made from the message table (firmware_link/messages.py) by `python -m firmware_link.protocol_files`.\n"
         "// Do not edit: change the table, then make it anew.\n#pragma once\n\n#include <stdint.h>\n\n"
@@ -28,7 +28,6 @@ def protocol_header() -> str:
         _constants(),
         *[_numbers(kind) for kind in (messages.CommandFlag, messages.StatusFlag, messages.Fault, messages.ResetCause)],
         *[_message_struct(entry) for entry in messages.TABLE],
-        _default_limits(),
         _payload_bytes(),
         "}  // namespace protocol",
     ]
@@ -74,18 +73,6 @@ def _message_struct(entry: messages.Entry) -> str:
         lines += [f"    wire::put{_width(f)}(payload + {at}, {_unsigned(f)});" for f, at in _placed(fields)]
         lines += ["  }"]
     return "\n".join([*lines, "};"])
-
-
-def _default_limits() -> str:
-    entry = next(entry for entry in messages.TABLE if entry.codec.cls is messages.Limits)
-    payload = entry.codec.pack(logic.DEFAULT_LIMITS)
-    begin = "constexpr uint8_t kDefaultLimits[Limits::kBytes] = {"
-    numbers = [f"{byte:#04x}" for byte in payload]
-    rows = [", ".join(numbers[:7]), ", ".join(numbers[7:])]
-    return (
-        "// The payload of the limits that hold until others are set.\n"
-        f"{begin}{rows[0]},\n{' ' * len(begin)}{rows[1]}}};"
-    )
 
 
 def _payload_bytes() -> str:

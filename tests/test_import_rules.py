@@ -68,7 +68,9 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.doctor": PARTS | {"automodel.assembly"},
     "automodel.bench": PARTS | {"automodel.assembly"},
     "automodel.training": PARTS,
-    "automodel.cli": PARTS | {"automodel.assembly", "automodel.doctor", "automodel.bench", "automodel.training"},
+    "automodel.web": PARTS | {"automodel.assembly"},
+    "automodel.cli": PARTS
+    | {"automodel.assembly", "automodel.doctor", "automodel.bench", "automodel.training", "automodel.web"},
     "automodel": {"automodel.assembly", "automodel.config", "automodel.signals", "automodel.cli"},
 }
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import automodel
 from automodel.config import ConfigError
 from automodel.output_files import output_path, output_text
 
@@ -71,3 +74,53 @@ def test_a_full_disk_is_reported() -> None:
 def test_an_error_of_another_file_stays_its_own(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError), output_text(tmp_path / "table.csv"):
         (tmp_path / "another").read_text()
+
+
+PACKAGES = [Path(automodel.__file__).parent, Path(automodel.__file__).parents[1] / "calibration"]
+ITS_OWN_WAY = {
+    "output_files.py",
+    "car_file.py",
+    "run_file.py",
+}  # this; beside and renamed; a run grows and is recovered
+BESIDE = {"output_path", "output_text"}
+
+
+def _called(node: ast.AST) -> str:
+    function = node.func if isinstance(node, ast.Call) else None
+    return function.id if isinstance(function, ast.Name) else getattr(function, "attr", "")
+
+
+def _writes(call: ast.Call) -> bool:
+    if isinstance(call.func, ast.Attribute) and call.func.attr in ("write_text", "write_bytes"):
+        return True
+    return _opens_for_writing(call)
+
+
+def _opens_for_writing(call: ast.Call) -> bool:
+    modes = [*call.args, *(keyword.value for keyword in call.keywords if keyword.arg == "mode")]
+    texts = [mode.value for mode in modes if isinstance(mode, ast.Constant) and isinstance(mode.value, str)]
+    return _called(call) == "open" and any(set(text) <= set("rwxabt+") and set(text) & set("wxa+") for text in texts)
+
+
+def _direct_writes(node: ast.AST, beside: bool = False) -> Iterator[int]:
+    """The lines that write to a file outside of a block of `output_path` or `output_text`."""
+    if isinstance(node, ast.Call) and not beside and _writes(node):
+        yield node.lineno
+    if isinstance(node, ast.With):
+        beside = beside or any(_called(item.context_expr) in BESIDE for item in node.items)
+    for child in ast.iter_child_nodes(node):
+        yield from _direct_writes(child, beside)
+
+
+def test_nothing_writes_a_file_in_place() -> None:
+    files = [file for package in PACKAGES for file in sorted(package.rglob("*.py")) if file.name not in ITS_OWN_WAY]
+    found = [f"{file}:{line}" for file in files for line in _direct_writes(ast.parse(file.read_text(encoding="utf-8")))]
+    assert not found, f"write with automodel.output_files: {found}"
+
+
+@pytest.mark.parametrize(
+    "line", ["path.write_text('')", "open(path, 'w')", "path.open('ab')", "open(path, mode='r+')", "p.write_bytes(b'')"]
+)
+def test_writing_in_place_is_seen(line: str) -> None:
+    assert list(_direct_writes(ast.parse(line))) == [1]
+    assert not list(_direct_writes(ast.parse(f"with output_path(target) as path:\n    {line}")))

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from automodel.assembly.parts import build_run, make_camera, make_link, make_loop, make_recorder, run_config
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher
@@ -20,8 +21,9 @@ from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import MonotonicClock
 from automodel.runtime.cores import LoopCores
 from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.run_types import RunEnd, RunResult
+from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickRecord
 from automodel.runtime.runner import Runner
+from automodel.signals import Event
 from automodel.sim.track_files import load_track
 from automodel.sources.cameras import CaptureThread
 from firmware_link.errors import LinkError, PortNotFound
@@ -58,7 +60,54 @@ class RunReport:
     failed: bool
 
 
-def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport:
+class Operator(RunObserver, Protocol):
+    """A person at a distance, who is shown the run and commands it; nothing here may wait."""
+
+    def on_event(self, event: Event) -> None:
+        """An event of the run."""
+        ...
+
+    def arm_requested(self) -> bool:
+        """Whether arming was asked for since the last call."""
+        ...
+
+    def stop_requested(self) -> str | None:
+        """Why the car has to stop, None where it has not; called every cycle, before `arm_requested`."""
+        ...
+
+
+class _People:
+    """The run's own watcher, teller and key, and an operator's where there is one."""
+
+    def __init__(
+        self,
+        watcher: Watcher,
+        teller: EventPrinter,
+        key: Callable[[], bool] | None,
+        operator: Operator | None,
+    ) -> None:
+        self._watcher, self._teller, self._key, self._operator = watcher, teller, key, operator
+
+    def on_tick(self, record: TickRecord) -> None:
+        self._watcher.on_tick(record)
+        if self._operator is not None:
+            self._operator.on_tick(record)
+
+    def on_event(self, event: Event) -> None:
+        self._teller(event)
+        if self._operator is not None:
+            self._operator.on_event(event)
+
+    def arm_requested(self) -> bool:
+        by_key = self._key is not None and self._key()
+        by_operator = self._operator is not None and self._operator.arm_requested()
+        return by_key or by_operator
+
+    def stop_requested(self) -> str | None:
+        return self._operator.stop_requested() if self._operator is not None else None
+
+
+def drive_simulated(car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None) -> RunReport:
     """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
     lane = load_track(options.track).lane(options.direction)
     laps = 1 if options.laps is None and options.duration_s is None else options.laps
@@ -88,9 +137,16 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
             loop=make_loop(car, checks=checks),
             recorder=recorder,
         )
-        teller = EventPrinter(simulated.clock, _QUIET_SIMULATED)
+        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operator)
         config = run_config(car, collector_off=options.realtime)
-        runner = Runner(parts, config, observer=watcher, on_event=teller)
+        runner = Runner(
+            parts,
+            config,
+            observer=people,
+            arm_requested=people.arm_requested,
+            stop_requested=people.stop_requested,
+            on_event=people.on_event,
+        )
         result = _run(runner, watcher, simulated.clock, options.duration_s, cores)
     if recorder is not None:
         say(recorder.summary())
@@ -102,7 +158,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions) -> RunReport
     return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
 
 
-def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
+def drive_real(car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None) -> RunReport:
     """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
@@ -126,13 +182,15 @@ def drive_real(car: CarConfig, text: str, options: RunOptions) -> RunReport:
             with cores.elsewhere():
                 return CaptureThread(make_camera(car))
 
+        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operator)
         runner = Runner(
             parts,
             run_config(car, collector_off=True),
-            observer=watcher,
-            arm_requested=key.pressed,
+            observer=people,
+            arm_requested=people.arm_requested,
+            stop_requested=people.stop_requested,
             reopen=reopen,
-            on_event=EventPrinter(parts.clock, _QUIET_REAL),
+            on_event=people.on_event,
         )
         try:
             result = _run(runner, watcher, parts.clock, options.duration_s, cores)

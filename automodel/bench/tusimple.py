@@ -28,6 +28,7 @@ from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.curves.base import Curve
 from automodel.geometry import CameraModel, GroundCamera
+from automodel.output_files import output_text
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
 from automodel.sources.files import natural_key
 from automodel.sources.images import read_image
@@ -352,7 +353,8 @@ def write_predictions(path: Path, results: Sequence[Result]) -> None:
         )
         for result in results
     ]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with output_text(path) as file:
+        file.write("\n".join(lines) + "\n")
 
 
 def _row(name: str, results: Sequence[Result], camera: CameraConfig) -> Row:

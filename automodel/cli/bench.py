@@ -267,11 +267,20 @@ def contour_paper(
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, "truth"]), default="windows", show_default=True,
               help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
+@click.option("--link", type=click.Choice(["arduino", "avr"]), default="arduino", show_default=True,
+              help="The emulated board; or the firmware on a simulated chip: wire and board.")  # fmt: skip
 @JOBS
 @click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")
 @JSON
 def faults(
-    names: tuple[str, ...], runs: int, seed: int, pipeline: str, jobs: int | None, listed: bool, as_json: bool
+    names: tuple[str, ...],
+    runs: int,
+    seed: int,
+    pipeline: str,
+    link: str,
+    jobs: int | None,
+    listed: bool,
+    as_json: bool,
 ) -> int:
     """Faults of every part, built into runs of the simulated car at random times: does it stop, and only then?
 
@@ -284,6 +293,6 @@ def faults(
         return 0
     from automodel.bench.faults.measure import COLUMNS, measure
 
-    rows = measure(names, runs, seed, pipeline, jobs)
+    rows = measure(names, runs, seed, pipeline, jobs, link)
     show("bench faults", rows, as_json, COLUMNS)
     return 1 if any(row["violations"] for row in rows) else 0

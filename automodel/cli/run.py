@@ -60,6 +60,20 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
     "--lossless", is_flag=True, help="Record every bit of the frames (PNG): a replay is the drive to the bit."
 )
 @click.option("--truth", type=FILE, help="Simulated: write truth.csv here.")
+@click.option(
+    "--web",
+    "web_address",
+    is_flag=False,
+    flag_value="127.0.0.1:8765",
+    metavar="[HOST:PORT]",
+    help="Serve the run's web page, by default on 127.0.0.1:8765; its address with the token is printed.",
+)
+@click.option(
+    "--web-tls",
+    type=(FILE, FILE),
+    metavar="CERT KEY",
+    help="Serve the page by TLS with this certificate and key (PEM).",
+)
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
 def command(
@@ -69,6 +83,8 @@ def command(
     pipeline: str | None,
     speed_mps: float | None,
     lossless: bool,
+    web_address: str | None,
+    web_tls: tuple[Path, Path] | None,
     as_json: bool,
     **rest: object,
 ) -> int:
@@ -100,7 +116,30 @@ def command(
             raise ConfigError(
                 f"{name}: [camera] source {car.camera.source!r}: a car drives with csi or usb; see replay"
             )
-    report = (drive_simulated if simulated else drive_real)(car, text, options)
+    drive = drive_simulated if simulated else drive_real
+    if web_address is None:
+        if web_tls is not None:
+            raise ConfigError("--web-tls: is for the web page; give --web too")
+        report = drive(car, text, options)
+    else:
+        from automodel.web.access import PageOptions
+        from automodel.web.remote import WebRemote
+
+        host, port = host_and_port(web_address)
+        with WebRemote(car, PageOptions(host=host, port=port, tls=web_tls)) as remote:
+            say(f"web page: {remote.url}")
+            if web_tls is None and host not in ("127.0.0.1", "::1", "localhost"):
+                say("the page is not encrypted: on a network that others use, give --web-tls CERT KEY")
+            report = drive(car, text, options, remote)
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
     return 1 if report.failed else 0
+
+
+def host_and_port(address: str) -> tuple[str, int]:
+    """HOST:PORT, the host in brackets where it is an IPv6 address; port 0 takes a free one. Raises ConfigError."""
+    host, colon, port = address.rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not (colon and host and port.isascii() and port.isdecimal() and int(port) <= 65535):
+        raise ConfigError(f"--web: expected HOST:PORT, for example 0.0.0.0:8765, got {address!r}")
+    return host, int(port)

@@ -14,8 +14,8 @@ from pathlib import Path
 from automodel.config.camera import CameraConfig, Extrinsics, Intrinsics, SecondCamera
 from automodel.config.can import CanCommand, CanConfig, CanMessage, CanSignal, CanValue
 from automodel.config.link import AutonomosConfig, LinkConfig, MotorConfig, ServoConfig
-from automodel.config.parts import CONTROLLERS, PIPELINES
-from automodel.config.pipelines import CenterlineConfig, ContourConfig, PipelineConfig, WindowsConfig
+from automodel.config.parts import CONTROLLERS, PAIR_PIPELINES, PIPELINES
+from automodel.config.pipelines import CenterlineConfig, ContourConfig, PipelineConfig, StereoConfig, WindowsConfig
 from automodel.config.toml_reader import (
     ConfigError,
     not_negative,
@@ -52,6 +52,7 @@ __all__ = [
     "SafetyConfig",
     "SecondCamera",
     "ServoConfig",
+    "StereoConfig",
     "VehicleConfig",
     "WindowsConfig",
     "load_car",
@@ -59,7 +60,8 @@ __all__ = [
 ]
 
 
-PIPELINE_NAMES = PIPELINES.names  # those that come with automodel, the default first
+# Those that come with automodel and see the lane through one camera, the default first.
+PIPELINE_NAMES = tuple(name for name in PIPELINES.names if name not in PAIR_PIPELINES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -61,9 +61,11 @@ PIPELINES = PartKind(
         "centerline": "automodel.pipelines.centerline:Centerline",
         "windows": "automodel.pipelines.windows:Windows",
         "contour": "automodel.pipelines.contour:Contour",
+        "stereo": "automodel.pipelines.stereo:Stereo",
     },
     methods=("step", "reset"),
 )
+PAIR_PIPELINES = ("stereo",)  # those of ours that need two cameras
 CONTROLLERS = PartKind(
     kind="controller",
     key="[control] controller",

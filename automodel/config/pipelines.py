@@ -79,12 +79,34 @@ class ContourConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class StereoConfig:
+    """`stereo` (wide-baseline stereo lanes). Lengths are multiples of the lane's width, so that they hold at any scale.
+
+    It needs a second camera: `[camera.right.intrinsics]` and `[camera.right.extrinsics]`.
+    """
+
+    look_ahead_lanes: float = 3.0  # how far ahead of the first visible ground stripes are looked for; 14 on a highway
+    view_half_lanes: float = 1.6  # how far to each side of the predicted lane
+    rows: int = 64  # image rows that are read of each camera
+    contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
+    coast_lanes: float = 6.0  # distance that the lane is carried on without any line, at most
+    coast_s: float = 2.5  # and for how long at most
+
+    def __post_init__(self) -> None:
+        positive(self, "look_ahead_lanes", "view_half_lanes")
+        not_negative(self, "contrast", "coast_lanes", "coast_s")
+        if not 8 <= self.rows <= 400:
+            raise ValueError(f"rows: expected 8 .. 400, got {self.rows}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PipelineConfig:
     """Which paper sees the lane, and each one's own keys."""
 
     name: str = "centerline"
     centerline: CenterlineConfig = field(default_factory=CenterlineConfig)
     contour: ContourConfig = field(default_factory=ContourConfig)
+    stereo: StereoConfig = field(default_factory=StereoConfig)
     windows: WindowsConfig = field(default_factory=WindowsConfig)
 
     def __post_init__(self) -> None:
@@ -95,6 +117,10 @@ class PipelineConfig:
 
         Those of the pipeline in use; of `centerline` for one that does not come with automodel.
         """
-        sections: dict[str, WindowsConfig | ContourConfig] = {"windows": self.windows, "contour": self.contour}
+        sections: dict[str, WindowsConfig | ContourConfig | StereoConfig] = {
+            "windows": self.windows,
+            "contour": self.contour,
+            "stereo": self.stereo,
+        }
         section = sections.get(self.name, self.centerline)
         return section.coast_lanes * lane_width_m, section.coast_s

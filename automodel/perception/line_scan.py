@@ -9,6 +9,7 @@ over pixels and pairs of pieces are compiled.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -100,6 +101,11 @@ class LineScan:
     def step(self, lines: Image) -> tuple[SightedLine, ...]:
         """The lines of a view, in no order."""
         return tuple(self._line(piece) for piece in self._joined(self._pieces(lines)))
+
+    def of_stripes(self, stripes: Iterable[FloatArray]) -> tuple[SightedLine, ...]:
+        """The lines of stripes (n, 2) [m] that were found otherwise: points in the body frame, near to far."""
+        pieces = [_fitted(points[:, 0], points[:, 1]) for points in stripes if len(points) > 1]
+        return tuple(self._line(piece) for piece in self._joined(pieces))
 
     def _warm_up(self) -> None:
         """Compile everything that a frame calls, so that none waits for it."""

@@ -2,6 +2,7 @@
 
 - `ImageCheck`: an image has the camera's size, is a new one, and shows anything at all.
 - `LaneJumpCheck`: the lane is still the one that was followed; a car cannot move sideways, or turn, between two frames.
+- `width_fault`: the lane has a width that a lane can have.
 - `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
 - `SteeringCheck`: the car turns as it is steered, by the gyro where there is one.
 """
@@ -79,6 +80,17 @@ class LaneJumpCheck:
         if math.isinf(most_rad):
             most_rad = math.inf if coasted else HEADING_RAD
         return most_m, most_rad
+
+
+WIDEST_CARS = 10.0  # a lane that is wider than so many cars is none; full-size lanes are twice as wide as a car
+
+
+def width_fault(estimate: LaneEstimate, vehicle: VehicleConfig) -> str | None:
+    """That the lane is narrower than the car or far wider than a lane, None where it is not or there is none."""
+    pose = estimate.pose
+    if pose is None or vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m:
+        return None
+    return f"the lane is {pose.width_m:.2f} m wide, the car {vehicle.width_m:.2f} m"
 
 
 class OffsetBoundCheck:
@@ -229,6 +241,7 @@ class InputChecks:
     def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
+        self._vehicle = car.vehicle
         self._lane_jump = LaneJumpCheck(car.vehicle)
         self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
         self._steering = SteeringCheck(car.vehicle.wheelbase_m)
@@ -245,7 +258,8 @@ class InputChecks:
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
         """What is wrong with the lane or too uncertain, or wrong with how the car moves."""
         jump, turns = self._lane_jump.step(estimate), self._steering.step(motion, state)
-        return tuple(filter(None, (jump, self._offset_bound.step(estimate, motion, state), turns)))
+        uncertain, width = self._offset_bound.step(estimate, motion, state), width_fault(estimate, self._vehicle)
+        return tuple(filter(None, (jump, width, uncertain, turns)))
 
 
 def _images(frame: Frame | StereoFrame) -> tuple[Image, ...]:

@@ -108,6 +108,7 @@ class Loop:
         if not validity_s > 0:
             raise ValueError(f"validity_s: expected a positive number, got {validity_s}")
         self._pipeline = pipeline
+        self._cameras = int(getattr(pipeline, "cameras", 1))
         self._controller = controller
         self._limits = limits
         self._validity_ns = round(validity_s * NS_PER_S)
@@ -157,6 +158,13 @@ class Loop:
             stages_ns=(seen - start, steered - seen, self._stopwatch() - steered),
         )
 
+    def _look(self, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
+        """The pipeline's estimate; one of a single camera sees the left image of a pair, which is `[camera]`'s."""
+        if isinstance(frame, StereoFrame) and self._cameras == 1:
+            frame = Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
+        step: Callable[..., LaneEstimate] = self._pipeline.step
+        return step(frame, motion)
+
     def _see(
         self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None
     ) -> tuple[LaneEstimate, tuple[str, ...]]:
@@ -166,7 +174,7 @@ class Loop:
         if misfit is not None:
             return lost, (misfit,)
         wrong = () if checks is None else checks.of_frame(frame)
-        estimate = self._pipeline.step(_picture(frame), motion)
+        estimate = self._look(frame, motion)
         faults = estimate_faults(estimate)
         if faults:
             self.failed()
@@ -233,13 +241,6 @@ def state_faults(state: VehicleState) -> tuple[str, ...]:
     if all(value is None or math.isfinite(value) for value in said):
         return ()
     return ("the vehicle's state is not finite",)
-
-
-def _picture(frame: Frame | StereoFrame) -> Frame:
-    """What a pipeline of one camera sees of a pair: the left image, whose camera is the one in `[camera]`."""
-    if isinstance(frame, StereoFrame):
-        return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
-    return frame
 
 
 def _is_finite(command: Command) -> bool:

@@ -60,7 +60,8 @@ SLICE_MIN_NS = 1_000_000  # the shortest: a wait of nothing would let no virtual
 class Runner:
     """Drives `parts` in cycles; one runner makes one run.
 
-    `arm_requested` is called every cycle and says whether a person has asked to arm since. `reopen` makes a new source
+    `arm_requested` is called every cycle and says whether a person has asked to arm since, `stop_requested` before it
+    why one wants the car to stop. `reopen` makes a new source
     in place of one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without
     it a source that failed ends the run as soon as the car stands. `on_event` gets every event after the command of its
     cycle was sent; it must be quick.
@@ -73,6 +74,7 @@ class Runner:
         *,
         observer: RunObserver | None = None,
         arm_requested: Callable[[], bool] | None = None,
+        stop_requested: Callable[[], str | None] | None = None,
         reopen: Callable[[], Source] | None = None,
         on_event: Callable[[Event], None] | None = None,
     ) -> None:
@@ -84,6 +86,7 @@ class Runner:
         self._validity_ns = round(config.command_validity_s * NS_PER_S)
         self._observer = observer
         self._arm_requested = arm_requested
+        self._stop_requested = stop_requested
         self._run_log = RunLog(parts.recorder, on_event)
         self._source = SupervisedSource(parts.source, parts.clock, self._run_log, reopen)
         self._link = SupervisedLink(parts.link, self._run_log.note)
@@ -164,11 +167,18 @@ class Runner:
                 status=tick.estimate.status if tick is not None else LaneStatus.LOST,
                 valid_until_ns=tick.command.valid_until_ns if tick is not None else None,
             )
+        stop = self._stop_requested() if self._stop_requested is not None else None
         arm = self._arm_requested is not None and self._arm_requested()
         was_at_rest = self._at_rest()
         state = self._link.newest(self._state, self._clock.now_ns())  # the chain gets it with the next cycle
         inputs = SafetyInputs(
-            seen=seen, state=state, link_up=self._link.up, faults=faults, arm=arm, speed_mps=self._fastest_mps(state)
+            seen=seen,
+            state=state,
+            link_up=self._link.up,
+            faults=faults,
+            arm=arm,
+            stop=stop,
+            speed_mps=self._fastest_mps(state),
         )
         decision = self._safety.step(inputs, self._clock.now_ns())
         sent, sent_ns = self._send(decision, tick)

@@ -4,9 +4,10 @@
 before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
 that cannot be true or a lane that is too uncertain (`runtime.input_checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
-should not), a clock that went back, a loop that stood still for longer than a command lives (or took that long from a
-frame to its command) while the car was fast. *Healthy*: neither. `VehicleState.faults` stop nothing by themselves: a
-damaged byte is no reason to stop, and a board that no longer obeys says so by being disarmed.
+should not), a person who asks for a stop, a clock that went back, a loop that stood still for longer than a command
+lives (or took that long from a frame to its command) while the car was fast. *Healthy*: neither. `VehicleState.faults`
+stop nothing by themselves: a damaged byte is no reason to stop, and a board that no longer obeys says so by being
+disarmed.
 
 A loop that stood still is only *unwell* where it did so for less than `STALL_S` and the car cannot have come farther in
 that time than the free space beside it (`blind_m`): whatever its direction was, it is still inside its lane. A board
@@ -89,7 +90,8 @@ class Seen:
 class SafetyInputs:
     """One cycle of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
 
-    `faults` are texts of what was found wrong in this cycle; `arm` is a person's request made in this cycle.
+    `faults` are texts of what was found wrong in this cycle; `arm` is a person's request made in this cycle, `stop` why
+    a person, or the silence of one, wants the car to stop.
     `speed_mps` is the greatest speed that the car may have had since the cycle before.
     """
 
@@ -98,6 +100,7 @@ class SafetyInputs:
     link_up: bool = True
     faults: tuple[str, ...] = ()
     arm: bool = False
+    stop: str | None = None
     speed_mps: float = math.inf
 
 
@@ -161,7 +164,8 @@ class Safety:
         """One cycle at `now_ns`; call it at least every 20 ms, with or without a frame."""
         stall, broken = self._clock_fault(inputs, now_ns)
         disarmed, trouble = self._vehicle_fault(inputs, now_ns)
-        broken = broken or trouble
+        broken = inputs.stop or broken or trouble
+        self._auto_arm = self._auto_arm and inputs.stop is None
         unwell = self._chain_fault(inputs, now_ns)  # always asked: it remembers the frame
         unwell = stall or disarmed or unwell
         self._last_ns = now_ns

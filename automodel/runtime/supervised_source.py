@@ -11,6 +11,7 @@ from automodel.runtime.run_log import RunLog
 from automodel.signals import Event, Frame, StereoFrame
 
 REOPEN_S = 0.2  # between two tries to open a source that failed
+START_S = 5.0  # for the first frame of a camera opened again: the sensor and its exposure take 1 to 3 s
 
 
 class SupervisedSource:
@@ -28,6 +29,7 @@ class SupervisedSource:
         self._run_log = run_log
         self._reopen = reopen
         self._failed = False
+        self._awaited = False  # opened again, and no frame has come yet
         self._tried_ns: int | None = None  # when it was opened again last
 
     @property
@@ -40,7 +42,7 @@ class SupervisedSource:
 
         A failed source is only replaced `at_rest`, because opening a camera takes seconds.
         """
-        if self._failed and at_rest:
+        if at_rest and (self._failed or self._late()):
             self._replace()
         try:
             frame = self._source.read(timeout_s)
@@ -49,8 +51,8 @@ class SupervisedSource:
             self._run_log.report("source-failed", str(error), self._clock.now_ns())
             self._clock.sleep(timeout_s)  # a broken source fails at once
             return None
-        if frame is not None and self._failed:
-            self._failed = False
+        if frame is not None and (self._failed or self._awaited):
+            self._failed = self._awaited = False
             event = Event(t_ns=self._clock.now_ns(), kind="source-back", text="frames come again; arm to drive on")
             self._run_log.note(event)
         return frame
@@ -60,6 +62,10 @@ class SupervisedSource:
         with contextlib.suppress(OSError):
             self._source.close()
 
+    def _late(self) -> bool:
+        """Whether a source that was opened again has given no frame for too long."""
+        return self._awaited and self._clock.now_ns() - (self._tried_ns or 0) >= START_S * NS_PER_S
+
     def _replace(self) -> None:
         now_ns = self._clock.now_ns()
         if self._reopen is None or (self._tried_ns is not None and now_ns - self._tried_ns < REOPEN_S * NS_PER_S):
@@ -68,3 +74,4 @@ class SupervisedSource:
         self.close()
         with contextlib.suppress(OSError):  # the fault has been reported already
             self._source = self._reopen()
+            self._failed, self._awaited = False, True

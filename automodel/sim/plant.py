@@ -57,7 +57,9 @@ class PlantConfig:
     """The true parameters of the simulated car; car.toml has the assumed ones.
 
     `servo` and `motor` are the true tables. A pulse takes effect after the dead time, then through a first-order lag
-    (lag time 0: at once). The wheels follow the servo through a gap of `servo_play_rad`, `servo_bias_rad` to the left.
+    (lag time 0: at once). Without drive the car slows down by the same lag, or, where `coast_mps2` [m/s^2] is given, by
+    that: its motor controller lets it roll. The wheels follow the servo through a gap of `servo_play_rad`,
+    `servo_bias_rad` to the left.
     """
 
     wheelbase_m: float = 0.26
@@ -70,6 +72,7 @@ class PlantConfig:
     motor: MotorConfig = field(default_factory=MotorConfig)
     motor_dead_s: float = 0.020
     motor_lag_s: float = 0.120
+    coast_mps2: float | None = None
     ticks_per_m: float = 200.0
     gyro: bool = True  # whether one is fitted
     gyro_bias_radps: float = 0.02
@@ -81,6 +84,8 @@ class PlantConfig:
         positive(self, "wheelbase_m", "servo_rate_max_radps", "ticks_per_m")
         not_negative(self, "servo_dead_s", "servo_lag_s", "servo_play_rad")
         not_negative(self, "motor_dead_s", "motor_lag_s", "gyro_noise_radps", "battery_v")
+        if self.coast_mps2 is not None:
+            positive(self, "coast_mps2")
         for name in ("servo_bias_rad", "gyro_bias_radps"):
             if not math.isfinite(getattr(self, name)):
                 raise ValueError(f"{name}: expected a finite number, got {getattr(self, name)}")
@@ -268,7 +273,9 @@ class Plant:
         servo = lagged(now.servo, self._servo.at(step), servo_share, config.servo_rate_max_radps * dt)
         wheel = through_play(now.wheel, servo, config.servo_play_rad)
         drive = self._motor.at(step)
-        speed = lagged(now.speed, drive, motor_share, math.inf)
+        rolls = drive == 0.0 and config.coast_mps2 is not None
+        most = math.inf if config.coast_mps2 is None else config.coast_mps2 * dt
+        speed = lagged(now.speed, 0.0, 1.0, most) if rolls else lagged(now.speed, drive, motor_share, math.inf)
         if drive == 0.0 and abs(speed) < _STICTION_MPS:
             speed = 0.0
         distance = 0.5 * (now.speed + speed) * dt

@@ -104,19 +104,20 @@ def synthetic_elements(camera: CameraConfig) -> str:
     return f"videotestsrc is-live=true ! video/x-raw,framerate={_fraction(camera.rate_hz)} ! videoconvert"
 
 
-def gst_command(camera: CameraConfig, elements: str) -> list[str]:
-    """The whole command: `elements`, conversion to the configured format, and the newest frame to stdout."""
+def gst_command(camera: CameraConfig, elements: str, fd: int) -> list[str]:
+    """The whole command: `elements`, conversion to the configured format, and the newest frame to descriptor `fd`."""
     pixel = "BGRx" if camera.colour else "GRAY8"
     caps = f"video/x-raw,format={pixel},width={camera.width_px},height={camera.height_px}"
-    tail = f"! {caps} ! queue leaky=downstream max-size-buffers=1 ! fdsink sync=false"
+    tail = f"! {caps} ! queue leaky=downstream max-size-buffers=1 ! fdsink fd={fd} sync=false"
     return ["gst-launch-1.0", "--quiet", *elements.split(), *tail.split()]
 
 
 class CsiSource:
     """Frames of a CSI camera with the monotonic time of arrival, through a pipe from a `gst-launch-1.0` process.
 
-    (The pip wheels of OpenCV are built without GStreamer.) Raises SourceError with GStreamer's error message where
-    GStreamer is missing, cannot open the camera, or stops.
+    (The pip wheels of OpenCV are built without GStreamer.) The pipe is the pictures' own: NVIDIA's camera plugin prints
+    its messages on stdout, where they would shift every picture after them; they go to the log instead. Raises
+    SourceError with GStreamer's error message where GStreamer is missing, cannot open the camera, or stops.
     """
 
     def __init__(self, camera: CameraConfig, elements: str | None = None) -> None:
@@ -127,21 +128,24 @@ class CsiSource:
         self._width, self._height = camera.width_px, camera.height_px
         self._buffer, self._filled, self._next = self._empty(), 0, 0
         self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process that writes to it
+        reading, writing = os.pipe()
+        self._pipe = open(reading, "rb", buffering=0)  # noqa: SIM115 - closed by close()
         try:
             self._process = subprocess.Popen(
-                gst_command(camera, elements or jetson_elements(camera)),
+                gst_command(camera, elements or jetson_elements(camera), writing),
                 stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=self._log,
-                bufsize=0,
+                stdout=self._log,
+                stderr=subprocess.STDOUT,
+                pass_fds=[writing],
             )
         except FileNotFoundError:
+            self._pipe.close()
             self._log.close()
             raise SourceError(
                 "gst-launch-1.0: not found; a CSI camera needs GStreamer (apt-get install gstreamer1.0-tools)"
             ) from None
-        assert self._process.stdout is not None
-        self._pipe = self._process.stdout
+        finally:
+            os.close(writing)  # held by GStreamer alone, so that the pipe ends when it ends
         fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         os.set_blocking(self._pipe.fileno(), False)
 
@@ -191,7 +195,7 @@ class CsiSource:
             return "GStreamer closed the pipe"
         self._log.seek(0)
         lines = self._log.read().decode("utf-8", "replace").splitlines()
-        errors = [line for line in lines if "ERROR" in line or "erroneous" in line] or lines
+        errors = [line for line in lines if "error" in line.lower() or "erroneous" in line]
         return errors[0].strip() if errors else f"GStreamer ended with code {self._process.returncode}"
 
 

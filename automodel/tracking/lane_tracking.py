@@ -134,6 +134,11 @@ class LaneTracking:
         return self._pair_m >= self._unit
 
     @property
+    def road(self) -> RoadModel:
+        """What the road is like, with what was learnt of its bends."""
+        return self._bends.road
+
+    @property
     def lost(self) -> bool:
         """Whether there is no lane."""
         return self._belief is None

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from automodel.config.toml_reader import ConfigError
-from automodel.output_files import output_path
+from automodel.output_files import output_path, output_text
 from automodel.training.scenes import make_sample
 from automodel.types import Image
 
@@ -96,7 +96,8 @@ def claim_folder(folder: Path, version: str) -> None:
     try:
         found = json.loads(index.read_text(encoding="utf-8"))["version"]
     except FileNotFoundError:
-        index.write_text(json.dumps({"version": version}) + "\n", encoding="utf-8")
+        with output_text(index) as file:
+            file.write(json.dumps({"version": version}) + "\n")
         return
     except (ValueError, KeyError, TypeError):
         raise ConfigError(f"{index}: cannot be read; delete the folder's files, they are drawn again") from None

@@ -16,7 +16,7 @@ import torch
 from automodel.config.toml_reader import ConfigError
 from automodel.console.messages import say
 from automodel.console.workers import spread
-from automodel.output_files import output_path
+from automodel.output_files import output_path, output_text
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 from automodel.training import dataset, train
 from automodel.training.unet import MarkingNet, with_metadata
@@ -179,13 +179,15 @@ def _say_progress(progress: train.Progress) -> None:
 def write_metrics(path: Path, origin: Origin, metrics: train.Metrics) -> None:
     """Write the file that `write_card` reads, beside the network's ONNX file."""
     text = json.dumps({"origin": asdict(origin), "figures": asdict(metrics)}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
+    with output_text(path) as file:
+        file.write(text + "\n")
 
 
 def write_card(folder: Path) -> None:
     """MODEL_CARD.md of all the networks in a folder, from the files of `write_metrics` there."""
     parts = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(folder.glob("marking_*.json"))]
-    (folder / "MODEL_CARD.md").write_text("\n".join([HEADER, *map(_section, parts)]), encoding="utf-8")
+    with output_text(folder / "MODEL_CARD.md") as file:
+        file.write("\n".join([HEADER, *map(_section, parts)]))
 
 
 def _section(part: Mapping[str, Mapping[str, object]]) -> str:

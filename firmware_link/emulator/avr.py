@@ -153,6 +153,7 @@ class AvrBoard:
             [str(program.simulator), str(program.firmware), boot_cycles, str(baud)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # simavr's remarks on its own timers; a crash comes over the pipe
             start_new_session=True,  # Ctrl-C must not reach it: it ends with its pipe
         )
         assert self._process.stdin is not None

@@ -7,10 +7,10 @@ from typing import Protocol
 
 from automodel.signals import BoardSensors
 from firmware_link import messages
-from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardCounters, BoardLogic, BoardOptions
+from firmware_link.emulator.logic import NO_LIMITS, BoardCounters, BoardLogic, BoardOptions
 from firmware_link.emulator.uart import UartBoard
 from firmware_link.framing import RawFrame
-from firmware_link.messages import Fault, ResetCause, StatusFlag
+from firmware_link.messages import Fault, ResetCause
 
 TICK_NS = 1_000_000  # the main loop
 SERVO_FRAME_NS = 20_000_000
@@ -26,7 +26,7 @@ class Peripherals(Protocol):
     """The devices at the board's pins. Times never decrease."""
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:
-        """The pulses [us] at the pins from `t_ns` on; called at each servo frame."""
+        """The pulses [us] at the pins from `t_ns` on, 0 where there are none; called at each servo frame."""
         ...
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
@@ -53,7 +53,7 @@ class EmulatedArduino(UartBoard):
     BOOT         `boot_ns` over                              DISARMED, new nonce; sends Hello
     any but BOOT HelloRequest; every 500 ms                  unchanged; sends Hello
     DISARMED     Arm with the current nonce and boot id      ARMED, command timer starts, counter set
-    DISARMED     Arm with others                             DISARMED, fault ARM_REFUSED
+    DISARMED     Arm with others, or without valid Limits    DISARMED, fault ARM_REFUSED
     DISARMED     valid Limits                                DISARMED, limits kept over restarts; sends Hello
     DISARMED     Command                                     DISARMED, ignored
     ARMED        Command, fresh, counter 1..127 ahead,       ARMED, timer restarts; the pulses, clamped and
@@ -67,6 +67,7 @@ class EmulatedArduino(UartBoard):
 
     DISARMED always means straight and neutral, without slewing, from the next servo frame on. It ends with an Arm that
     the host sends on a person's request: the nonce changes with every disarming, so that no older Arm is valid.
+    What is straight and neutral is in the Limits: without valid ones (flag NO_LIMITS) there are no pulses.
     COMMAND_TIMEOUT is reported until the next valid Arm.
 
     `advance` runs only the ticks of the main loop in which something happens. The first call switches the power on. A
@@ -78,8 +79,8 @@ class EmulatedArduino(UartBoard):
         self._peripherals = peripherals
         self._options = options or BoardOptions()
         self._boot_id = (self._options.boot_id - 1) & 0xFFFF
-        self._limits = DEFAULT_LIMITS
-        self._limits_crc = messages.limits_crc(DEFAULT_LIMITS)
+        self._limits = self._options.limits or NO_LIMITS
+        self._limits_crc = messages.limits_crc(self._limits)
         self._decoder = messages.decoder(on_board=True, table_hash=self._options.table_hash)
         self._logic = BoardLogic(self._boot_id, self._limits)
         self._cause = ResetCause.POWER_ON
@@ -238,7 +239,7 @@ class EmulatedArduino(UartBoard):
             faults=self._logic.take_faults(),
             nonce=self._logic.arming.nonce,
             command_counter=self._logic.command_counter,
-            flags=int(StatusFlag.ARMED) if self._logic.arming.armed else 0,
+            flags=int(self._logic.status_flags()),
         )
         self._say(status, t_ns)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from firmware_link import messages
-from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fault, Limits
+from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fault, Limits, StatusFlag
 
 COMMAND_TIMEOUT_MS = 100
 MAX_DEADLINE_MS = 150  # a deadline further ahead is a past one, wrapped around
@@ -17,12 +17,16 @@ MAX_DEADLINE_MS = 150  # a deadline further ahead is a past one, wrapped around
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardOptions:
-    """Options of an emulated board; `table_hash` is that of its program's message table."""
+    """Options of an emulated board.
+
+    `table_hash` is that of its program's message table, `limits` what its EEPROM has (None: nothing valid).
+    """
 
     boot_ns: int = 300_000_000  # duration of the bootloader, which neither receives nor sends
     watchdog_ns: int = 60_000_000  # time until a program that hangs is restarted
     boot_id: int = 1  # of the first start
     table_hash: int = messages.TABLE_HASH
+    limits: Limits | None = None
 
     def __post_init__(self) -> None:
         if self.boot_ns < 0 or self.watchdog_ns <= 0:
@@ -39,15 +43,16 @@ class BoardCounters:
     starts: int = 0
 
 
-DEFAULT_LIMITS = Limits(
-    servo_min_us=1000.0,
-    servo_straight_us=1500.0,
-    servo_max_us=2000.0,
-    motor_min_us=1000.0,
-    motor_neutral_us=1500.0,
-    motor_max_us=2000.0,
-    servo_slew_us=200.0,
-    motor_slew_us=100.0,
+# No valid limits: the pulses are 0, that is, there are none.
+NO_LIMITS = Limits(
+    servo_min_us=0.0,
+    servo_straight_us=0.0,
+    servo_max_us=0.0,
+    motor_min_us=0.0,
+    motor_neutral_us=0.0,
+    motor_max_us=0.0,
+    servo_slew_us=0.0,
+    motor_slew_us=0.0,
 )
 NONCE_STEP = 0x9E37  # odd, so that all 65536 nonces are used before one repeats
 
@@ -138,6 +143,11 @@ class Pulses:
         self.limits = limits
         self.straighten()
 
+    @property
+    def limited(self) -> bool:
+        """Whether the limits are valid; without, the pulses are 0: there are none."""
+        return limits_fit(self.limits)
+
     def set_target(self, servo_us: float, motor_us: float) -> None:
         """Set the pulses from the next servo frame on."""
         limits = self.limits
@@ -190,7 +200,7 @@ class BoardLogic:
         """Disarmed -> armed; the first fresh command must follow within the timer's 100 ms."""
         if self.arming.armed:
             return
-        if not self.arming.arm(message):
+        if not self.pulses.limited or not self.arming.arm(message):
             self.event(Fault.ARM_REFUSED)
             return
         self._timed_out = False
@@ -220,6 +230,11 @@ class BoardLogic:
     def event(self, fault: Fault) -> None:
         """Record a fault for the next status."""
         self._events |= int(fault)
+
+    def status_flags(self) -> StatusFlag:
+        """The flags of a status."""
+        armed = StatusFlag.ARMED if self.arming.armed else StatusFlag(0)
+        return armed if self.pulses.limited else armed | StatusFlag.NO_LIMITS
 
     def take_faults(self) -> int:
         """The faults for a status; they are cleared."""

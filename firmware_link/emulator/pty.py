@@ -177,8 +177,8 @@ class BenchPeripherals:
 
     @property
     def at_pins(self) -> tuple[float, float]:
-        """The pulses (servo_us, motor_us) at the pins now."""
-        _, servo_us, motor_us = self.pulses[-1]
+        """The pulses (servo_us, motor_us) at the pins now; 0 where there are none."""
+        _, servo_us, motor_us = self.pulses[-1] if self.pulses else (0, 0.0, 0.0)
         return servo_us, motor_us
 
     def set_pulses(self, t_ns: int, servo_us: float, motor_us: float) -> None:

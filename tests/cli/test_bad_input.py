@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from automodel.config import PIPELINE_NAMES
+from automodel.config.parts import PIPELINES
 from automodel.sources.errors import SourceError
 from automodel.sources.images import read_image
 
@@ -46,6 +46,10 @@ TEXTS = {
 }
 
 CASES = {  # arguments -> the line on stderr
+    "run --web 8765": "automodel: --web: expected HOST:PORT, for example 0.0.0.0:8765, got '8765'",
+    "run --web 127.0.0.1:99999": "automodel: --web: expected HOST:PORT, for example 0.0.0.0:8765, got '127.0.0.1:99999'",
+    "run --web 127.0.0.1:0 --web-tls missing.pem missing.pem": "automodel: --web-tls: missing.pem missing.pem: No such file or directory; expected PEM files of both",
+    "run --web-tls missing.pem missing.pem": "automodel: --web-tls: is for the web page; give --web too",
     "run --car missing.toml": "automodel: missing.toml: no such file",
     "run --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
     "run --car type.toml": "automodel: type.toml:2: [camera] width_px: expected a whole number, got '640'",
@@ -67,7 +71,7 @@ CASES = {  # arguments -> the line on stderr
     "run --car binary.toml": "automodel: binary.toml: cannot be read: not a text file in UTF-8",
     "run --car folder": "automodel: folder: cannot be read: Is a directory",
     "run --car pipeline.toml": "automodel: pipeline.toml:2: [pipeline] name: expected one of "
-    f"{', '.join(PIPELINE_NAMES)}, or package.module:Class, got 'window'; did you mean 'windows'?",
+    f"{', '.join(PIPELINES.names)}, or package.module:Class, got 'window'; did you mean 'windows'?",
     "run --car half.toml": 'automodel: half.toml: [camera] source and [link] port: either both are "sim" or neither is',
     "run --car tub.toml": "automodel: tub.toml: [camera] source 'a/tub': a car drives with csi or usb; see replay",
     "run --car usb.toml": "automodel: /dev/video97: cannot be opened; is the camera plugged in, and [camera] device right?",

@@ -17,9 +17,11 @@ from automodel.sim.plant import PlantConfig
 from calibration import odometry_dialogue
 from calibration.drive import Rig, Ticks
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 from tests.support.calibrated_cars import during, untouched
+from tests.support.wide_limits import WIDE_LIMITS
 
 
 def test_odometry_dialoguen(car: Path, at_rest: Callable[[], bool], cli) -> None:
@@ -94,7 +96,7 @@ def test_odometry_pushed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli) -
     path = tmp_path / "car.toml"
     path.write_text('[camera]\nsource = "usb"\n[link]\nport = "/dev/ttyUSB0"\n')
     bench = BenchPeripherals()
-    board = EmulatedArduino(bench)
+    board = EmulatedArduino(bench, options=BoardOptions(limits=WIDE_LIMITS))
     clock = VirtualClock(0, board.advance)
     ticks = iter((5, 805, 805, 1607))
 

@@ -14,9 +14,11 @@ from automodel.runtime.clocks import VirtualClock
 from calibration import servo_dialogue
 from calibration.drive import Rig, Ticks
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 from tests.support.calibrated_cars import untouched
+from tests.support.wide_limits import WIDE_LIMITS
 
 
 def test_circles_become_a_table(car: Path, tmp_path: Path, cli) -> None:
@@ -61,7 +63,7 @@ class Person:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, script: list[str]) -> None:
         self.bench, self.script, self.turns = BenchPeripherals(), script, 0
-        board = EmulatedArduino(self.bench)
+        board = EmulatedArduino(self.bench, options=BoardOptions(limits=WIDE_LIMITS))
         self.clock = VirtualClock(0, board.advance)
         transport = MemoryTransport(board, self.clock)
 

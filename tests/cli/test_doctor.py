@@ -28,6 +28,7 @@ from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from tests.support.command_line import Said
 from tests.support.fake_cars import StillCamera, road
 from tests.support.fake_cars import car_toml as written
+from tests.support.wide_limits import WIDE_LIMITS
 
 MACHINE = ["python", "scheduling", "packages", "opencv", "gstreamer", "network", "clock"]
 BOARD = ["serial port", "board", "board start", "wire", "board faults", "battery", "ranges", "odometry", "servo", "can"]
@@ -56,7 +57,7 @@ def bench() -> BenchPeripherals:
 
 @pytest.fixture
 def port(bench: BenchPeripherals) -> Iterator[PtyBoard]:
-    with PtyBoard(EmulatedArduino(bench, 115200, BoardOptions(boot_ns=50_000_000))) as board:
+    with PtyBoard(EmulatedArduino(bench, 115200, BoardOptions(boot_ns=50_000_000, limits=WIDE_LIMITS))) as board:
         yield board
 
 

@@ -8,7 +8,6 @@ import pytest
 import tomlkit
 
 from automodel.config import (
-    PIPELINE_NAMES,
     CarConfig,
     CenterlineConfig,
     ConfigError,
@@ -19,6 +18,7 @@ from automodel.config import (
     load_car,
     parse_car,
 )
+from automodel.config.parts import PIPELINES
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 
@@ -57,7 +57,7 @@ REFUSED = {
     '[lane]\nmarkings = "dark"\ndark_markings = true': "car.toml:3: [lane] dark_markings: remove it; [lane] markings "
     "is given",
     '[pipeline]\nname = "window"': (
-        f"car.toml:2: [pipeline] name: expected one of {', '.join(PIPELINE_NAMES)}, "
+        f"car.toml:2: [pipeline] name: expected one of {', '.join(PIPELINES.names)}, "
         "or package.module:Class, got 'window'; did you mean 'windows'?"
     ),
     "[pipeline.windows]\nmarking_px = 0": "car.toml:2: [pipeline.windows] marking_px: expected a positive "
@@ -198,6 +198,7 @@ def test_units_are_in_every_name() -> None:
         "jpeg_quality",
         "holds_max",
         "contrast",
+        "rows",
         "view_ahead_lanes",
         "view_half_lanes",
     }

@@ -21,6 +21,15 @@ def test_every_number_of_safety_has_bounds_of_its_own() -> None:
     assert {f"safety.{field.name}" for field in dataclasses.fields(SafetyConfig)} <= BY_KEY.keys()
 
 
+@pytest.mark.parametrize(
+    ("key", "most_s"), [("frame_timeout_s", 2.0), ("command_validity_s", 0.5), ("hold_s", 2.0), ("rearm_s", 60.0)]
+)
+def test_the_times_of_safety_end_where_a_car_would_drive_off_by_itself(key: str, most_s: float) -> None:
+    assert parse_car(f"[safety]\n{key} = {most_s}\n", "car.toml")
+    with pytest.raises(ConfigError, match="at most"):
+        parse_car(f"[safety]\n{key} = {most_s * 1.01}\n", "car.toml")
+
+
 @pytest.mark.parametrize("key", BY_KEY)
 def test_a_value_beyond_its_range_is_refused_with_its_line(key: str) -> None:
     *path, name = key.split(".")

@@ -17,6 +17,7 @@ from tests.support.avr_board import HeardAvr
 from tests.support.compiled_board import load
 from tests.support.firmware_build import host_library
 from tests.support.link_rigs import MS, AutonomosOf2015Rig, AutonomosPtyRig, AutonomosRig, AvrRig, PtyRig, Rig
+from tests.support.wide_limits import WIDE_LIMITS
 
 RIGS = [
     pytest.param(Rig, id="memory"),
@@ -85,9 +86,9 @@ def make_rig() -> Callable[..., Rig]:
 class Bench:
     """A board, a clock, and what the board has said."""
 
-    def __init__(self, baud: int = 115200, **options: int) -> None:
+    def __init__(self, baud: int = 115200, limits: messages.Limits | None = WIDE_LIMITS, **options: int) -> None:
         self.peripherals = BenchPeripherals()
-        self.board = EmulatedArduino(self.peripherals, baud, BoardOptions(**options))
+        self.board = EmulatedArduino(self.peripherals, baud, BoardOptions(limits=limits, **options))
         self.t_ns = 5_000 * MS
         self.counter = 0
         self.said: list[messages.Message] = []

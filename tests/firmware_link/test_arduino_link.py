@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from automodel.bench.faults.hooks import time_stuck
 from automodel.config import VehicleConfig
 from automodel.signals import NEUTRAL, BoardSensors
 from firmware_link import messages
@@ -244,6 +245,65 @@ def test_stale_command_is_neutral_at_once_while_still_armed(virtual: Any) -> Non
     state = virtual.link.poll(virtual.now_ns())
     assert state.armed
     assert virtual.peripherals.at_pins == STRAIGHT
+
+
+def written(rig: Any) -> list[Any]:
+    """The messages that are written from now on; filled as they are."""
+    decoder, pass_on = messages.decoder(on_board=True), rig.cable.write
+    seen: list[Any] = []
+
+    def write(data: bytes) -> None:
+        seen.extend(map(messages.decode, decoder.feed(data)))
+        pass_on(data)
+
+    rig.cable.write = write
+    return seen
+
+
+def test_no_deadline_is_further_ahead_than_the_board_s_timer_takes(virtual: Any) -> None:
+    virtual.drive(0.2, 1.0, (1310.0, 1600.0))
+    seen = written(virtual)
+    late = dataclasses.replace(virtual.command(0.2, 1.0), valid_until_ns=virtual.now_ns() + 3_000 * MS)
+    virtual.link.send(late, virtual.now_ns())
+    board_ms = (virtual.now_ns() - virtual.board._start_ns) // MS
+    assert 95 <= (seen[0].deadline_ms - board_ms) & 0xFFFF <= 100
+
+
+def test_another_board_that_was_started_later_is_a_restart(virtual: Any) -> None:
+    """Its time is ahead, as after a restart in a long silence: only the Hello tells."""
+    virtual.drive(0.2, 1.0, (1310.0, 1600.0))
+    hello = dataclasses.replace(virtual.link.hello, boot_id=virtual.link.hello.boot_id + 1)
+    read = virtual.cable.read
+    virtual.cable.read = lambda: read() + messages.encode(hello, 0)
+    state = virtual.link.poll(virtual.now_ns())
+    assert (state.armed, state.faults) == (False, ("board_restarted",))
+
+
+def test_a_board_without_limits_whose_hello_looks_right_is_sent_them(virtual: Any) -> None:
+    seen = written(virtual)
+    read = virtual.cable.read
+    status = messages.Status(time_us=1 << 30, servo_us=0.0, motor_us=0.0, faults=0, nonce=1, command_counter=0, flags=2)
+    virtual.cable.read = lambda: read() + messages.encode(status, 0)
+    assert virtual.link.poll(virtual.now_ns()) is None
+    virtual.wait(100 * MS)
+    virtual.link.poll(virtual.now_ns())
+    assert any(isinstance(message, messages.Limits) for message in seen)
+
+
+def test_a_board_whose_time_stands_still_is_silent(virtual: Any) -> None:
+    virtual.drive(0.2, 1.0, (1310.0, 1600.0))
+    stuck, read, stuck_ns = time_stuck(), virtual.cable.read, virtual.now_ns()
+    virtual.cable.read = lambda: b"".join(data for _, data in stuck(read(), virtual.now_ns()))
+    state = virtual.until(lambda s: "link_silent" in s.faults, (0.2, 1.0), 500 * MS)
+    assert not state.armed
+    assert state.t_ns - stuck_ns < 40 * MS  # the safety machine has found it too old since
+
+
+def test_closing_disarms_at_once(virtual: Any) -> None:
+    virtual.drive(0.2, 1.0, (1310.0, 1600.0))
+    seen = written(virtual)
+    virtual.link.close()
+    assert seen == [messages.Disarm()]
 
 
 def test_commands_are_neutral_after_disarm_even_when_the_disarm_is_lost(virtual: Any) -> None:

@@ -15,11 +15,12 @@ from automodel.config import LinkConfig, VehicleConfig
 from automodel.signals import Command as Wish
 from firmware_link import messages
 from firmware_link.arduino import ArduinoLink
-from firmware_link.emulator.logic import DEFAULT_LIMITS
+from firmware_link.emulator.logic import NO_LIMITS
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
-from firmware_link.messages import Arm, Command, Fault, Limits, ResetCause
+from firmware_link.messages import Arm, Command, Fault, Limits, ResetCause, StatusFlag
 from firmware_link.transport import SerialTransport
 from tests.support.realtime_rig import PATIENCE_S, BoardClock
+from tests.support.wide_limits import WIDE_LIMITS
 
 MS = 1_000_000
 US = 1_000
@@ -80,7 +81,9 @@ class Host:
 @pytest.fixture
 def host(avr: Any) -> Host:
     host = Host(avr)
-    host.wait(50)
+    host.wait(5)
+    host.send(WIDE_LIMITS)
+    host.wait(95)  # until they are in the EEPROM
     return host
 
 
@@ -172,7 +175,8 @@ def test_while_the_bootloader_runs_there_are_no_pulses(avr: Any) -> None:
     try:
         host.wait(290)
         assert board.said == []
-        assert not board.pulses
+        host.wait(20)
+        host.send(WIDE_LIMITS)
         host.wait(60)
         assert board._peripherals.at_pins == NEUTRAL
         board.reset(host.t_ns)
@@ -204,21 +208,37 @@ def test_limits_are_kept_in_the_eeprom(host: Host) -> None:
     assert host.board._peripherals.at_pins == (1520.0, 1510.0)
 
 
-def test_limits_cut_short_by_a_power_loss_are_the_default_ones(host: Host) -> None:
+def test_without_valid_limits_there_is_no_pulse_at_all(avr: Any) -> None:
+    host = Host(avr)  # its EEPROM is blank
+    host.wait(300)
+    host.arm()
+    host.command(1600.0, 1550.0)
+    host.wait(100)
+    assert host.status.flags == StatusFlag.NO_LIMITS
+    assert (host.status.servo_us, host.status.motor_us) == (0.0, 0.0)
+    assert not avr.pulses
+    assert any(m.faults & Fault.ARM_REFUSED for m in avr.said if isinstance(m, messages.Status))
+    host.send(LIMITS)
+    host.wait(60)
+    assert {(pulse.motor, pulse.us) for pulse in avr.pulses} == {(False, 1520.0), (True, 1510.0)}  # and none is cut
+    assert host.status.flags == 0
+
+
+def test_limits_cut_short_by_a_power_loss_are_none_and_give_no_pulse(host: Host) -> None:
     crcs = set()
-    for wait_ms in (3, 5, 7, 9, 12, 15):
-        host.send(dataclasses.replace(LIMITS, servo_slew_us=4.0 * wait_ms, motor_max_us=1600.0 + wait_ms))
+    for wait_ms in (5, 7, 9, 12, 15, 18):
+        sent = dataclasses.replace(LIMITS, servo_slew_us=4.0 * wait_ms, motor_max_us=1600.0 + wait_ms)
+        host.send(sent)
         host.wait(wait_ms)
         host.board.brown_out(host.t_ns)
+        reset_ns = host.t_ns
         host.wait(60)
+        kept = host.hello.limits_crc == messages.limits_crc(sent)
         crcs.add(host.hello.limits_crc)
-        assert host.hello.limits_crc in (
-            messages.limits_crc(DEFAULT_LIMITS),
-            messages.limits_crc(
-                dataclasses.replace(LIMITS, servo_slew_us=4.0 * wait_ms, motor_max_us=1600.0 + wait_ms)
-            ),
-        )
-    assert messages.limits_crc(DEFAULT_LIMITS) in crcs
+        assert kept or host.hello.limits_crc == messages.limits_crc(NO_LIMITS)
+        assert {pulse.us for pulse in host.pulses_after(reset_ns + MS, True)} == ({1510.0} if kept else set())
+        assert host.status.flags == (0 if kept else StatusFlag.NO_LIMITS)
+    assert messages.limits_crc(NO_LIMITS) in crcs
 
 
 def test_loop_ends_well_before_the_next_millisecond_whatever_comes(host: Host) -> None:

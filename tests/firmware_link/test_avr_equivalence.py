@@ -13,10 +13,11 @@ from firmware_link import messages
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals
-from firmware_link.messages import Arm, Command, Limits
+from firmware_link.messages import Arm, Command, Limits, ResetCause
 
 MS = 1_000_000
 US = 1_000
+CLOCK_TO_PULSES_NS = 30 * US  # from the start of the clock to the first pulses in their registers
 BYTE_NS = 10_000_000_000 / 115200
 LIMITS = Limits(
     servo_min_us=1100.0,
@@ -36,16 +37,28 @@ class Twins:
     def __init__(self, avr: Any, seed: int) -> None:
         self.rng = random.Random(seed)
         self.avr = avr
-        avr.advance(0)
-        avr.advance(5 * MS)
-        self.start_ns = avr.registers[0].t_ns - 30 * US  # the clock starts just before the pulses do
-        options = BoardOptions(boot_ns=self.start_ns)
+        began_ns = self._restart_with_limits()
+        self.start_ns = avr.registers[-1].t_ns - CLOCK_TO_PULSES_NS
+        options = BoardOptions(boot_ns=self.start_ns - began_ns, boot_id=2, limits=LIMITS)
         self.emulated = EmulatedArduino(BenchPeripherals(), options=options)
-        self.emulated.advance(0)
+        self.emulated.reset(began_ns, ResetCause.BROWN_OUT)
         self.decoder = messages.decoder(on_board=False)
         self.said: list[messages.Message] = []
-        self.t_ns = 5 * MS
+        self.t_ns = began_ns + 5 * MS
         self.counter = 0
+
+    def _restart_with_limits(self) -> int:
+        """Give the chip's EEPROM limits, and restart it; when that was."""
+        self.avr.advance(0)
+        self.avr.advance(5 * MS)
+        self.avr.receive(messages.encode(LIMITS, 0), 5 * MS)
+        self.avr.advance(150 * MS)
+        self.avr.transmit(150 * MS)
+        self.avr.brown_out(150 * MS)
+        self.avr.said.clear()
+        self.avr.pulses.clear()
+        self.avr.advance(155 * MS)
+        return 150 * MS
 
     def wait(self, ns: int) -> None:
         end_ns = self.t_ns + ns
@@ -71,7 +84,7 @@ class Twins:
         self.wait(5 * MS)
         self.start_ns = self.emulated._start_ns
         began_ns = next(w.t_ns for w in self.avr.registers if w.t_ns > before_ns)
-        assert abs(began_ns - 30 * US - self.start_ns) < 100 * US
+        assert abs(began_ns - CLOCK_TO_PULSES_NS - self.start_ns) < 100 * US
 
     def message(self) -> messages.ToBoard:
         rng, logic = self.rng, self.emulated._logic

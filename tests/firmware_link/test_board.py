@@ -9,9 +9,9 @@ import pytest
 
 from firmware_link import messages
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.logic import DEFAULT_LIMITS
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import Fault, ResetCause
+from tests.support.wide_limits import WIDE_LIMITS
 
 MS = 1_000_000
 NEUTRAL = (1500.0, 1500.0)
@@ -27,7 +27,7 @@ def test_boots_silent_with_straight_pulses_then_says_hello(make_bench: Callable[
         version=messages.PROTOCOL_VERSION,
         reset_cause=ResetCause.EXTERNAL,
         boot_id=77,
-        limits_crc=messages.limits_crc(DEFAULT_LIMITS),
+        limits_crc=messages.limits_crc(WIDE_LIMITS),
     )
 
 

@@ -249,6 +249,21 @@ def test_a_driver_is_obeyed_within_one_cycle(name: str) -> None:
     assert not rig.vehicle.accepted[-1][1]["enable"]
 
 
+@pytest.mark.parametrize("name", ["torque", "brake", "accelerator", "gear"])
+def test_it_does_not_arm_while_the_driver_drives(name: str) -> None:
+    rig = Rig()
+    rig.link.open()
+    FAULTS[name][0](rig)
+    for _ in range(5):
+        rig.cycle()
+    rig.link.arm(rig.t_ns)
+    for _ in range(10):
+        state = rig.cycle()
+        assert state is not None
+        assert not state.armed
+        assert not rig.vehicle.accepted[-1][1]["enable"], "not even for a moment"
+
+
 def test_a_driver_who_touched_the_brake_between_two_cycles_is_obeyed() -> None:
     rig = Rig().driving()
     rig.vehicle.driver.brake = True

@@ -1,7 +1,6 @@
 """Corrupted command frames, ten million of them, at the board's C++ decoder: none may be taken, and it goes on hearing.
 
-Corrupted as a serial line corrupts: wrong bits, bursts, lost and doubled bytes, frames cut short. What a CRC of 16 bits
-cannot know is left out: six wrong bits and more, but for short bursts, get through once in some 100,000 times.
+Corrupted as a serial line corrupts: wrong bits, bursts, lost and doubled bytes, frames cut short, frames spliced.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from firmware_link import messages
 
 Damage = Callable[[np.random.Generator, Image], bytes]
 BATCH = 100_000
-CHECK_BITS = 24
+CHECK_BITS = 40
 
 
 def command_frames(rng: np.random.Generator, count: int) -> Image:
-    """(count, 15): frames of random commands; 15 bytes, the first and the last are the delimiters."""
+    """(count, 17): frames of random commands; 17 bytes, the first and the last are the delimiters."""
     wires = []
     for servo, motor, deadline, flags, counter in rng.integers(
         [1000, 1000, 0, 0, 0], [5001, 5001, 65536, 2, 256], (count, 5)
@@ -35,24 +34,21 @@ def command_frames(rng: np.random.Generator, count: int) -> Image:
 
 
 def wrong_bits(rng: np.random.Generator, frames: Image) -> bytes:
-    """One to five, anywhere between the delimiters."""
+    """One to seven, anywhere between the delimiters."""
     count, length = len(frames), frames.shape[1] - 2
     wrong = np.zeros((count, length), dtype=np.uint8)
-    used = np.arange(5)[:, None] < rng.integers(1, 6, count)
-    for place, use in zip(rng.integers(8 * length, size=(5, count)), used, strict=True):
+    used = np.arange(7)[:, None] < rng.integers(1, 8, count)
+    for place, use in zip(rng.integers(8 * length, size=(7, count)), used, strict=True):
         wrong[np.arange(count), place // 8] ^= np.where(use, 1 << place % 8, 0).astype(np.uint8)
     return flipped(frames, wrong)
 
 
 def burst(rng: np.random.Generator, frames: Image) -> bytes:
-    """Wrong bits within 16 that follow each other on the line, where the lowest of a byte comes first.
-
-    Within what the check takes in without a break: it takes the first byte last.
-    """
+    """Wrong bits within 32 that follow each other on the line, where the lowest of a byte comes first."""
     count, bits = len(frames), 8 * (frames.shape[1] - 2)
     pattern = np.zeros((count, bits), dtype=np.uint8)
-    first = rng.integers(8, bits - CHECK_BITS - 15, size=count)
-    pattern[np.arange(count)[:, None], first[:, None] + np.arange(16)] = rng.integers(0, 2, (count, 16), dtype=np.uint8)
+    first = rng.integers(0, bits - CHECK_BITS - 31, size=count)
+    pattern[np.arange(count)[:, None], first[:, None] + np.arange(32)] = rng.integers(0, 2, (count, 32), dtype=np.uint8)
     return flipped(frames, np.packbits(pattern, axis=1, bitorder="little"))
 
 
@@ -90,7 +86,7 @@ def cut(rng: np.random.Generator, frames: Image) -> bytes:
 
 
 def flipped(frames: Image, wrong: Image) -> bytes:
-    """All frames behind each other, with `wrong` (count, 13) put over them; where that is nothing, a bit."""
+    """All frames behind each other, with `wrong` (count, 15) put over them; where that is nothing, a bit."""
     wrong[~wrong.any(axis=1), 0] = 1
     frames[:, 1:-1] ^= wrong
     return frames.tobytes()
@@ -134,3 +130,23 @@ def test_ten_million_corrupted_frames_are_thrown_away(library: Any) -> None:
 def test_frames_that_are_not_corrupted_are_taken(library: Any) -> None:
     frames = command_frames(np.random.default_rng(3), 1000)
     assert len(accepted(library, frames.tobytes())) == 1000
+
+
+def bodies(seed: int) -> tuple[bytes, int, int]:
+    """4096 commands without their delimiters one after the other, their number, and the length of each."""
+    frames = command_frames(np.random.default_rng(seed), 4096)[:, 1:-1]
+    return frames.tobytes(), len(frames), frames.shape[1]
+
+
+@pytest.mark.parametrize("aligned", [False, True])
+def test_no_frame_is_spliced_from_two(library: Any, aligned: bool) -> None:
+    assert library.splice(*bodies(4), aligned, 10_000_000, ctypes.c_uint64(5)) == 0
+
+
+@pytest.mark.parametrize("bits", [6, 7, 8, 12])
+def test_frames_with_many_wrong_bits_are_thrown_away(library: Any, bits: int) -> None:
+    assert library.wrong_bits(*bodies(6), bits, 3_000_000, ctypes.c_uint64(7)) == 0
+
+
+def test_what_is_not_damaged_is_taken_by_the_trials(library: Any) -> None:
+    assert library.wrong_bits(*bodies(8), 0, 1000, ctypes.c_uint64(9)) == 1000

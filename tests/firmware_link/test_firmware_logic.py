@@ -13,10 +13,11 @@ import pytest
 from automodel.signals import BoardSensors
 from firmware_link import messages
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.logic import DEFAULT_LIMITS, BoardLogic, limits_fit
+from firmware_link.emulator.logic import BoardLogic, BoardOptions, limits_fit
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import PULSE_STEP_US, Arm, Command, Limits, ResetCause
 from tests.support.compiled_board import CompiledArduino
+from tests.support.wide_limits import WIDE_LIMITS
 
 MS = 1_000_000
 CODECS = {entry.codec.cls: entry.codec for entry in messages.TABLE}
@@ -27,12 +28,14 @@ def swept(library: Any, commands: list[Command], counters: list[int], t_ms: int)
     count = len(commands)
     out = [(ctypes.c_uint16 * count)() for _ in range(3)]
     payloads = b"".join(CODECS[Command].pack(command) for command in commands)
-    library.sweep_commands(payloads, bytes(counters), count, ctypes.c_uint32(t_ms), *out)
+    library.sweep_commands(
+        CODECS[Limits].pack(WIDE_LIMITS), payloads, bytes(counters), count, ctypes.c_uint32(t_ms), *out
+    )
     return list(zip(*out, strict=True))
 
 
 def expected(command: Command, counter: int, t_ms: int) -> tuple[int, int, int]:
-    logic = BoardLogic(1, DEFAULT_LIMITS)
+    logic = BoardLogic(1, WIDE_LIMITS)
     logic.on_arm(Arm(nonce=1, boot_id=1), 0, t_ms)
     logic.on_command(command, counter, t_ms)
     logic.pulses.frame()
@@ -100,8 +103,9 @@ class Pair:
 
     def __init__(self, library: Any, seed: int, baud: int) -> None:
         self.rng = random.Random(seed)
-        self.emulated = EmulatedArduino(Sensors(), baud)
-        self.compiled = CompiledArduino(library, Sensors(), baud)
+        options = BoardOptions(limits=WIDE_LIMITS if seed % 2 else None)  # without, until some come
+        self.emulated = EmulatedArduino(Sensors(), baud, options)
+        self.compiled = CompiledArduino(library, Sensors(), baud, options)
         self.t_ns = 1_000 * MS
         self.counter = 0
         self.said = b""

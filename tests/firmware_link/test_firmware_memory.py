@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import ctypes
+import dataclasses
 import random
 from typing import Any
 
 import pytest
 
 from firmware_link import framing, messages
-from firmware_link.emulator.logic import DEFAULT_LIMITS
+from firmware_link.emulator.logic import NO_LIMITS
 from firmware_link.messages import Limits, ResetCause
+from tests.support.wide_limits import WIDE_LIMITS
 
 LIMITS_CODEC = next(entry.codec for entry in messages.TABLE if entry.codec.cls is Limits)
 
@@ -93,20 +95,21 @@ def test_limits_are_kept_whole_or_not_at_all(library: Any) -> None:
     for bit in range(8 * len(record)):
         damaged = bytearray(record)
         damaged[bit // 8] ^= 1 << bit % 8
-        assert kept(library, bytes(damaged)) == DEFAULT_LIMITS
+        assert kept(library, bytes(damaged)) == NO_LIMITS
     for cut in range(16):  # written byte by byte over a blank memory, or over other limits
-        assert kept(library, record[:cut] + b"\xff" * (16 - cut)) == DEFAULT_LIMITS
-        assert kept(library, record[:cut] + record_of(library, DEFAULT_LIMITS)[cut:]) == DEFAULT_LIMITS
-    assert kept(library, b"\xff" * 16) == DEFAULT_LIMITS
-    assert kept(library, bytes(16)) == DEFAULT_LIMITS
+        assert kept(library, record[:cut] + b"\xff" * (16 - cut)) == NO_LIMITS
+        before = record_of(library, WIDE_LIMITS)[cut:]
+        assert kept(library, record[:cut] + before) == (NO_LIMITS if cut else WIDE_LIMITS)
+    assert kept(library, b"\xff" * 16) == NO_LIMITS
+    assert kept(library, bytes(16)) == NO_LIMITS
 
 
 def test_kept_limits_that_do_not_fit_or_are_of_another_table_are_none(library: Any) -> None:
-    payload = bytes(14)
+    payload = LIMITS_CODEC.pack(dataclasses.replace(NARROW, motor_neutral_us=1700.0))  # beyond its maximum
     crc = framing.crc16_dnp(payload, messages.TABLE_HASH)
-    assert kept(library, payload + crc.to_bytes(2, "little")) == DEFAULT_LIMITS
+    assert kept(library, payload + crc.to_bytes(2, "little")) == NO_LIMITS
     payload = LIMITS_CODEC.pack(NARROW)
-    for seed, limits in ((messages.TABLE_HASH, NARROW), (messages.TABLE_HASH ^ 1, DEFAULT_LIMITS)):
+    for seed, limits in ((messages.TABLE_HASH, NARROW), (messages.TABLE_HASH ^ 1, NO_LIMITS)):
         crc = framing.crc16_dnp(payload, seed)
         assert kept(library, payload + crc.to_bytes(2, "little")) == limits
 

@@ -1,17 +1,30 @@
 from __future__ import annotations
 
+import functools
 import itertools
+import operator
 import random
+import zlib
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_link import framing, messages
-from firmware_link.framing import Decoder, FrameFormat, RawFrame, cobs_decode, cobs_encode, crc16_dnp, encode
+from firmware_link.framing import (
+    CRC16_CHECK,
+    Decoder,
+    FrameFormat,
+    RawFrame,
+    cobs_decode,
+    cobs_encode,
+    crc16_dnp,
+    crc32_check,
+    encode,
+)
 
-SEED = 0x1234
-FORMATS = {0x01: FrameFormat(7, SEED), 0x05: FrameFormat(0, SEED), 0x83: FrameFormat(14, 0)}
+CHECK = crc32_check(0x1234)
+FORMATS = {0x01: FrameFormat(7, CHECK), 0x05: FrameFormat(0, CHECK), 0x83: FrameFormat(14, CRC16_CHECK)}
 
 
 def bitwise_crc(data: bytes, seed: int) -> int:
@@ -60,7 +73,7 @@ def test_cobs_round_trip_without_zeros(data: bytes) -> None:
 def test_frame_round_trip_in_any_pieces(frame_type: int, counter: int, data: st.DataObject) -> None:
     length = FORMATS[frame_type].payload_bytes
     payload = data.draw(st.binary(min_size=length, max_size=length))
-    wire = encode(frame_type, counter, payload, FORMATS[frame_type].seed)
+    wire = encode(frame_type, counter, payload, FORMATS[frame_type].check)
     cut = data.draw(st.integers(0, len(wire)))
     decoder = Decoder(FORMATS)
     assert decoder.feed(wire[:cut]) + decoder.feed(wire[cut:]) == [RawFrame(frame_type, counter, payload)]
@@ -68,9 +81,9 @@ def test_frame_round_trip_in_any_pieces(frame_type: int, counter: int, data: st.
 
 
 def test_body_of_more_than_16_bytes_is_refused() -> None:
-    encode(1, 0, bytes(14), 0)
+    encode(1, 0, bytes(14), CHECK)
     with pytest.raises(ValueError, match="expected at most 16"):
-        encode(1, 0, bytes(15), 0)
+        encode(1, 0, bytes(15), CHECK)
 
 
 COMMANDS = [
@@ -96,42 +109,33 @@ def test_every_error_of_one_to_three_bits_of_a_command_on_the_wire_is_rejected(c
 
 
 def syndromes(stuffed: bytes) -> list[int]:
-    """What each single wrong bit does to the check: of the stuffed bytes, then of the check's own 16 bits."""
-    right = checked(stuffed)
+    """What each single wrong bit does to the CRC: of the stuffed bytes, then of the CRC's own 32 bits."""
+    right = zlib.crc32(stuffed)
     number = int.from_bytes(stuffed, "little")
     flipped = [(number ^ 1 << bit).to_bytes(len(stuffed), "little") for bit in range(8 * len(stuffed))]
-    return [checked(wrong) ^ right for wrong in flipped] + [1 << bit for bit in range(16)]
+    return [zlib.crc32(wrong) ^ right for wrong in flipped] + [1 << bit for bit in range(32)]
 
 
-def checked(stuffed: bytes) -> int:
-    return crc16_dnp(stuffed[1:] + stuffed[:1], messages.TABLE_HASH)
+def test_every_error_of_one_to_six_bits_on_the_wire_changes_the_check() -> None:
+    """Hamming distance 7: by the CRC's linearity it is enough that no sum of 1 .. 6 single-bit syndromes is zero.
 
-
-@pytest.mark.parametrize("length", range(3, 17))
-def test_every_error_of_one_to_five_bits_on_the_wire_changes_the_check(length: int) -> None:
-    """Hamming distance 6: by the CRC's linearity it is enough that no sum of 1 .. 5 single-bit syndromes is zero."""
-    singles = syndromes(bytes(range(1, length + 1)))
-    assert no_sum_of_one_to_five_is_zero(singles)
-
-
-def test_the_same_for_the_longest_frames_but_for_errors_that_make_another_type() -> None:
+    Where all sums of three are different, none of two halves of six, five or four is zero; shorter frames are the end
+    of the longest one.
+    """
     singles = syndromes(bytes(range(1, framing.MAX_BODY_BYTES + 2)))
-    assert not no_sum_of_one_to_five_is_zero(singles)  # 136 bits are one too many
-    lowest_of_type = 8  # the first bit that the check takes in
-    assert no_sum_of_one_to_five_is_zero(singles[:lowest_of_type] + singles[lowest_of_type + 1 :])
-    lengths = {entry.type_id: entry.codec.payload_bytes for entry in messages.TABLE}
-    longest = [type_id for type_id, length in lengths.items() if length == framing.MAX_BODY_BYTES - 2]
-    assert longest
-    assert all(lengths.get(type_id ^ 1) != framing.MAX_BODY_BYTES - 2 for type_id in longest)
+    sums = [0, *singles]
+    for count in (2, 3):
+        sums += [functools.reduce(operator.xor, some) for some in itertools.combinations(singles, count)]
+    assert len(set(sums)) == len(sums)
 
 
-def no_sum_of_one_to_five_is_zero(singles: list[int]) -> bool:
-    if len(set(singles)) < len(singles) or 0 in singles:
-        return False
-    pairs = {a ^ b for a, b in itertools.combinations(singles, 2)}
-    if pairs & set(singles) or len(pairs) < len(singles) * (len(singles) - 1) // 2:  # three; four
-        return False
-    return not {a ^ b ^ c for a, b, c in itertools.combinations(singles, 3)} & pairs  # five
+def test_the_check_is_five_bytes_of_seven_bits_of_the_crc_that_starts_from_the_seed() -> None:
+    body = bytes.fromhex("01 07 11 22")
+    wire = encode(body[0], body[1], body[2:], crc32_check(0xBEEF))
+    assert wire[:7] == b"\0" + cobs_encode(body) + wire[6:7]
+    number = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(wire[6:11]))
+    assert number == zlib.crc32(cobs_encode(body), 0xBEEF)
+    assert all(byte & 0x80 for byte in wire[6:11])
 
 
 def test_frame_right_after_garbage_is_accepted() -> None:
@@ -153,16 +157,16 @@ def test_frame_cut_at_any_point_costs_only_itself() -> None:
 
 def test_errors_are_counted_by_kind() -> None:
     decoder = Decoder(FORMATS)
-    good = encode(0x05, 1, b"", SEED)
-    assert decoder.feed(encode(0x05, 1, b"", SEED + 1)) == []
+    good = encode(0x05, 1, b"", CHECK)
+    assert decoder.feed(encode(0x05, 1, b"", crc32_check(0x1235))) == []
     assert (decoder.errors.crc, decoder.errors.total) == (1, 1)
-    assert decoder.feed(encode(0x07, 1, b"", SEED)) == []
+    assert decoder.feed(encode(0x07, 1, b"", CHECK)) == []
     assert (decoder.errors.unknown_type, decoder.errors.total) == (1, 2)
-    assert decoder.feed(encode(0x01, 1, b"123456", SEED)) == []
+    assert decoder.feed(encode(0x01, 1, b"123456", CHECK)) == []
     assert (decoder.errors.length, decoder.errors.total) == (1, 3)
-    assert decoder.feed(b"\x01\x40\x40\x40\0") == []  # decodes to one byte
+    assert decoder.feed(b"\x02\x05" + b"\x80" * 5 + b"\0") == []  # decodes to one byte
     assert (decoder.errors.length, decoder.errors.total) == (2, 4)
-    assert decoder.feed(b"\x09\x01\x40\x40\x40\0") == []  # the code points beyond the end
+    assert decoder.feed(b"\x09\x01" + b"\x80" * 5 + b"\0") == []  # the code points beyond the end
     assert (decoder.errors.cobs, decoder.errors.total) == (1, 5)
     assert decoder.feed(b"x" * 1000 + b"\0") == []
     assert (decoder.errors.length, decoder.errors.total) == (3, 6)
@@ -173,8 +177,8 @@ def test_memory_is_bounded_and_the_frame_after_an_endless_one_is_taken() -> None
     decoder = Decoder(FORMATS)
     for _ in range(1000):
         assert decoder.feed(b"x" * 50) == []
-        assert len(decoder._tail) <= framing.MAX_BODY_BYTES + 5
-    assert len(decoder.feed(encode(0x05, 1, b"", SEED))) == 1
+        assert len(decoder._tail) <= framing.MAX_BODY_BYTES + 7
+    assert len(decoder.feed(encode(0x05, 1, b"", CHECK))) == 1
     assert decoder.errors.length == 1
 
 

@@ -51,8 +51,8 @@ def test_layout_of_a_command() -> None:
     """Half microseconds, little-endian, in the order of the table."""
     command = messages.Command(servo_us=1500.5, motor_us=1000.0, deadline_ms=0x1234, flags=1)
     body = bytes((0x01, 7)) + struct.pack("<HHHB", 3001, 2000, 0x1234, 1)
-    assert messages.encode(command, 7) == framing.encode(0x01, 7, body[2:], messages.TABLE_HASH)
-    assert messages.encode(command, 7)[1:-4] == framing.cobs_encode(body)
+    assert messages.encode(command, 7) == framing.encode(0x01, 7, body[2:], framing.crc32_check(messages.TABLE_HASH))
+    assert messages.encode(command, 7)[1:-6] == framing.cobs_encode(body)
 
 
 def test_hello_never_changes() -> None:

@@ -19,6 +19,7 @@ from automodel.runtime.input_checks import (
     OffsetBoundCheck,
     SteeringCheck,
     contrast,
+    width_fault,
 )
 from automodel.runtime.loop import Loop
 from automodel.signals import (
@@ -245,6 +246,19 @@ def test_a_lane_that_jumped_stays_wrong_until_it_is_back_or_the_right_one_is_lon
     check.step(lane_at(0))
     check.step(lane_at(16, 0.3))
     assert check.step(lane_at(32, 0.01)) is None
+
+
+@pytest.mark.parametrize(
+    ("width_m", "well"), [(0.19, False), (0.2, True), (0.4, True), (2.0, True), (2.1, False), (-0.4, False)]
+)
+def test_a_lane_is_as_wide_as_a_car_and_no_hall(width_m: float, well: bool) -> None:
+    pose = LanePose(offset_m=0.0, heading_rad=0.0, width_m=width_m, curvature_per_m=0.0, covariance=np.eye(3))
+    estimate = LaneEstimate(t_ns=0, status=LaneStatus.TRACKING, centerline=line(0.0, 0.0, 0.0, 1.0), pose=pose)
+    assert (width_fault(estimate, VEHICLE) is None) is well
+    assert width_fault(LaneEstimate(t_ns=0, status=LaneStatus.LOST), VEHICLE) is None
+    checks = InputChecks(dataclasses.replace(CAR, vehicle=VEHICLE))
+    said = checks.of_estimate(estimate, MOTION, None)
+    assert any("m wide" in text for text in said) is not well
 
 
 def test_a_lane_that_wanders_may_go_anywhere() -> None:

@@ -13,6 +13,7 @@ from automodel.signals import (
     NEUTRAL,
     Command,
     Crossing,
+    Frame,
     LaneEstimate,
     LaneStatus,
     Motion,
@@ -77,6 +78,26 @@ def test_an_exception_of_a_stage_goes_up() -> None:
     loop, *_ = make(FakePipeline({0: KeyError("x")}))
     with pytest.raises(KeyError):
         loop.tick(frame(0.0), MOTION, None, 0)
+
+
+class Misfit:
+    """Checks to which no frame fits."""
+
+    def misfit(self, frame: Frame | StereoFrame) -> str:
+        return "too small"
+
+    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+        raise AssertionError("not looked at any more")
+
+    def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
+        raise AssertionError("there is none")
+
+
+def test_a_frame_that_does_not_fit_never_reaches_the_pipeline() -> None:
+    loop, pipeline, *_ = make(checks=Misfit())
+    tick = loop.tick(frame(7.0), MOTION, None, 8 * MS)
+    assert pipeline.seen == []
+    assert (tick.estimate.status, tick.faults, tick.command.speed_mps) == (LaneStatus.LOST, ("too small",), 0.0)
 
 
 def test_an_estimate_that_is_not_finite_is_lost() -> None:

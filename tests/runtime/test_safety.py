@@ -116,6 +116,21 @@ def test_a_fault_of_a_frame_lasts_until_the_next_frame() -> None:
     assert decision.mode is SafetyMode.HOLD
 
 
+@pytest.mark.parametrize("start", ["drive", "hold"])
+def test_a_person_who_asks_for_a_stop_gets_it_in_the_same_turn(start: str) -> None:
+    rig = getattr(Rig(), start)()
+    stopped = rig.turn(stop="STOP", age_ms=None, arm=True)
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert rig.events[-1] == ("stop", "STOP")
+    assert rig.turns(300).mode is SafetyMode.STOPPED
+
+
+def test_a_stop_before_the_start_uses_the_automatic_arming_up() -> None:
+    rig = Rig(auto_arm=True)
+    rig.turn(stop="STOP")
+    assert rig.turns(300).mode is SafetyMode.DISARMED
+
+
 def test_hold_is_bounded_and_the_stop_latched() -> None:
     rig = Rig().hold()
     held = rig.turns(29, status=LaneStatus.LOST)

@@ -277,3 +277,18 @@ def test_servo_parts() -> None:
     assert through_play(0.0, 0.04, 0.1) == 0.0
     assert through_play(0.0, 0.08, 0.1) == pytest.approx(0.03)
     assert through_play(0.0, -0.08, 0.1) == pytest.approx(-0.03)
+
+
+@pytest.mark.parametrize("coast_mps2", [0.5, 2.0])
+def test_without_drive_a_car_that_freewheels_rolls_by_its_deceleration(coast_mps2: float) -> None:
+    plant = Plant(PlantConfig(coast_mps2=coast_mps2, motor_dead_s=0.0, servo_dead_s=0.0))
+    plant.set_pulses(0, 1500.0, 1900.0)
+    plant.advance(2_000_000_000)
+    speed_mps, from_m = plant.state.speed_mps, plant.state.distance_m
+    plant.set_pulses(2_000_000_000, 1500.0, 1500.0)
+    stands_s = speed_mps / coast_mps2
+    plant.advance(2_000_000_000 + round(0.9 * stands_s * 1e9))
+    assert plant.state.speed_mps == pytest.approx(0.1 * speed_mps, rel=0.05)
+    plant.advance(2_000_000_000 + round(1.1 * stands_s * 1e9))
+    assert plant.state.speed_mps == 0.0
+    assert plant.state.distance_m - from_m == pytest.approx(0.5 * speed_mps * stands_s, rel=0.02)

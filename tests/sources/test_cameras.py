@@ -3,7 +3,9 @@ from __future__ import annotations
 import itertools
 import queue
 import shutil
+import sys
 import threading
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -33,17 +35,17 @@ needs_gstreamer = pytest.mark.skipif(
 
 
 def test_the_jetson_pipeline_is_what_gstreamer_wants() -> None:
-    assert " ".join(gst_command(CAMERA, jetson_elements(CAMERA))) == (
+    assert " ".join(gst_command(CAMERA, jetson_elements(CAMERA), 7)) == (
         "gst-launch-1.0 --quiet nvarguscamerasrc sensor-id=1 "
         "! video/x-raw(memory:NVMM),width=320,height=180,framerate=59940/1000 ! nvvidconv "
         "! video/x-raw,format=GRAY8,width=320,height=180 "
-        "! queue leaky=downstream max-size-buffers=1 ! fdsink sync=false"
+        "! queue leaky=downstream max-size-buffers=1 ! fdsink fd=7 sync=false"
     )
 
 
 def test_colour_and_whole_rates() -> None:
     camera = CameraConfig(colour=True, rate_hz=30.0)
-    command = " ".join(gst_command(camera, jetson_elements(camera)))
+    command = " ".join(gst_command(camera, jetson_elements(camera), 7))
     assert "format=BGRx,width=640,height=360" in command
     assert "framerate=30/1" in command
 
@@ -117,6 +119,36 @@ def test_without_gstreamer_the_user_is_told(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setenv("PATH", "/nonexistent")
     with pytest.raises(SourceError, match=r"apt-get install gstreamer1\.0-tools"):
         CsiSource(CAMERA)
+
+
+TALKING_GST = """#!{python}
+import os, re, sys
+fd = int(re.search(r"fdsink fd=(\\d+)", " ".join(sys.argv))[1])
+print("GST_ARGUS: Creating output stream", flush=True)
+for shade in range(1, 4):
+    os.write(1, b"CONSUMER: Producer has connected; continuing.\\n")
+    picture = bytes([shade]) * (320 * 180)
+    while picture:
+        picture = picture[os.write(fd, picture) :]
+os.write(fd, b"half a picture")
+print("Error generated. gstnvarguscamerasrc.cpp, execute:751 Failed to create CaptureSession", flush=True)
+"""
+
+
+def test_what_the_plugin_prints_on_stdout_shifts_no_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = tmp_path / "gst-launch-1.0"
+    fake.write_text(TALKING_GST.format(python=sys.executable))
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    source = CsiSource(CAMERA)
+    try:
+        for shade in (1, 2, 3):
+            image = next_frame(source).image
+            assert (image == shade).all()
+        with pytest.raises(SourceError, match="no more frames: Error generated"):
+            read_to_the_end(source)
+    finally:
+        source.close()
 
 
 # --- USB --------------------------------------------------------------------------------------------------------------

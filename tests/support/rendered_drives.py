@@ -97,6 +97,10 @@ class RenderedDrive:
         phase = s_m / (2.0 * width)
         return self.lane.pose(s_m, self.swing * width * math.sin(phase), math.atan(0.5 * self.swing * math.cos(phase)))
 
+    def picture(self, pose: SE2, yaw_rate_radps: float, t_ns: int, index: int) -> Frame:
+        image = self.renderer.render(pose.x_m, pose.y_m, pose.yaw_rad, self.speed_mps, yaw_rate_radps, index)
+        return Frame(t_ns=t_ns, index=index, image=image)
+
     def run(self, from_m: float, to_m: float, t0_ns: int = 0) -> list[Seen]:
         period_s = 1.0 / self.rate_hz
         seen = []
@@ -113,8 +117,7 @@ class RenderedDrive:
                 yaw_rate_radps=turn / period_s if known else 0.0,
                 source=self.source,
             )
-            image = self.renderer.render(pose.x_m, pose.y_m, pose.yaw_rad, self.speed_mps, turn / period_s, index)
-            frame = Frame(t_ns=t_ns, index=index, image=image)
+            frame = self.picture(pose, turn / period_s, t_ns, index)
             truth = self.follower.step(pose.x_m, pose.y_m, pose.yaw_rad)
             seen.append(Seen(frame=frame, motion=motion, estimate=self.estimator.step(frame, motion), truth=truth))
         return seen

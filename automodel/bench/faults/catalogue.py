@@ -30,6 +30,9 @@ UNCERTAIN_S = CenterlineConfig().coast_s + BOUND_S  # what a car may drive on fo
 OTHER_LANE_S = 0.7  # after a wrong lane the right one, too, is another lane at first
 BOOT_S = 0.7  # until a board that has restarted has got the limits again
 SHORT_S = (0.3, 0.8)
+STATUS_S = 0.02  # the first status that repeats its time is still as a good one
+COASTED_S = 0.25  # at most, before another line is taken for the lane's
+FLAPS_S = 3.2  # 13 holds of at most 12 frames at 60 Hz, and the bound: 2.75 s, more where a hold lasts a frame longer
 SERIAL_S = (0.2, 0.6)
 REOPENED_S = 0.7  # a port that is opened again, and a board that starts: until it has got the limits again
 HEARD_S = 0.3  # after a silent link: until the board's time is known again
@@ -77,6 +80,9 @@ CAMERA = (
           text="three to ten frames in a row are lost, again and again",
           hooks=lambda random, end_ns: _frames(
               hooks.in_bursts(random.randint(3, 10), random.randint(3, 8), hooks.drop))),
+    Fault(name="camera-flaps", kind=Kind.INTERMITTENT, must=Must.STOP, duration_s=(3.5, 3.5), within_s=FLAPS_S,
+          holds_first=True, text="six frames in a row are lost, again and again: a stop with the 13th hold in 10 s",
+          hooks=lambda random, end_ns: _frames(hooks.in_bursts(6, random.randint(4, 6), hooks.drop))),
     Fault(name="camera-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S,
           text="the same image again and again, with new times",
           hooks=lambda random, end_ns: _frames(hooks.frozen())),
@@ -126,6 +132,15 @@ def _decoy(random: Random) -> LaneHook:
     return hooks.decoy(random.choice((-1, 1)) * random.uniform(0.25, 0.5))
 
 
+def _jump_after_coasting(random: Random) -> LaneHook:
+    sure, wrong = hooks.uncertain(0.03), _decoy(random)
+    return hooks.after(
+        random.randint(3, round(COASTED_S * 60.0)),
+        lambda estimate: sure(hooks.coasting(estimate)),
+        lambda estimate: sure(wrong(estimate)),
+    )
+
+
 def _crossing(random: Random) -> LaneHook:
     return hooks.crossing(random.choice((-1, 1)) * random.uniform(0.9, 1.5))
 
@@ -142,6 +157,14 @@ PERCEPTION = (
     Fault(name="perception-decoy", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
           text="a line 0.25 to 0.5 m beside it is taken for the lane's",
           hooks=lambda random, end_ns: Hooks(lane=_decoy(random))),
+    Fault(name="perception-jump", kind=Kind.WRONG, must=Must.STOP, duration_s=(1.0, 1.2), recovery_s=OTHER_LANE_S,
+          within_s=COASTED_S + BOUND_S, text="no line for up to 0.25 s, then a line 0.25 to 0.5 m beside it",
+          hooks=lambda random, end_ns: Hooks(lane=_jump_after_coasting(random))),
+    Fault(name="perception-width", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S,
+          text="a lane narrower than the car, or 15 times as wide as it is",
+          hooks=lambda random, end_ns: Hooks(lane=hooks.times_width(random.choice((0.2, 15.0))))),
+    Fault(name="perception-one-line", kind=Kind.OFF, must=Must.NOTHING, duration_s=(2.0, 4.0),
+          text="one of the lines is seen for 2 to 4 s", hooks=lambda random, end_ns: Hooks(lane=hooks.one_line)),
     Fault(name="perception-crossing", kind=Kind.WRONG, must=Must.STOP, duration_s=(0.5, 0.9), recovery_s=OTHER_LANE_S,
           text="a line across the road is taken for the lane's",
           hooks=lambda random, end_ns: Hooks(lane=_crossing(random))),
@@ -211,6 +234,10 @@ BOARD = (
     Fault(name="command-extreme", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(0.1, 0.1),
           text="two commands far beyond the car's limits: the board limits them",
           hooks=lambda random, end_ns: Hooks(pulses=_extreme_twice(random))),
+    Fault(name="board-time-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=SERIAL_S, recovery_s=HEARD_S,
+          within_s=BOUND_S + STATUS_S,
+          text="the board's messages come, but its time in them stands still",
+          hooks=lambda random, end_ns: Hooks(from_board=hooks.time_stuck())),
     Fault(name="servo-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=(3.0, 3.0), within_s=0.45, ends=False,
           timed_from_motion=True,
           text="the servo does not move: a stop within 0.45 s of the car not turning as it is steered",
@@ -310,6 +337,8 @@ SERIAL = (
 NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0),
                 text="nothing goes wrong for a minute (only when asked for)",
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
+# What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
+ON_CHIP = tuple(fault.name for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
 FAULTS = (*CAMERA, *PERCEPTION, *LOOP, *SERIAL, *BOARD, *RECORDING)
 
 

@@ -108,7 +108,8 @@ class Fault:
 
     `event` is the kind of an event that the run must report. `same_pulses`: the pulses at the pins must be exactly
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
-    before that the car may do anything.
+    before that the car may do anything. `holds_first`: the car may be held and drive on before it is stopped; the bound
+    counts to the stop.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -126,3 +127,4 @@ class Fault:
     event: str | None = None
     same_pulses: bool = False
     timed_from_motion: bool = False
+    holds_first: bool = False

@@ -15,6 +15,7 @@ from automodel.curves import Curve, TabulatedCurve, line
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus
 from automodel.sources.errors import SourceError
 from automodel.types import Image
+from firmware_link import messages
 
 Spoil = Callable[[Frame], Frame | None]
 Arrivals = tuple[tuple[int, bytes], ...]  # when [ns] which bytes arrive
@@ -110,6 +111,27 @@ def lost(estimate: LaneEstimate) -> LaneEstimate:
 def coasting(estimate: LaneEstimate) -> LaneEstimate:
     """No line seen; the lane is predicted by the car's motion."""
     return replace(estimate, status=LaneStatus.COASTING) if estimate.valid else estimate
+
+
+def one_line(estimate: LaneEstimate) -> LaneEstimate:
+    """One of the lines is seen."""
+    return replace(estimate, status=LaneStatus.ONE_LINE) if estimate.valid else estimate
+
+
+def after(count: int, first: LaneHook, then: LaneHook) -> LaneHook:
+    """`first` spoils the first `count` estimates, `then` the others."""
+    seen = itertools.count()
+    return lambda estimate: (first if next(seen) < count else then)(estimate)
+
+
+def times_width(factor: float) -> LaneHook:
+    """The lane is `factor` times as wide."""
+
+    def hook(estimate: LaneEstimate) -> LaneEstimate:
+        pose = estimate.pose
+        return estimate if pose is None else replace(estimate, pose=replace(pose, width_m=factor * pose.width_m))
+
+    return hook
 
 
 def with_pose(**changes: Any) -> LaneHook:
@@ -256,6 +278,23 @@ def corrupt(random: Random) -> WireHook:
         for bit in random.sample(range(8 * len(data)), min(random.randint(1, 5), 8 * len(data))):
             spoilt[bit // 8] ^= 1 << bit % 8
         return ((t_ns, bytes(spoilt)),)
+
+    return hook
+
+
+def time_stuck() -> WireHook:
+    """The board's messages come, but its time stands still."""
+    decoder, first_us = messages.decoder(on_board=False), []
+
+    def hook(data: bytes, t_ns: int) -> Arrivals:
+        out = b""
+        for frame in decoder.feed(data):
+            message = messages.decode(frame)
+            if isinstance(message, messages.Status | messages.Odometry | messages.Ranges):
+                first_us.append(message.time_us)
+                message = replace(message, time_us=first_us[0])
+            out += messages.encode(message, frame.counter)
+        return ((t_ns, out),)
 
     return hook
 

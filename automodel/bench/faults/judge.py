@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from random import Random
@@ -92,14 +93,16 @@ def _afterwards(fault: Fault, random: Random, start_ns: int, end_ns: int) -> tup
 class Observed:
     """One run as it was observed: the pulses at the pins in their order, the run's events, and the car.
 
-    `outside`: the car's body left its lane after the fault's start. `shown_ns` is when the car's motion began to show
+    `left_m` [m] is how far the car's body was outside its lane at most, from the fault's start to the run's end,
+    `rolled_m` where it stands at last. `shown_ns` is when the car's motion began to show
     the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
     the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest.
     """
 
     pins: Sequence[Pin]
     events: Sequence[Event]
-    outside: bool
+    left_m: float
+    rolled_m: float
     shown_ns: int | None
     error: str | None
     neutral_us: float
@@ -109,10 +112,16 @@ class Observed:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the car did wrong in a run; and the time from the fault to neutral [s], None where it never was."""
+    """What the car did wrong in a run; and the time from the fault to neutral [s], None where it never was.
+
+    `left_m` [m] is how far the car's body was outside its lane, up to standstill where it was stopped. A stop that
+    leaves the lane is no violation but a figure: the pulses of a board that is disarmed have straight wheels, so that
+    a car in a bend rolls out of it.
+    """
 
     violations: tuple[str, ...]
     reaction_s: float | None
+    left_m: float = 0.0
 
 
 def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = None) -> Verdict:
@@ -126,8 +135,11 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
         start_ns = seen.shown_ns
     if not _drives_at(seen, plan.start_ns):
         return Verdict(violations=("the car did not drive when the fault started",), reaction_s=None)
+    from_ns: float = start_ns
+    if fault.holds_first:
+        from_ns = next((e.t_ns for e in seen.events if e.kind == "stop" and e.t_ns >= start_ns), math.inf)
     neutral_ns = next(
-        (t for t, _, motor in seen.pins if start_ns <= t <= plan.until_ns and motor == seen.neutral_us), None
+        (t for t, _, motor in seen.pins if from_ns <= t <= plan.until_ns and motor == seen.neutral_us), None
     )
     if fault.timed_from_motion and not _drives_at(seen, start_ns):
         neutral_ns = start_ns  # it was stopped before, by a consequence of the fault
@@ -138,8 +150,10 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
         found += _drove_on(fault, plan, seen, neutral_ns)
     if fault.same_pulses and without is not None and list(seen.pins) != list(without.pins):
         found.append("the pulses at the pins differ from those without the fault")
+    stays = fault.must is Must.STOP and not plan.drives_again
+    left_m = max(seen.left_m, seen.rolled_m) if stays else seen.left_m
     reaction_s = None if neutral_ns is None or fault.must is Must.NOTHING else (neutral_ns - start_ns) * 1e-9
-    return Verdict(violations=tuple(found), reaction_s=reaction_s)
+    return Verdict(violations=tuple(found), reaction_s=reaction_s, left_m=left_m)
 
 
 def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
@@ -166,7 +180,12 @@ def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns
     straight_ns = neutral_ns + round(STRAIGHT_S * 1e9)
     if any(straight_ns < t < asked_ns and servo != seen.straight_us for t, servo, _ in seen.pins):
         found.append(f"the wheels were not straight {STRAIGHT_S} s after it stopped")
-    if plan.drives_again and not any(t >= asked_ns and motor != seen.neutral_us for t, _, motor in seen.pins):
+    inside = seen.left_m == 0  # otherwise the person would have to put it back first
+    if (
+        plan.drives_again
+        and inside
+        and not any(t >= asked_ns and motor != seen.neutral_us for t, _, motor in seen.pins)
+    ):
         found.append("it was armed in time and did not drive")
     return found
 
@@ -186,7 +205,7 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
             found.append(f"no neutral within {fault.within_s * 1e3:.0f} ms")
         if not _drives_at(seen, plan.end_ns + round(GO_ON_S * 1e9)):
             found.append(f"it did not drive on {GO_ON_S} s after the fault")
-    if seen.outside:
+    if seen.left_m > 0:
         found.append("it left its lane")
     return found
 

@@ -10,15 +10,18 @@ import contextlib
 import dataclasses
 import functools
 import math
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from random import Random
 
 import numpy as np
 
 from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
-from automodel.bench.faults.catalogue import chosen
+from automodel.bench.faults.catalogue import ON_CHIP, chosen
 from automodel.bench.faults.fault import At, Fault, Hooks, Moment
 from automodel.bench.faults.faulty_parts import (
     FaultyPeripherals,
@@ -49,6 +52,7 @@ from automodel.sim.world import Scene, TrueLane, World
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
+from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.faulty_board import FaultyBoard
 from firmware_link.emulator.logic import BoardOptions
@@ -65,8 +69,11 @@ CAR = CarConfig(
 TRACK = "oval"
 LOOKS = 4
 TRUTH = "truth"  # the pipeline that reads it
-COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms")
+COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
+STANDSTILL_S = 3.0  # and the car until it stands, at most for so long
+COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
+OTHER_BOOT_ID = 4096  # of another board
 _SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
 _APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
 _WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
@@ -119,9 +126,12 @@ class RoadCamera:
 class FaultRig:
     """All parts of one run."""
 
-    def __init__(self, car: CarConfig, pipeline: str, plan: Plan, hooks: Hooks) -> None:
-        self._car, self._plan, self._hooks = car, plan, hooks
+    def __init__(
+        self, car: CarConfig, pipeline: str, plan: Plan, hooks: Hooks, program: AvrProgram | None = None
+    ) -> None:
+        self._car, self._plan, self._hooks, self._program = car, plan, hooks, program
         self._scenes: list[Scene] = []
+        self._simulated: AvrBoard | None = None
         self._stopping = False
         self._asked_ns = 0
         by_truth = pipeline == TRUTH
@@ -138,6 +148,13 @@ class FaultRig:
 
     def run(self) -> Observed:
         """Drive; raises Interrupted when a signal came."""
+        try:
+            return self._observed()
+        finally:
+            if self._simulated is not None:
+                self._simulated.close()
+
+    def _observed(self) -> Observed:
         error: str | None = None
         events: tuple[Event, ...] = ()
         with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
@@ -150,12 +167,18 @@ class FaultRig:
             except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
                 error = f"{type(e).__name__}: {e}"
         self._clock.sleep(AFTER_S)
+        rolled_m = self._roll_out()
         link = self._car.link
         servo, motor = PulseTable(link.servo.pulse_us, link.servo.steering_rad), self._motor()
+        # without limits, or while it starts, a board gives no pulses: the car rests
+        pins = [
+            (t_ns, servo_us or servo.zero_us, motor_us or motor.zero_us) for t_ns, servo_us, motor_us in self._pins.pins
+        ]
         return Observed(
-            pins=self._pins.pins,
+            pins=pins,
             events=events,
-            outside=any(s.reach_m > 0.5 * s.truth.width_m for s in self._scenes if s.t_ns >= self._plan.start_ns),
+            left_m=max([0.0, *(_outside_m(scene) for scene in self._scenes if scene.t_ns >= self._plan.start_ns)]),
+            rolled_m=rolled_m,
             shown_ns=self._shown_ns(servo),
             error=error,
             neutral_us=motor.zero_us,
@@ -173,7 +196,12 @@ class FaultRig:
         start = lane.pose(plan.place * lane.centerline.length_m, plan.offset_m)
         follower = TruthFollower(lane, car.vehicle.reference_x_m)
         vehicle = car.vehicle
-        true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=plan.look)
+        true = PlantConfig(
+            wheelbase_m=vehicle.wheelbase_m,
+            ticks_per_m=vehicle.ticks_per_m,
+            coast_mps2=plan.speed_mps / Random(f"{plan.seed}/coast").uniform(*COAST_S),
+            seed=plan.look,
+        )
         self._world = World(
             Plant(true, start),
             RoadCamera(car, plan.look, first),
@@ -183,13 +211,27 @@ class FaultRig:
         self._truth = TrueLane(lane)
         self._pins = FaultyPeripherals(self._world, self._hooks, plan)
         self._line = FaultyBoard(
-            EmulatedArduino(self._pins, car.link.baud),
+            self._board(),
             plan.start_ns,
             plan.end_ns,
             to_board=self._hooks.to_board,
             from_board=self._hooks.from_board,
             pulses=self._hooks.pulses,
         )
+
+    def _roll_out(self) -> float:
+        """Wait until the car stands; how far its body is outside its lane then [m], 0 where it is inside."""
+        until_ns = self._clock.now_ns() + round(STANDSTILL_S * 1e9)
+        while self._world.plant.state.speed_mps != 0.0 and self._clock.now_ns() < until_ns:
+            self._clock.sleep(0.05)
+        _, scene = self._world.capture(self._clock.now_ns(), 0)
+        return _outside_m(scene)
+
+    def _board(self) -> EmulatedArduino | AvrBoard:
+        if self._program is None:
+            return EmulatedArduino(self._pins, self._car.link.baud)
+        self._simulated = AvrBoard(self._program, self._pins, self._car.link.baud)
+        return self._simulated
 
     def _runner(self, recorder: Recorder | None) -> Runner:
         car = self._car
@@ -214,13 +256,13 @@ class FaultRig:
 
     def _happen(self, moment: Moment, t_ns: int) -> None:
         board = self._line.board
-        assert isinstance(board, EmulatedArduino)
+        assert isinstance(board, EmulatedArduino | AvrBoard)
         if moment is Moment.UNPLUG:
             self._transport.unplug()
         elif moment is Moment.REPLUG:
             self._transport.replug()
         elif moment is Moment.OTHER_FIRMWARE:
-            other = BoardOptions(table_hash=TABLE_HASH ^ 1, boot_id=board.boot_id + 1)
+            other = BoardOptions(table_hash=TABLE_HASH ^ 1, boot_id=OTHER_BOOT_ID)
             self._line.board = EmulatedArduino(self._pins, self._car.link.baud, other)
         elif moment is Moment.BROWN_OUT:
             board.brown_out(t_ns)
@@ -267,13 +309,20 @@ class FaultRig:
         return PulseTable(motor.pulse_us, motor.speed_mps)
 
 
-def run_fault(car: CarConfig, pipeline: str, fault: Fault, seed: int, index: int) -> Verdict:
-    """The verdict on the fault's run number `index`."""
+def run_fault(
+    car: CarConfig, pipeline: str, fault: Fault, seed: int, index: int, program: AvrProgram | None = None
+) -> Verdict:
+    """The verdict on the fault's run number `index`; behind `program` on its simulated chip, or the emulated board."""
     plan = draw_plan(fault, seed, index, LOOKS)
     car = dataclasses.replace(car, control=dataclasses.replace(car.control, speed_mps=plan.speed_mps))
-    seen = FaultRig(car, pipeline, plan, fault.hooks(plan.hooks_random(), plan.end_ns)).run()
-    without = FaultRig(car, pipeline, plan, Hooks()).run() if fault.same_pulses else None
+    seen = FaultRig(car, pipeline, plan, fault.hooks(plan.hooks_random(), plan.end_ns), program).run()
+    without = FaultRig(car, pipeline, plan, Hooks(), program).run() if fault.same_pulses else None
     return judge(fault, plan, seen, without)
+
+
+def _outside_m(scene: Scene) -> float:
+    """How far the car's body is outside its lane [m], 0 where it is inside."""
+    return max(scene.reach_m - 0.5 * scene.truth.width_m, 0.0)
 
 
 def _set_wall_clock_back() -> None:
@@ -305,25 +354,31 @@ class Case:
     index: int
 
 
-def measure(names: Sequence[str], runs: int, seed: int, pipeline: str, jobs: int | None) -> list[Row]:
+def measure(
+    names: Sequence[str], runs: int, seed: int, pipeline: str, jobs: int | None, link: str = "arduino"
+) -> list[Row]:
     """A row a fault, `runs` in all shared out evenly; runs with a violation are reported on stderr.
 
-    `names` are the faults (default: all), `pipeline` may be `TRUTH`. Raises ConfigError for an unknown fault.
+    `names` are the faults (default: all; of `link` "avr" those of the wire and the board), `pipeline` may be `TRUTH`,
+    `link` "arduino" (the emulated board) or "avr" (the firmware on a simulated chip). Raises ConfigError for an unknown
+    fault, AvrMissing where the firmware cannot be built.
     """
-    faults = chosen(names)
+    faults = chosen(names or (ON_CHIP if link == "avr" else ()))
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
-    found = spread("bench faults", functools.partial(_verdict, pipeline, seed), cases, jobs)
-    for case, verdict in zip(cases, found, strict=True):
-        verdicts[case.name].append(verdict)
-        if verdict.violations:
-            say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
+    with tempfile.TemporaryDirectory(prefix="avr-") as folder:
+        program = build_avr(Path(folder), CAR.link.baud) if link == "avr" else None
+        found = spread("bench faults", functools.partial(_verdict, pipeline, seed, program), cases, jobs)
+        for case, verdict in zip(cases, found, strict=True):  # they come while the folder is there
+            verdicts[case.name].append(verdict)
+            if verdict.violations:
+                say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
     return [_row(name, judged) for name, judged in verdicts.items()]
 
 
-def _verdict(pipeline: str, seed: int, case: Case, tick: Tick) -> Verdict:
+def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, tick: Tick) -> Verdict:
     (fault,) = chosen((case.name,))
-    verdict = run_fault(CAR, pipeline, fault, seed, case.index)
+    verdict = run_fault(CAR, pipeline, fault, seed, case.index, program)
     tick(1.0)
     return verdict
 
@@ -336,4 +391,6 @@ def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
         "violations": sum(bool(verdict.violations) for verdict in verdicts),
         "reaction_p50_ms": round(float(np.median(reactions_ms)), 3) if reactions_ms else None,
         "reaction_max_ms": round(max(reactions_ms), 3) if reactions_ms else None,
+        "left_lane": sum(verdict.left_m > 0 for verdict in verdicts),
+        "left_max_m": round(max(verdict.left_m for verdict in verdicts), 3),
     }

@@ -18,6 +18,7 @@ namespace {
 
 constexpr uint16_t kRxCapacity = 64;
 constexpr uint16_t kTxCapacity = 256;
+constexpr uint8_t kMostDamaged = 2 * frame::kMaxWire + 1;
 
 // The inputs and outputs of one iteration of the loop. tests/support/compiled_board.py has the same layout.
 struct Turn {
@@ -77,6 +78,29 @@ class HostPort : public Port {
   bool overflow_ = false;
 };
 
+// Random numbers (xorshift64*, S. Vigna 2016).
+class Random {
+ public:
+  explicit Random(uint64_t seed) : state_(seed) {}
+  uint32_t below(uint32_t end) {
+    state_ ^= state_ >> 12;
+    state_ ^= state_ << 25;
+    state_ ^= state_ >> 27;
+    return static_cast<uint32_t>((state_ * 0x2545F4914F6CDD1DULL >> 32) * end >> 32);
+  }
+
+ private:
+  uint64_t state_;
+};
+
+// Whether a decoder that was idle takes anything from these bytes and a zero behind them.
+bool is_taken(const uint8_t* bytes, uint8_t count) {
+  frame::Decoder decoder;
+  bool taken = false;
+  for (uint8_t i = 0; i < count; ++i) taken |= decoder.push(bytes[i]);
+  return taken | decoder.push(0);
+}
+
 struct HostBoard {
   HostBoard(uint16_t boot_id, uint8_t cause, const uint8_t* limits) : board(port, boot_id, cause, limits) {}
   HostPort port;
@@ -101,9 +125,9 @@ void board_turn(HostBoard* board, Turn* turn, const uint8_t* rx) {
 }
 
 // Each of `count` commands in the same armed state at `t_ms`; its fault and the pulses of the next servo frame.
-void sweep_commands(const uint8_t* payloads, const uint8_t* counters, uint32_t count, uint32_t t_ms, uint16_t* faults,
-                    uint16_t* servo_us, uint16_t* motor_us) {
-  Logic armed(1, protocol::Limits::read(protocol::kDefaultLimits));
+void sweep_commands(const uint8_t* limits, const uint8_t* payloads, const uint8_t* counters, uint32_t count,
+                    uint32_t t_ms, uint16_t* faults, uint16_t* servo_us, uint16_t* motor_us) {
+  Logic armed(1, protocol::Limits::read(limits));
   armed.on_arm(protocol::Arm{1, 1}, 0, t_ms);
   for (uint32_t i = 0; i < count; ++i) {
     Logic logic = armed;
@@ -163,9 +187,50 @@ void flip_bits(const uint8_t* wire, uint8_t length, uint8_t bits, uint32_t* trie
   }
 }
 
-uint8_t encode_frame(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint16_t seed,
-                     uint8_t* out) {
-  return frame::encode(type, counter, payload, count, seed, out);
+// The beginning of one of `count` frames (`length` bytes each, without delimiters) with the end of another behind it, as
+// where bytes are lost; `aligned`: the result has a frame's length. How many of `trials` were taken.
+uint32_t splice(const uint8_t* frames, uint32_t count, uint8_t length, bool aligned, uint32_t trials, uint64_t seed) {
+  Random random(seed);
+  uint32_t accepted = 0;
+  for (uint32_t trial = 0; trial < trials;) {
+    const uint8_t* const first = frames + random.below(count) * length;
+    const uint8_t* const second = frames + random.below(count) * length;
+    const uint8_t end = 1 + random.below(length - 1);
+    const uint8_t begin = aligned ? end : 1 + random.below(length - 1);
+    uint8_t bytes[kMostDamaged];
+    memcpy(bytes, first, end);
+    memcpy(bytes + end, second + begin, length - begin);
+    const uint8_t total = end + length - begin;
+    if (total == length && (!memcmp(bytes, first, length) || !memcmp(bytes, second, length))) continue;
+    accepted += is_taken(bytes, total);
+    ++trial;
+  }
+  return accepted;
+}
+
+// `bits` different wrong bits anywhere in one of `count` frames (as above). How many of `trials` were taken.
+uint32_t wrong_bits(const uint8_t* frames, uint32_t count, uint8_t length, uint8_t bits, uint32_t trials,
+                    uint64_t seed) {
+  Random random(seed);
+  uint32_t accepted = 0;
+  for (uint32_t trial = 0; trial < trials; ++trial) {
+    const uint8_t* const right = frames + random.below(count) * length;
+    uint8_t bytes[kMostDamaged];
+    memcpy(bytes, right, length);
+    for (uint8_t wrong = 0; wrong < bits;) {
+      const uint16_t at = random.below(length * 8);
+      const uint8_t bit = 1 << at % 8;
+      if ((bytes[at / 8] ^ right[at / 8]) & bit) continue;
+      bytes[at / 8] ^= bit;
+      ++wrong;
+    }
+    accepted += is_taken(bytes, length);
+  }
+  return accepted;
+}
+
+uint8_t encode_frame(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint8_t* out) {
+  return frame::encode(type, counter, payload, count, out);
 }
 
 uint16_t crc(const uint8_t* bytes, uint8_t count, uint16_t seed) {

@@ -17,11 +17,12 @@ from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpChec
 from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino
 from firmware_link.emulator import logic
+from firmware_link.emulator.avr import missing_tools
 from tests.support.command_line import Cli, cli
 
 __all__ = ["cli"]
 
-KEYS = ["fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms"]
+KEYS = ["fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m"]
 BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
@@ -63,6 +64,20 @@ def test_other_processes_give_the_same_figures(cli: Cli) -> None:
     two = cli("bench", "faults", *SOME, *RUNS, "--jobs", "2")
     assert (one.code, two.code) == (0, 0)  # with pictures, and the pipeline that is the default
     assert one.rows == two.rows
+
+
+ON_THE_CHIP = ("serial-deaf", "serial-noise", "board-brown-out", "board-hang", "command-extreme")
+
+
+def test_the_firmware_on_its_chip_does_what_it_must(cli: Cli) -> None:
+    if missing_tools():
+        pytest.skip(f"{', '.join(missing_tools())}: missing for the simulated AVR")
+    only = [argument for name in ON_THE_CHIP for argument in ("--only", name)]
+    said = cli(*BENCH, *only, "--link", "avr", "--runs", len(ON_THE_CHIP), "--json")
+    assert (said.code, said.err) == (0, "")
+    rows = {row["fault"]: row for row in said.rows}
+    assert {name: row["violations"] for name, row in rows.items()} == dict.fromkeys(rows, 0)
+    assert 0 < rows["board-brown-out"]["reaction_max_ms"] < 50  # no pulses: neutral once the servo misses one
 
 
 def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 from random import Random
@@ -16,6 +17,7 @@ from automodel.bench.faults.judge import Plan
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sources.errors import SourceError
+from firmware_link import messages
 from tests.support.runner_fakes import MS, estimate
 
 PERIOD_MS = 20
@@ -235,3 +237,26 @@ def test_a_stuck_servo_stays_though_its_pin_goes_on() -> None:
     assert [servo for _, servo, _ in plant.given] == [1400.0, 1400.0, 1400.0, 1550.0]
     assert [servo for _, servo, _ in pins.pins] == [1400.0, 1450.0, 1500.0, 1550.0]
     assert [pins.read_sensors(t_ms * MS).battery_v for t_ms in (1999, 2000, 2200)] == [7.4, 5.0, 7.4]
+
+
+def test_hooks_of_the_lane_change_what_they_say_and_nothing_else() -> None:
+    right = estimate(5)
+    assert right.pose is not None
+    assert hooks.one_line(right).status is LaneStatus.ONE_LINE
+    assert hooks.one_line(hooks.lost(right)).status is LaneStatus.LOST
+    wide = hooks.times_width(15.0)(right)
+    assert wide.pose is not None
+    assert wide.pose.width_m == 15.0 * right.pose.width_m
+    spoil = hooks.after(2, hooks.coasting, hooks.lost)
+    assert [spoil(right).status for _ in range(3)] == [LaneStatus.COASTING, LaneStatus.COASTING, LaneStatus.LOST]
+
+
+def test_a_board_whose_time_is_stuck_says_the_rest_as_it_is() -> None:
+    hook, decoder = hooks.time_stuck(), messages.decoder(on_board=False)
+    for time_us, faults in ((7_000, 0), (27_000, 4)):
+        status = messages.Status(
+            time_us=time_us, servo_us=1500.0, motor_us=1500.0, faults=faults, nonce=3, command_counter=1, flags=1
+        )
+        ((_, data),) = hook(messages.encode(status, 9), 5)
+        (frame,) = decoder.feed(data)
+        assert (frame.counter, messages.decode(frame)) == (9, dataclasses.replace(status, time_us=7_000))

@@ -44,7 +44,8 @@ def seen(made: list[Pin], **how: object) -> Observed:
     plain = Observed(
         pins=made,
         events=(),
-        outside=False,
+        left_m=0.0,
+        rolled_m=0.0,
         shown_ns=None,
         error=None,
         neutral_us=1500.0,
@@ -143,8 +144,15 @@ def test_a_fault_that_is_over_within_the_bound_may_be_ridden_through() -> None:
 @pytest.mark.parametrize("must", [Must.HOLD, Must.NOTHING])
 def test_a_car_that_drives_on_stays_in_its_lane(must: Must) -> None:
     short = replace(PLAN, end_ns=2100 * MS)
-    assert judge(fault(must), short, seen(pins(), outside=True)).violations == ("it left its lane",)
-    assert judge(STOP, PLAN, seen(pins((2100, 9999)), outside=True)).violations == ()
+    assert judge(fault(must), short, seen(pins(), left_m=0.01)).violations == ("it left its lane",)
+    assert judge(fault(must), short, seen(pins(), rolled_m=0.3)) == judge(fault(must), short, seen(pins()))
+
+
+def test_a_stop_that_leaves_the_lane_says_by_how_much_up_to_standstill() -> None:
+    verdict = judge(STOP, PLAN, seen(pins((2100, 9999)), left_m=0.1, rolled_m=0.3))
+    assert (verdict.violations, verdict.left_m) == ((), 0.3)
+    again = judge(STOP, ARMED_AGAIN, seen(pins((2100, 9999)), left_m=0.1, rolled_m=0.3))
+    assert (again.violations, again.left_m) == ((), 0.1)  # a person has to put it back first; it was driven since
 
 
 @pytest.mark.parametrize("wrong", [(1045.0, 1600.0), (1955.0, 1600.0), (1400.0, 1095.0), (1400.0, 1905.0)])
@@ -185,3 +193,13 @@ def test_a_fault_that_must_show_first_counts_from_then() -> None:
 def test_a_run_that_ends_by_an_exception_is_wrong() -> None:
     (text,) = judge(STOP, PLAN, seen(pins((2100, 9999)), error="KeyError: 3")).violations
     assert text == "the run ended by KeyError: 3"
+
+
+def test_a_car_that_is_held_again_and_again_is_timed_to_its_stop() -> None:
+    flaps = fault(Must.STOP, holds_first=True, within_s=0.5)
+    held = pins((2060, 2160), (2220, 2320), (2400, 9999))
+    verdict = judge(flaps, PLAN, seen(held, events=[event(2060, "hold"), event(2390, "stop")]))
+    assert verdict.violations == ()
+    assert verdict.reaction_s == pytest.approx(0.397)
+    (text,) = judge(flaps, PLAN, seen(held)).violations
+    assert text == "the motor's pin never went neutral"

@@ -52,7 +52,7 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
     assert {fault.kind for fault in FAULTS} == set(Kind) - {Kind.NONE}
     names = [fault.name for fault in (*FAULTS, NOMINAL)]
     assert len(names) == len(set(names))
-    assert len(FAULTS) <= 64  # a run of each in the fast lane
+    assert len(FAULTS) <= 72  # a run of each in the fast lane
     for fault in FAULTS:
         assert fault.duration_s[0] <= fault.duration_s[1]
         assert math.isfinite(fault.recovery_s)
@@ -60,7 +60,15 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
 
 def test_the_bound_is_150_ms_but_for_what_shows_later_or_grows() -> None:
     longer = [fault.name for fault in FAULTS if fault.must is not Must.NOTHING and fault.within_s != 0.15]
-    assert longer == ["camera-drops-3", "perception-uncertain", "serial-falls-behind", "servo-stuck"]
+    assert sorted(longer) == [
+        "board-time-stuck",
+        "camera-drops-3",
+        "camera-flaps",
+        "perception-jump",
+        "perception-uncertain",
+        "serial-falls-behind",
+        "servo-stuck",
+    ]
 
 
 def test_faults_are_chosen_by_name() -> None:

@@ -107,7 +107,7 @@ void Board::say_status(uint32_t t_ms) {
   status.faults = logic_.take_faults() | port_.sensor_faults();
   status.nonce = logic_.arming().nonce();
   status.command_counter = logic_.command_counter();
-  status.flags = logic_.arming().armed() ? protocol::status_flag::kArmed : 0;
+  status.flags = logic_.status_flags();
   uint8_t payload[protocol::Status::kBytes];
   status.write(payload);
   say(protocol::Status::kType, payload, sizeof(payload));
@@ -133,9 +133,8 @@ void Board::say_sensors(uint32_t t_ms) {
 }
 
 void Board::say(uint8_t type, const uint8_t* payload, uint8_t count) {
-  const uint16_t seed = type == protocol::Hello::kType ? 0 : protocol::kTableHash;  // any host can read a Hello
   uint8_t bytes[frame::kMaxWire];
-  const uint8_t length = frame::encode(type, counter_, payload, count, seed, bytes);
+  const uint8_t length = frame::encode(type, counter_, payload, count, bytes);
   if (length > port_.transmit_room()) {
     logic_.event(protocol::fault::kTxOverflow);
     return;

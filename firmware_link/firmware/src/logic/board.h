@@ -29,7 +29,7 @@ class Port {
   // Queues a frame; there is room for it.
   virtual void transmit(const uint8_t* bytes, uint8_t count) = 0;
 
-  // The pulses from the next servo frame on [0.5 us].
+  // The pulses from the next servo frame on [0.5 us]; 0, for both, until limits are known: no pulses at all.
   virtual void set_pulses(uint16_t servo_us, uint16_t motor_us) = 0;
 
   virtual SensorReadings read_sensors() = 0;
@@ -57,7 +57,7 @@ class Periodic {
 
 class Board {
  public:
-  // `limits` is the payload of valid limits.
+  // `limits` is the payload of valid limits, or kept::kNoLimits.
   Board(Port& port, uint16_t boot_id, uint8_t reset_cause, const uint8_t* limits);
 
   // One iteration of the main loop at `t_ms` since the program started; the first one at 0.

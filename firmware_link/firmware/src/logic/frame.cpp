@@ -1,6 +1,7 @@
 #include "frame.h"
 
 #include "crc16.h"
+#include "crc32.h"
 #include "protocol.h"
 
 namespace frame {
@@ -8,6 +9,7 @@ namespace {
 
 constexpr uint8_t kHeader = 2;  // type, counter
 constexpr uint8_t kNotCobs = 0xFF;
+constexpr uint8_t kOldCheckBytes = 3;
 
 // COBS of fewer than 254 bytes; one byte longer than `raw`.
 uint8_t stuff(const uint8_t* raw, uint8_t count, uint8_t* out) {
@@ -40,9 +42,18 @@ uint8_t unstuff(uint8_t* bytes, uint8_t count) {
   return to;
 }
 
-// The check of `count` stuffed bytes, the first of which comes last.
-void check(const uint8_t* stuffed, uint8_t count, uint16_t seed, uint8_t* out) {
-  const uint16_t others = crc16_dnp(stuffed + 1, count - 1, seed) ^ 0xFFFF;  // without the final inversion
+// The check of `count` stuffed bytes.
+void check(const uint8_t* stuffed, uint8_t count, uint8_t* out) {
+  uint32_t crc = crc32(stuffed, count, protocol::kTableHash);
+  for (uint8_t i = 0; i < kCheckBytes; ++i) {
+    out[i] = 0x80 | (crc & 0x7F);
+    crc >>= 7;
+  }
+}
+
+// The check of a Hello, the same in every version of the protocol: the first byte comes last.
+void old_check(const uint8_t* stuffed, uint8_t count, uint8_t* out) {
+  const uint16_t others = crc16_dnp(stuffed + 1, count - 1, 0) ^ 0xFFFF;  // without the final inversion
   const uint16_t crc = crc16_dnp(stuffed, 1, others);
   out[0] = 0x40 | (crc & 0x3F);
   out[1] = 0x40 | (crc >> 6 & 0x3F);
@@ -51,16 +62,18 @@ void check(const uint8_t* stuffed, uint8_t count, uint16_t seed, uint8_t* out) {
 
 }  // namespace
 
-uint8_t encode(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint16_t seed, uint8_t* out) {
+uint8_t encode(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint8_t* out) {
   uint8_t body[kMaxBody];
   body[0] = type;
   body[1] = counter;
   for (uint8_t i = 0; i < count; ++i) body[kHeader + i] = payload[i];
   uint8_t* const stuffed = out + 1;
   const uint8_t length = stuff(body, kHeader + count, stuffed);
-  check(stuffed, length, seed, stuffed + length);
-  out[0] = out[1 + length + kCheckBytes] = 0;
-  return length + kCheckBytes + 2;
+  const bool is_hello = type == protocol::Hello::kType;
+  (is_hello ? old_check : check)(stuffed, length, stuffed + length);
+  const uint8_t wire = length + (is_hello ? kOldCheckBytes : kCheckBytes) + 2;
+  out[0] = out[wire - 1] = 0;
+  return wire;
 }
 
 bool Decoder::push(uint8_t byte) {
@@ -86,7 +99,7 @@ bool Decoder::good() {
   if (count_ > kMaxChunk || count_ <= kCheckBytes) return false;
   const uint8_t stuffed = count_ - kCheckBytes;
   uint8_t right[kCheckBytes];
-  check(bytes_, stuffed, protocol::kTableHash, right);
+  check(bytes_, stuffed, right);
   for (uint8_t i = 0; i < kCheckBytes; ++i) {
     if (bytes_[stuffed + i] != right[i]) return false;
   }

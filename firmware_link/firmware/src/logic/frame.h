@@ -8,12 +8,12 @@ namespace frame {
 
 constexpr uint8_t kMaxPayload = 14;
 constexpr uint8_t kMaxBody = 2 + kMaxPayload;  // type, counter, payload
-constexpr uint8_t kCheckBytes = 3;
+constexpr uint8_t kCheckBytes = 5;
 constexpr uint8_t kMaxChunk = kMaxBody + 1 + kCheckBytes;  // between two zeros
 constexpr uint8_t kMaxWire = kMaxChunk + 2;
 
 // Writes a frame of `payload` (`count` bytes, kMaxPayload at most) to `out` (kMaxWire bytes); its length.
-uint8_t encode(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint16_t seed, uint8_t* out);
+uint8_t encode(uint8_t type, uint8_t counter, const uint8_t* payload, uint8_t count, uint8_t* out);
 
 // Bytes in, frames to the board out. Needs the memory of one frame; damaged frames are rejected.
 class Decoder {

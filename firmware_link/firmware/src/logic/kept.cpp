@@ -27,7 +27,7 @@ void limits_record(const uint8_t* payload, uint8_t* record) {
 
 const uint8_t* limits_of(const uint8_t* record) {
   const bool whole = wire::get16(record + protocol::Limits::kBytes) == crc(record);
-  return whole && limits_fit(protocol::Limits::read(record)) ? record : protocol::kDefaultLimits;
+  return whole && limits_fit(protocol::Limits::read(record)) ? record : kNoLimits;
 }
 
 uint16_t next_boot_id(const uint8_t* slots) {

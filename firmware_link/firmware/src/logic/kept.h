@@ -11,7 +11,10 @@ namespace kept {
 constexpr uint8_t kLimitsBytes = protocol::Limits::kBytes + 2;
 void limits_record(const uint8_t* payload, uint8_t* record);
 
-// The payload in a record; kDefaultLimits if it is damaged or invalid.
+// Zeros, which are no valid limits and stand for none: the pulses are 0, that is, there are none.
+constexpr uint8_t kNoLimits[protocol::Limits::kBytes] = {};
+
+// The payload in a record; kNoLimits if it is damaged or invalid.
 const uint8_t* limits_of(const uint8_t* record);
 
 // Boot ids rotate through slots, so that each cell is written only every eighth start. A slot is the id and its

@@ -58,7 +58,7 @@ void Logic::on_command(const protocol::Command& command, uint8_t counter, uint32
 
 void Logic::on_arm(const protocol::Arm& message, uint8_t counter, uint32_t t_ms) {
   if (arming_.armed()) return;
-  if (!arming_.arm(message)) {
+  if (!pulses_.limited() || !arming_.arm(message)) {
     event(protocol::fault::kArmRefused);
     return;
   }
@@ -86,6 +86,11 @@ void Logic::tick(uint32_t t_ms) {
   if (!timer_.expired(t_ms)) return;
   on_disarm();
   timed_out_ = true;
+}
+
+uint8_t Logic::status_flags() const {
+  return (arming_.armed() ? protocol::status_flag::kArmed : 0) |
+         (pulses_.limited() ? 0 : protocol::status_flag::kNoLimits);
 }
 
 uint16_t Logic::take_faults() {

@@ -80,6 +80,7 @@ class Logic {
 
   const Arming& arming() const { return arming_; }
   Pulses& pulses() { return pulses_; }
+  uint8_t status_flags() const;
   uint8_t command_counter() const { return command_counter_; }
 
  private:

@@ -8,8 +8,8 @@
 
 namespace protocol {
 
-constexpr uint8_t kVersion = 1;
-constexpr uint16_t kTableHash = 0x1933;
+constexpr uint8_t kVersion = 2;
+constexpr uint16_t kTableHash = 0x4c0d;
 constexpr uint16_t kPulseMin = 1000;  // [0.5 us]
 constexpr uint16_t kPulseMax = 5000;  // [0.5 us]
 constexpr uint16_t kCommandTimeoutMs = 100;
@@ -22,6 +22,7 @@ constexpr uint8_t kFresh = 1;
 
 namespace status_flag {
 constexpr uint8_t kArmed = 1;
+constexpr uint8_t kNoLimits = 2;
 }  // namespace status_flag
 
 namespace fault {
@@ -119,7 +120,7 @@ struct Hello {
   uint8_t version;  // protocol version
   uint8_t reset_cause;  // ResetCause
   uint16_t boot_id;  // new after every start
-  uint16_t limits_crc;  // CRC-16/DNP of the payload of the Limits in force
+  uint16_t limits_crc;  // CRC-16/DNP of the payload of the Limits in force, of zeros without any
 
   void write(uint8_t* payload) const {
     wire::put16(payload + 0, table_hash);
@@ -187,10 +188,6 @@ struct Ranges {
     wire::put16(payload + 10, battery_v);
   }
 };
-
-// The payload of the limits that hold until others are set.
-constexpr uint8_t kDefaultLimits[Limits::kBytes] = {0xd0, 0x07, 0xb8, 0x0b, 0xa0, 0x0f, 0xd0,
-                                                    0x07, 0xb8, 0x0b, 0xa0, 0x0f, 0x32, 0x19};
 
 constexpr uint8_t kUnknownType = 0xff;
 

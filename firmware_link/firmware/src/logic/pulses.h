@@ -14,6 +14,9 @@ class Pulses {
  public:
   explicit Pulses(const protocol::Limits& limits);
 
+  // Whether the limits are valid; without, the pulses are 0: there are none.
+  bool limited() const { return limits_fit(limits_); }
+
   // Sets the pulses from the next servo frame on.
   void set_target(uint16_t servo_us, uint16_t motor_us);
 

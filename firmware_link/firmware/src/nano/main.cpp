@@ -50,11 +50,10 @@ int main() {
   const uint16_t boot_id = store::begin();
   NanoPort port;
   Board board(port, boot_id, start::reset_cause(), store::limits());
-  const protocol::Limits limits = protocol::Limits::read(store::limits());
   begin_sensors();
   uart::begin();
   clock::begin();
-  servos::begin(limits.servo_straight_us, limits.motor_neutral_us);
+  servos::begin();
   sei();
   uint32_t t_ms = 0;
   for (;;) {

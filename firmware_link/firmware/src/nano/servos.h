@@ -6,11 +6,11 @@
 
 namespace servos {
 
-// Starts with these pulses [0.5 us]. The first one starts half a millisecond after the call, then one every 20 ms: the
-// main loop, which runs at whole milliseconds, has set them by then.
-void begin(uint16_t steering, uint16_t motor);
+// Starts the periods of 20 ms, with both pins low. The first one starts half a millisecond after the call: the main
+// loop, which runs at whole milliseconds, has set the pulses by then.
+void begin();
 
-// The widths from the next pulse on [0.5 us].
+// The widths from the next period on [0.5 us]; 0 before the first ones leaves the pins low.
 void set(uint16_t steering, uint16_t motor);
 
 }  // namespace servos

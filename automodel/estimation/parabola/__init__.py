@@ -1,0 +1,1 @@
+"""The lane as a pair of parabolas, and the plane of the ground that it lies on."""

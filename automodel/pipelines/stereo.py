@@ -1,0 +1,266 @@
+"""`stereo`: lanes of two cameras far apart, on a ground plane of their own, after the wide-baseline stereo paper.
+
+Prediction by speed and yaw rate -> marking extraction in both images, stripe models -> epipolar matching and
+triangulation -> ground plane, filtered -> re-projection of all stripes onto it -> parabola pair -> pose.
+Nothing is rectified or warped. Where one camera shows nothing the plane is held, and the other one's stripes go on.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from automodel.config import CarConfig
+from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
+from automodel.estimation.parabola.plane_filter import PlaneFilter
+from automodel.geometry import CameraModel, GroundCamera, View
+from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
+from automodel.perception.line_scan import LineScan, ScanConfig
+from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.stereo.ground_plane import fit_plane
+from automodel.perception.stereo.matching import match
+from automodel.perception.stereo.reconstruction import reconstruct
+from automodel.perception.stereo.stripes import Stripes, StripeSearch
+from automodel.pipelines.stages import SEEN, StageClock
+from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
+from automodel.tracking.belief import LaneBelief
+from automodel.tracking.gentle_start import GentleStart
+from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
+from automodel.types import FloatArray, Image
+
+NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
+BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
+BEND_LANES = 5.0  # lane widths of road over which the curvature gets as large as the tightest bend's
+
+
+class Stereo:
+    """The pipeline of wide-baseline stereo lane detection and tracking."""
+
+    name = "stereo"
+    cameras = 2
+
+    def __init__(self, car: CarConfig) -> None:
+        options, unit = car.pipeline.stereo, car.lane.width_m
+        self._options, self._lane, self._unit = options, car.lane, unit
+        self._reference_x_m = car.vehicle.reference_x_m
+        self._size = (car.camera.height_px, car.camera.width_px)
+        self._rig = self.rig(car)
+        self._plane = PlaneFilter(float(self._rig.middle_m[2]))
+        near = min(eye.first_visible_x_m() for eye in (self._rig.left, self._rig.right))
+        near_m = max(near - self._reference_x_m, 0.2 * unit)
+        self._far_m = near_m + options.look_ahead_lanes * unit
+        self._rows_m = self._stations(near_m)
+        self._pair = ParabolaPair(unit, self._reference_x_m, self._far_m)
+        # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
+        self._bend_walk = 1.0 / (car.pipeline.contour.radius_lanes**2 * BEND_LANES)
+        self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
+        self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
+        self._look_for(car.lane.marking_width_m)
+        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        self.stages = StageClock()
+        self.reset()
+
+    def _look_for(self, marking_m: float) -> None:
+        """Look for markings of this width from now on."""
+        options, unit, markings = self._options, self._unit, self._lane.markings
+        self._marking_m = marking_m
+        self._searches = [
+            StripeSearch(marking_m, unit, options.view_half_lanes, options.contrast, self._size, dark)
+            for dark in (False, True)
+            if markings in ("both", "dark" if dark else "light")
+        ]
+        self._spacing_m = 0.25 * ScanConfig().spacing_lanes * unit
+        view = View(
+            x_near_m=0.0,
+            x_far_m=self._far_m + self._reference_x_m,
+            half_width_m=options.view_half_lanes * unit,
+            m_per_px=0.25 * marking_m,
+            m_per_row=self._spacing_m,
+        )
+        self._scan = LineScan(view, unit, marking_m)
+        self._gentle.look_for(marking_m)
+
+    @property
+    def warning(self) -> str:
+        """A line for the user after a run, which may be empty."""
+        blind = [
+            f"the {eye} camera showed no marking in {count} of the {self._pairs} pairs in which the other one did"
+            for eye, count in zip(("left", "right"), self._blind, strict=True)
+            if count > BLIND * self._pairs
+        ]
+        if blind:
+            blind[-1] += ": the ground plane of the last good pair was used"
+        return "; ".join(text for text in (self._width.warning, *blind) if text)
+
+    @property
+    def plane(self) -> Plane:
+        """The cameras' height, pitch and roll over the ground, beyond the calibrated ones."""
+        return self._plane.plane
+
+    def reset(self) -> None:
+        """Forget the lane, the plane and the markings' measured width."""
+        self._width.reset()
+        if self._marking_m != self._width.width_m:
+            self._look_for(self._width.width_m)
+        self._plane.reset()
+        self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
+        self._one_eyed = False  # whether the last pair was none: nothing measured the plane
+        self._tracking.reset()
+        self._pair.forget()
+
+    def step(self, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
+        """The lane in this pair, body frame; LOST for images of another size than the cameras'.
+
+        A single image is that of the left camera.
+        """
+        self.stages.start()
+        images = (frame.left, frame.right) if isinstance(frame, StereoFrame) else (frame.image, None)
+        left_frame = Frame(t_ns=frame.t_ns, index=frame.index, image=images[0])
+        self._predict(left_frame, motion)  # speed and yaw rate
+        self.stages.lap("prediction")
+        if any(image is not None and image.shape[:2] != self._size for image in images):
+            return self._tracking.lost_estimate(left_frame)
+        if self._width.step(images[0]):
+            self._look_for(self._width.width_m)
+        self.stages.lap("width")
+        left, right = self._stripes(images)  # marking extraction, stripe models
+        self.stages.lap("stripes")
+        lines = self._on_ground(left, right)  # epipolar matching, ground plane, re-projection onto it
+        if self._tracking.lost:
+            belief = self._start(frame.t_ns, images[0], lines)
+            if belief is None:
+                self._pair.forget()
+                return self._tracking.lost_estimate(left_frame)
+            self._pair.start(belief.mean, belief.spread)
+        followed = self._fit(lines)  # parabola pair
+        self.stages.lap("lane")
+        if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
+            anew = self._tracking.judge(self._scan.of_stripes(lines), followed)
+            if anew is not None:
+                self._pair.start(anew.mean, anew.spread)
+                followed = self._fit(lines)
+            self.stages.lap("doubt")
+        estimate = self._tracking.follow(left_frame, followed)
+        if self._tracking.lost:
+            self._pair.forget()
+        self.stages.lap("estimate")
+        return estimate
+
+    def _predict(self, frame: Frame, motion: Motion) -> None:
+        """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
+        moved = self._tracking.predict(frame, motion)
+        if moved is None or self._tracking.lost:
+            self._pair.forget()
+        else:
+            self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known, self._bend_walk)
+        self._plane.predict(self._plane.config.settles_s if moved is None else moved.dt_s, self._one_eyed)
+
+    def _stripes(self, images: tuple[Image, Image | None]) -> tuple[Stripes, Stripes]:
+        """The stripes of both images, of that polarity that shows more of them."""
+        place, along = self._pair.ahead(self._rows_m)
+        eyes = self._rig.over(self._plane.plane)
+        grey = [None if image is None else _grey(image) for image in images]
+        pairs = [
+            tuple(
+                Stripes.none(eye) if image is None else search.look(image, eye, place, along)
+                for image, eye in zip(grey, eyes, strict=True)
+            )
+            for search in self._searches
+        ]
+        left, right = max(pairs, key=lambda pair: sum(len(stripes.stripe) for stripes in pair))
+        if left.count or right.count:
+            self._pairs += 1
+            self._blind = [n + (not one.count) for n, one in zip(self._blind, (left, right), strict=True)]
+        return left, right
+
+    def _on_ground(self, left: Stripes, right: Stripes) -> list[FloatArray]:
+        """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""
+        middle = self._rig.middle_m
+        known_m = self._plane.height_sigma_m(on_ground(left.eye, left.directions) - middle[:2])
+        matches = match(left, right, known_m, NOISE_PX)
+        self.stages.lap("matching")
+        row_m = np.diff(self._rows_m).mean()
+        fit = fit_plane(matches, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0))
+        self._one_eyed = not fit.inliers.any()
+        before = self._plane.plane.level_from_body
+        self._plane.update(fit.step, fit.covariance)
+        turn = self._plane.plane.level_from_body @ before.T
+        for stripes in (left, right):
+            stripes.directions = stripes.directions @ turn.T
+        self.stages.lap("plane")
+        cameras = self._rig.over(self._plane.plane)
+        eyes = Eye.of(cameras[0]), Eye.of(cameras[1])
+        lines = reconstruct(left, right, eyes, matches, fit.inliers, self._spacing_m)
+        self.stages.lap("lines")
+        return lines
+
+    def _start(self, t_ns: int, image: Image, lines: list[FloatArray]) -> LaneBelief | None:
+        """A lane to start with: the pair that the lines in view make, or line integrals where all bends are wide."""
+        start = self._tracking.start(t_ns, self._scan.of_stripes(lines))
+        gentle = self._gentle.step(image)
+        self.stages.lap("start")
+        if gentle is None:
+            return start
+        self._pair.start(gentle.belief.mean, gentle.belief.spread)
+        self._tracking.begin(t_ns, self._fit(lines).pose)
+        return gentle.belief
+
+    def _fit(self, lines: list[FloatArray]) -> Followed:
+        """The parabola pair fitted to the lines on it, and what is seen of it."""
+        bend_walk = self._bend_walk
+        sides = [self._pair.side_of(points, bend_walk) for points in lines]
+        mine = [k for k, side in enumerate(sides) if side]
+        points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
+        side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])
+        good = self._pair.update(points, side, self._sigma_m(points), bend_walk)
+        left, right = points[good & (side > 0.0)], points[good & (side < 0.0)]
+        state, covariance = self._pair.state, self._pair.covariance
+        sign = np.array((1.0, -1.0, 1.0))
+        order = np.ix_((Part.OFFSET, Part.THETA, Part.WIDTH), (Part.OFFSET, Part.THETA, Part.WIDTH))
+        return Followed(
+            pose=LanePose(
+                offset_m=float(state[Part.OFFSET]),
+                heading_rad=-float(state[Part.THETA]),
+                width_m=float(state[Part.WIDTH]),
+                curvature_per_m=float(state[Part.KAPPA]),
+                covariance=covariance[order] * np.outer(sign, sign),
+            ),
+            left=self._line(left, +0.5),
+            right=self._line(right, -0.5),
+            centerline=self._pair.curve(0.0),
+        )
+
+    def _sigma_m(self, points_m: FloatArray) -> FloatArray:
+        """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty."""
+        middle, road = self._rig.middle_m, self._tracking.road
+        away = points_m - middle[:2]
+        pixel = NOISE_PX * np.hypot(*away.T) / self._rig.left.camera.matrix[0, 0]
+        tilted = away[:, 1] / middle[2] * self._plane.height_sigma_m(away)
+        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2)
+
+    def _line(self, points_m: FloatArray, lanes: float) -> LaneLine:
+        seen = len(points_m) >= SEEN
+        return LaneLine(curve=self._pair.curve(lanes), points_m=points_m[: len(points_m) * seen], seen=seen)
+
+    @staticmethod
+    def rig(car: CarConfig) -> StereoRig:
+        """Both cameras of a car; raises ValueError without a second one, and for two at the same place."""
+        second = car.camera.right
+        if second is None:
+            raise ValueError(
+                "needs two cameras: car.toml has no [camera.right.intrinsics] and [camera.right.extrinsics]"
+            )
+        model = CameraModel(second.intrinsics, car.camera.width_px, car.camera.height_px)
+        rig = StereoRig(GroundCamera.from_config(car.camera), GroundCamera(model, second.extrinsics))
+        if rig.baseline_m < 1e-3:
+            raise ValueError("[camera.right.extrinsics]: both cameras are at the same place; nothing can be measured")
+        return rig
+
+    def _stations(self, near_m: float) -> FloatArray:
+        """Arc lengths (n,) [m] ahead of the reference point, so that their rows are about even in the image."""
+        back = float(self._rig.middle_m[2]) + self._reference_x_m - float(self._rig.middle_m[0])
+        return np.geomspace(near_m + back, self._far_m + back, self._options.rows) - back
+
+
+def _grey(image: Image) -> Image:
+    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -1,0 +1,92 @@
+"""What the page is told of a cycle of the run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from automodel.runtime.run_types import TickRecord
+from automodel.signals import Command, Event, LaneEstimate, StereoFrame, VehicleState
+from automodel.types import Image
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Snapshot:
+    """A frame's cycle: `image` is the left one of a stereo frame; `place` is (x, y, yaw) [m, m, rad] by dead reckoning.
+
+    `rate_hz` is the rate of the frames as measured, None before the second; `skipped` frames came and were not taken
+    up. `events` are the newest ones, the oldest first.
+    """
+
+    t_ns: int
+    image: Image
+    estimate: LaneEstimate | None
+    command: Command | None
+    state: VehicleState | None
+    speed_mps: float | None
+    mode: str
+    reason: str | None
+    latency_ns: int | None
+    place: tuple[float, float, float]
+    rate_hz: float | None
+    skipped: int
+    events: tuple[Event, ...]
+
+
+_RATE_SHARE = 0.05  # of the newest period in the mean: settled after about 20 frames
+
+
+class Trip:
+    """Follows a run from frame to frame: the way driven, the rate of the frames and those that were skipped."""
+
+    def __init__(self) -> None:
+        self._place = (0.0, 0.0, 0.0)
+        self._last: tuple[int, int] | None = None  # time [ns] and index of the frame before
+        self._period_ns: float | None = None
+        self._skipped = 0
+
+    def step(self, record: TickRecord) -> None:
+        """A cycle with a frame."""
+        frame, tick = record.frame, record.tick
+        if frame is None:
+            return
+        if self._last is not None and frame.t_ns > self._last[0]:
+            period_ns = frame.t_ns - self._last[0]
+            gap = max(frame.index - self._last[1], 1)
+            self._skipped += gap - 1
+            mean_ns = period_ns / gap if self._period_ns is None else self._period_ns
+            self._period_ns = mean_ns + _RATE_SHARE * (period_ns / gap - mean_ns)
+            if tick is not None and tick.motion.known:
+                self._drive(tick.motion.speed_mps, tick.motion.yaw_rate_radps, period_ns * 1e-9)
+        self._last = (frame.t_ns, frame.index)
+
+    def snapshot(self, record: TickRecord, events: tuple[Event, ...]) -> Snapshot | None:
+        """What there is to show of a cycle, None of one without a frame."""
+        frame, tick = record.frame, record.tick
+        if frame is None:
+            return None
+        return Snapshot(
+            t_ns=record.t_ns,
+            image=frame.left if isinstance(frame, StereoFrame) else frame.image,
+            estimate=tick.estimate if tick is not None else None,
+            command=record.sent,
+            state=record.state,
+            speed_mps=tick.motion.speed_mps if tick is not None and tick.motion.known else None,
+            mode=record.decision.mode.value,
+            reason=record.decision.reason,
+            latency_ns=record.latency_ns,
+            place=self._place,
+            rate_hz=1e9 / self._period_ns if self._period_ns else None,
+            skipped=self._skipped,
+            events=events,
+        )
+
+    def _drive(self, speed_mps: float, yaw_rate_radps: float, dt_s: float) -> None:
+        x_m, y_m, yaw_rad = self._place
+        middle_rad = yaw_rad + 0.5 * yaw_rate_radps * dt_s
+        way_m = speed_mps * dt_s
+        self._place = (
+            x_m + way_m * math.cos(middle_rad),
+            y_m + way_m * math.sin(middle_rad),
+            math.remainder(yaw_rad + yaw_rate_radps * dt_s, math.tau),
+        )

@@ -1,0 +1,278 @@
+"""The mistakes: a text of a file, what it becomes, and the tests that must then fail."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mutation:
+    """`old`, found once in `file`, becomes `new`; one of `tests`, paths from the root, must fail then."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+Change = tuple[str, str, str]  # name, old, new
+
+
+def _of(file: str, tests: str, *changes: Change) -> Iterator[Mutation]:
+    """The mutations of one file, found by the same tests (separated by blanks)."""
+    for name, old, new in changes:
+        yield Mutation(name=name, file=file, old=old, new=new, tests=tuple(tests.split()))
+
+
+SAFETY = (
+    *_of(
+        "automodel/runtime/safety.py",
+        "tests/runtime/test_safety.py",
+        ("frame-time-unchecked", "if self._frame_t_ns is not None and t_ns <= self._frame_t_ns:", "if False:"),
+        ("frame-from-the-future", "if t_ns - now_ns > FUTURE_S * NS_PER_S:", "if False:"),
+        ("old-frames-are-fresh", "if age_ns >= self._frame_timeout_ns:", "if age_ns >= 4 * self._frame_timeout_ns:"),
+        ("held-for-ever", "if held_ns >= self._hold_ns:", "if False:"),
+        ("held-again-and-again", "if len(self._held_ns) >= self._holds_max:", "if False:"),
+        ("holds-forgotten-early", "now_ns - self._held_ns[0] >= self._holds_window_ns", "now_ns > self._held_ns[0]"),
+        ("restart-ignored", "if self._boot_id is not None and state.boot_id != self._boot_id:", "if False:"),
+        ("link-down-ignored", "        if not link_up:", "        if False:"),
+        ("silence-ignored", "if abs(now_ns - state.t_ns) > LINK_SILENCE_S * NS_PER_S:", "if False:"),
+        ("clock-back-ignored", "if stood_ns < 0:", "if False:"),
+        ("stall-unnoticed", "if stood_ns > self._validity_ns:", "if False:"),
+        ("stall-always-near", "near = inputs.speed_mps * stood_ns <= self._blind_m * NS_PER_S", "near = True"),
+        ("stall-never-too-long", "if stood_ns >= STALL_S * NS_PER_S or not near:", "if not near:"),
+        ("broken-ignored", "elif broken is not None:", "elif False:"),
+        ("rearmed-at-once", "if reason is None and healthy_ns >= self._rearm_ns:", "if reason is None:"),
+        ("arms-by-itself", "if inputs.arm or self._auto_arm:", "if True:"),
+        ("auto-arm-again", "            self._auto_arm = False\n", ""),
+        ("arming-without-end", "now_ns - self._since_ns >= ARM_TIMEOUT_S * NS_PER_S", "False"),
+        ("lost-lane-ignored", "if self._frame_fault is None and seen.status is LaneStatus.LOST:", "if False:"),
+        ("faults-ignored", "if self._frame_fault is None and inputs.faults:", "if False:"),
+        ("faults-without-frame-ignored", "        elif inputs.faults:\n", "        elif False:\n"),
+        (
+            "passes-when-stopped",
+            "action, arm, disarm = Action.NEUTRAL, False",
+            "action, arm, disarm = Action.PASS, False",
+        ),
+        ("never-disarms", "disarm = due and (armed or self._must_disarm)", "disarm = False"),
+        ("still-armed-ignored", "SafetyMode.STOPPED) and state.armed:", "SafetyMode.STOPPED) and False:"),
+        ("own-disarming-ignored", 'return None, "the vehicle has disarmed itself"', "return None, None"),
+        ("drives-on-while-unwell", "if unwell is None and inputs.seen is not None:", "if inputs.seen is not None:"),
+    ),
+    *_of(
+        "automodel/runtime/runner.py",
+        "tests/runtime/test_runner.py tests/runtime/test_runner_faults.py",
+        ("no-neutral-at-the-end", "            leaving.callback(self._park)\n", ""),
+        ("wrong-time-looked-at", "if self._safety.frame_time_fault(frame.t_ns, now_ns) is not None:", "if False:"),
+        ("hold-keeps-the-throttle", "self._standstill(self._on_wire.steering_rad, now_ns)", "self._on_wire"),
+        ("neutral-not-sent", "elif decision.action is Action.NEUTRAL:", "elif False:"),
+        ("exceptions-fall-through", "except Exception as error:", "except ArithmeticError as error:"),
+        ("states-not-finite", "faults = state_faults(said)", "faults: tuple[str, ...] = ()"),
+        ("armed-at-the-end", "self._link.disarm(now_ns)\n        self._run_log", "self._run_log"),
+        ("never-arms-again", "elif decision.disarm:", "elif False:"),
+    ),
+    *_of(
+        "automodel/runtime/loop.py",
+        "tests/runtime/test_loop.py",
+        ("late-frames-live-long", "valid_until_ns = min(frame.t_ns, t_ns) + self", "valid_until_ns = t_ns + 2 * self"),
+        ("life-stretched", "min(command.valid_until_ns, valid_until_ns)", "command.valid_until_ns"),
+        ("limits-skipped", "command = limited.command", "command = wanted"),
+        ("wanted-not-finite", "if not _is_finite(wanted):", "if False:"),
+        ("limited-not-finite", "if not _is_finite(command):", "if False:"),
+        ("estimate-not-finite", "return lost, wrong + faults", "return estimate, wrong"),
+        ("motion-not-finite", "        faults = motion_faults(motion)\n", "        faults: tuple[str, ...] = ()\n"),
+        ("misfit-looked-at", "if misfit is not None:", "if False:"),
+        ("overruled-forgotten", "self._limits.reset(sent)", "self._limits.reset()"),
+    ),
+    *_of(
+        "automodel/runtime/input_checks.py",
+        "tests/runtime/test_input_checks.py",
+        ("blank-images-pass", "FLAT_LEVELS = 6 ", "FLAT_LEVELS = 0 "),
+        ("repeated-images-pass", "not self._noiseless and _same(before, image)", "False"),
+        ("other-sizes-pass", "if (height, width) == self._shape:", "if True:"),
+        ("lane-jumps-pass", "if abs(sideways_m) > most_m:", "if False:"),
+        ("lane-turns-pass", "if abs(turn_rad) > most_rad:", "if False:"),
+        ("uncertain-for-ever", "return None if bridged else text", "return None"),
+        ("any-width-passes", "vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m", "pose.width_m > 0"),
+        ("stuck-servo-passes", "LASTING_S = 0.25 ", "LASTING_S = 25.0 "),
+    ),
+    *_of(
+        "automodel/runtime/supervised_link.py",
+        "tests/runtime/test_supervised_link.py",
+        ("sends-before-hello", "return self._up and self._hello", "return self._up"),
+    ),
+)
+
+LIMITS = (
+    *_of(
+        "automodel/control/limits.py",
+        "tests/control/test_limits.py",
+        ("speed-unlimited", "_clipped(command.speed_mps, safety.speed_max_mps, SPEED, reasons)", "command.speed_mps"),
+        ("lock-unlimited", "_clipped(requested, safety.steering_max_rad, STEERING, reasons)", "requested"),
+        ("rate-unlimited", "if abs(steering - start) > safety.steering_rate_max_radps * dt:", "if False:"),
+        ("bend-unlimited", "_clipped(steering, steepest, LATERAL_ACCEL, reasons)", "steering"),
+        ("jerk-unlimited", "if abs(change) * squared > safety.lateral_jerk_max_mps3 * dt:", "if False:"),
+        ("not-finite-passes", "if not all(map(math.isfinite, numbers)) or (", "if False and ("),
+        ("speed-before-forgotten", "max(abs(speed), abs(before.speed_mps), abs(measured or 0.0))", "abs(speed)"),
+        ("too-fast-in-the-bend", "if abs(speed) > speed_max:", "if False:"),
+    ),
+    *_of(
+        "automodel/config/__init__.py",
+        "tests/runtime/test_freshness.py",
+        ("commands-live-1-s", "command_validity_s: float = 0.10 ", "command_validity_s: float = 1.0 "),
+        ("frames-live-1-s", "frame_timeout_s: float = 0.06 ", "frame_timeout_s: float = 1.0 "),
+        ("held-for-3-s", "hold_s: float = 0.3 ", "hold_s: float = 3.0 "),
+    ),
+    *_of(
+        "automodel/runtime/safety.py",
+        "tests/runtime/test_freshness.py",
+        ("silent-for-300-ms", "LINK_SILENCE_S = 0.1 ", "LINK_SILENCE_S = 0.3 "),
+        ("slow-cycles", "CYCLE_S = 0.02 ", "CYCLE_S = 0.2 "),
+    ),
+    *_of(
+        "automodel/config/ranges.py",
+        "tests/config",
+        ("hold-without-bound", '"safety.hold_s": (0.01, 2.0)', '"safety.hold_s": (0.01, 200.0)'),
+        (
+            "validity-without-bound",
+            '"safety.command_validity_s": (0.01, 0.5)',
+            '"safety.command_validity_s": (0.01, 50)',
+        ),
+        ("no-upper-ends", "if size == 0 or least <= size <= most:", "if size == 0 or least <= size:"),
+    ),
+)
+
+WIRE = (
+    *_of(
+        "firmware_link/arduino.py",
+        "tests/firmware_link/test_arduino_link.py tests/firmware_link/test_link_contract.py",
+        ("stale-commands-sent", "            and now_ns <= command.valid_until_ns\n", ""),
+        ("deadline-of-1-s", "_VALID_NS = 100 * _MS", "_VALID_NS = 1000 * _MS"),
+        ("fresh-while-disarmed", "            session.wants_armed\n            and now_ns", "            now_ns"),
+        ("repeating-board-heard", "status.time_us == session.status.time_us", "False"),
+        ("silent-board-ignored", "if now_ns - session.status_ns > _SILENT_NS:", "if False:"),
+        ("boot-id-ignored", "session.hello.boot_id != hello.boot_id:", "False:"),
+        ("any-firmware", "if (hello.table_hash, hello.version) != (", "if (0, 0) == ("),
+        ("no-limits-ignored", "if status.flags & StatusFlag.NO_LIMITS:", "if False:"),
+        ("steering-not-finite", "            and math.isfinite(command.steering_rad)\n", ""),
+        ("throttle-not-finite", "            and math.isfinite(command.speed_mps)\n", ""),
+        (
+            "armed-at-close",
+            "                self._write(messages.Disarm())\n        self._session = None",
+            "                pass\n        self._session = None",
+        ),
+    ),
+    *_of(
+        "firmware_link/timing.py",
+        "tests/firmware_link/test_link_timing.py",
+        ("board-clock-ahead", "min(before, self._least_ns)", "max(before, self._least_ns)"),
+        ("board-time-back", "if step_us >= _WRAP_US // 2:", "if False:"),
+    ),
+    *_of(
+        "firmware_link/framing.py",
+        "tests/firmware_link/test_framing.py tests/firmware_link/test_messages.py",
+        ("check-unread", "if received != known.check.of(stuffed):", "if False:"),
+        ("check-without-seed", "zlib.crc32(stuffed, seed)", "zlib.crc32(stuffed)"),
+    ),
+    *_of(
+        "firmware_link/can_link.py",
+        "tests/firmware_link/test_can_link.py",
+        ("can-commands-live-1-s", "VALID_NS = 100 * _MS", "VALID_NS = 1000 * _MS"),
+        ("torque-ignored", 'abs(values.get("driver_torque_nm", 0.0)) > config.override_torque_nm', "False"),
+        ("brake-ignored", '            or values.get("brake", 0.0) != 0\n', ""),
+        ("gear-ignored", '(gear is not None and gear != "D")', "False"),
+        ("can-faults-ignored", "if session.snapshot.faults:\n            return", "if False:\n            return"),
+        ("bus-errors-ignored", "if len(session.errors_ns) >= ERRORS_MAX:", "if False:"),
+        ("disengaged-ignored", "elif session.armed and engaged == 0:", "elif False:"),
+        ("never-engaged-ignored", "if not session.armed and now_ns - session.arm_ns > ARM_NS:", "if False:"),
+    ),
+    *_of(
+        "firmware_link/can_limits.py",
+        "tests/firmware_link/test_can_limits.py",
+        ("can-jerk-unlimited", "LATERAL_JERK_MAX_MPS3 = 5.0 ", "LATERAL_JERK_MAX_MPS3 = 50.0 "),
+        ("can-bend-unlimited", "return _clipped(steering, -most, most)", "return steering"),
+        ("can-brakes-not", "        return -decel_max_mps2\n", "        return 0.0\n"),
+    ),
+)
+
+_LOGIC = "firmware_link/firmware/src/logic/"
+BOARD = (
+    *_of(
+        _LOGIC + "logic.cpp",
+        "tests/firmware_link/test_firmware_logic.py",
+        ("board-timer-of-1-s", ">= protocol::kCommandTimeoutMs", ">= 10 * protocol::kCommandTimeoutMs"),
+        ("any-pulse", " || !is_pulse(command.motor_us)", ""),
+        ("old-counters", "if (step == 0 || step > kMaxCounterStep)", "if (step == 0 && step <= kMaxCounterStep)"),
+        ("late-commands", "ahead_ms > protocol::kMaxDeadlineMs)", "ahead_ms > 10 * protocol::kMaxDeadlineMs)"),
+        ("any-nonce", "message.nonce != nonce_ || ", ""),
+        ("nonce-again", "  nonce_ += protocol::kNonceStep;\n", ""),
+        ("limits-while-armed", "if (arming_.armed() || !limits_fit(limits)) {", "if (!limits_fit(limits)) {"),
+        ("limits-that-do-not-fit", "if (arming_.armed() || !limits_fit(limits)) {", "if (arming_.armed()) {"),
+        ("stale-feeds-the-timer", "  } else {\n    pulses_.", "  } else {\n    timer_.feed(t_ms);\n    pulses_."),
+        ("disarmed-but-driving", "  timer_.stop();\n  pulses_.straighten();", "  timer_.stop();"),
+        ("obeys-while-disarmed", "  if (!arming_.armed()) return;\n", ""),
+        ("arms-without-limits", "if (!pulses_.limited() || !arming_", "if (!arming_"),
+        ("flags-unread", "command.flags & ~protocol::command_flag::kFresh", "false"),
+    ),
+    *_of(
+        _LOGIC + "pulses.cpp",
+        "tests/firmware_link/test_firmware_logic.py",
+        ("servo-unclamped", "clamped(servo_us, limits_.servo_min_us, limits_.servo_max_us)", "servo_us"),
+        ("motor-unclamped", "clamped(motor_us, limits_.motor_min_us, limits_.motor_max_us)", "motor_us"),
+        ("servo-leaps", "clamped(servo_target_us_, servo_us_ - slew, servo_us_ + slew)", "servo_target_us_ + 0 * slew"),
+        ("stops-slowly", "motor_us_ = motor_target_us_ = limits_", "motor_target_us_ = limits_"),
+    ),
+    *_of(
+        _LOGIC + "board.cpp",
+        "tests/firmware_link/test_firmware_logic.py",
+        ("timer-unread", "  logic_.tick(t_ms);\n", ""),
+    ),
+    *_of(
+        _LOGIC + "kept.cpp",
+        "tests/firmware_link/test_firmware_memory.py",
+        ("torn-limits", "return whole && limits_fit", "return (whole || true) && limits_fit"),
+        ("kept-limits-that-do-not-fit", "&& limits_fit(protocol::Limits::read(record)) ?", "?"),
+        ("boot-id-twice", "return boot_id + 1;", "return boot_id;"),
+    ),
+    *_of(
+        _LOGIC + "frame.cpp",
+        "tests/firmware_link/test_firmware_frames.py",
+        ("half-a-check", "if (bytes_[stuffed + i] != right[i])", "if (i < 2 && bytes_[stuffed + i] != right[i])"),
+        ("any-length", "&& count == payload_bytes + kHeader", "&& count >= payload_bytes + kHeader"),
+    ),
+    *_of(
+        "firmware_link/firmware/src/nano/main.cpp",
+        "tests/firmware_link/test_avr.py",
+        ("watchdog-of-2-s", "wdt_enable(WDTO_60MS);", "wdt_enable(WDTO_2S);"),
+    ),
+    *_of(
+        "firmware_link/firmware/src/nano/servos.cpp",
+        "tests/firmware_link/test_avr.py",
+        ("pulses-without-limits", "  if (steering == 0 || motor == 0) return;\n", ""),
+    ),
+    *_of(
+        "firmware_link/firmware/src/nano/store.cpp",
+        "tests/firmware_link/test_avr.py",
+        ("limits-not-kept", "  written = 0;\n", ""),
+    ),
+)
+
+JUDGE = (
+    *_of(
+        "automodel/bench/faults/fault.py",
+        "tests/bench/faults/test_judge.py tests/bench/faults/test_plan.py",
+        ("judge-of-1-s", "BOUND_S = 0.150 ", "BOUND_S = 1.0 "),
+    ),
+    *_of(
+        "automodel/bench/faults/judge.py",
+        "tests/bench/faults/test_judge.py",
+        ("judge-lets-drive-off", "if again_ns is not None:", "if False:"),
+        ("judge-sees-no-limits", "if not all(servo_low <= servo", "if False and all(servo_low <= servo"),
+        ("judge-sees-no-lane", "if seen.left_m > 0:", "if False:"),
+    ),
+)
+
+
+MUTATIONS = (*SAFETY, *LIMITS, *WIRE, *BOARD, *JUDGE)

@@ -1,0 +1,156 @@
+"""Stripes, epipolar matches and the ground plane of drawn pairs, from cameras that are neither parallel nor alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from automodel.estimation.parabola.plane_filter import PlaneFilter
+from automodel.geometry.stereo_rig import Plane, StereoRig, on_ground
+from automodel.perception.stereo.ground_plane import PlaneFit, fit_plane
+from automodel.perception.stereo.matching import Matches, match, midpoint
+from automodel.perception.stereo.stripes import Stripes, StripeSearch
+from tests.support.highway_pictures import LANE_M, Line
+from tests.support.stereo_pictures import LINES, draw_pair, mirror_cameras, straight_ahead
+
+RIG = mirror_cameras()
+NOISE_PX = 0.5
+LEVEL_PLANE = Plane()
+
+
+def look(rig: StereoRig, pair: tuple[np.ndarray, ...], plane: Plane = LEVEL_PLANE) -> list[Stripes]:
+    height, width = pair[0].shape
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (height, width))
+    return [search.look(image, eye, *straight_ahead(rig)) for image, eye in zip(pair, rig.over(plane), strict=True)]
+
+
+def measure(rig: StereoRig, pair: tuple[np.ndarray, ...], known: PlaneFilter) -> tuple[Matches, PlaneFit]:
+    left, right = look(rig, pair, known.plane)
+    sigma = known.height_sigma_m(on_ground(left.eye, left.directions) - rig.middle_m[:2])
+    matches = match(left, right, sigma, NOISE_PX)
+    return matches, fit_plane(matches, rig.middle_m, known.covariance, NOISE_PX, 0.2)
+
+
+def settled(rig: StereoRig, pair: tuple[np.ndarray, ...], frames: int = 5) -> PlaneFilter:
+    known = PlaneFilter(float(rig.middle_m[2]))
+    for _ in range(frames):
+        known.predict(0.05)
+        fit = measure(rig, pair, known)[1]
+        known.update(fit.step, fit.covariance)
+    return known
+
+
+def test_stripes_lie_on_the_lines() -> None:
+    for stripes in look(RIG, draw_pair(RIG)):
+        ground = on_ground(stripes.eye, stripes.directions)
+        away = np.abs(ground[:, 1][:, None] - np.array([line.offset_m for line in LINES])).min(axis=1)
+        near = ground[:, 0] < 20.0
+        assert np.count_nonzero(near) > 60
+        assert stripes.count >= 2
+        assert np.quantile(away[near], 0.9) < 0.06
+
+
+def test_a_picture_without_paint_has_no_stripes() -> None:
+    for stripes in look(RIG, draw_pair(RIG, lines=())):
+        assert stripes.count == 0
+        assert len(stripes.pixels) == 0
+
+
+def test_lines_across_the_road_make_no_stripes() -> None:
+    """Zebra bars and chevrons lie flat in the image."""
+    pair = draw_pair(RIG, lines=())
+    for image in pair:
+        image[300:306] = 250
+        image[360:372] = 250
+    assert all(stripes.count == 0 for stripes in look(RIG, pair))
+
+
+def test_the_midpoint_of_rays_that_meet_is_where_they_meet() -> None:
+    point, one, other = np.array((12.0, -1.0, 0.3)), RIG.left.centre_m, RIG.right.centre_m
+    np.testing.assert_allclose(midpoint(one, point - one, other, 2.0 * (point - other)), point, atol=1e-9)
+
+
+def test_the_midpoint_of_skew_rays_is_halfway() -> None:
+    """Two rays that cross at right angles, one metre above each other."""
+    ahead, aside = np.array((1.0, 0.0, 0.0)), np.array((0.0, 1.0, 0.0))
+    middle = midpoint(np.zeros(3), ahead, np.array((5.0, -3.0, 1.0)), aside)
+    np.testing.assert_allclose(middle, (5.0, 0.0, 0.5), atol=1e-12)
+
+
+def test_matches_lie_on_the_lines_in_space() -> None:
+    matches, fit = measure(RIG, draw_pair(RIG), PlaneFilter(float(RIG.middle_m[2])))
+    points = matches.points_m[fit.inliers]
+    assert len(points) > 100
+    near = points[points[:, 0] < 15.0]
+    assert np.abs(near[:, 2]).mean() < 0.02
+    away = np.abs(near[:, 1][:, None] - np.array([line.offset_m for line in LINES])).min(axis=1)
+    assert away.mean() < 0.02
+    assert fit.residual_px < 1.0
+
+
+@pytest.mark.parametrize(
+    "plane",
+    [
+        Plane(),
+        Plane(height_m=0.05),
+        Plane(height_m=-0.05),
+        Plane(pitch_rad=np.radians(2.0)),
+        Plane(pitch_rad=np.radians(-2.0)),
+        Plane(roll_rad=np.radians(1.0)),
+        Plane(height_m=0.03, pitch_rad=np.radians(-1.0), roll_rad=np.radians(-1.0)),
+    ],
+)
+def test_the_plane_is_recovered(plane: Plane) -> None:
+    found = settled(RIG, draw_pair(RIG, plane)).plane
+    assert found.height_m == pytest.approx(plane.height_m, abs=0.02)
+    assert np.degrees(found.pitch_rad) == pytest.approx(np.degrees(plane.pitch_rad), abs=0.15)
+    assert np.degrees(found.roll_rad) == pytest.approx(np.degrees(plane.roll_rad), abs=0.3)
+
+
+def test_a_bend_and_a_heading_do_not_move_the_plane() -> None:
+    found = settled(RIG, draw_pair(RIG, heading_rad=0.04, curvature_per_m=0.003)).plane
+    np.testing.assert_allclose(found[1:], 0.0, atol=np.radians(0.3))
+
+
+def test_a_stripe_above_the_ground_is_no_part_of_the_plane() -> None:
+    """The upper edge of a guard rail: straight, bright, parallel to the road, and 0.6 m above it."""
+    rail = tuple(
+        draw_pair(RIG, Plane(height_m=-0.6), lines=(Line(-1.4 * LANE_M, width_m=0.06, grey=120.0),), noise=0.0, seed=5)
+    )
+    pair = tuple(np.maximum(road, high) for road, high in zip(draw_pair(RIG), rail, strict=True))
+    known = settled(RIG, pair)
+    np.testing.assert_allclose(known.plane[1:], 0.0, atol=np.radians(0.3))
+    matches, fit = measure(RIG, pair, known)
+    high = matches.points_m[:, 2] > 0.3
+    assert not fit.inliers[high].any()
+
+
+def test_no_match_leaves_the_plane_where_it_was() -> None:
+    known = PlaneFilter(float(RIG.middle_m[2]))
+    before = known.covariance.copy()
+    matches, fit = measure(RIG, draw_pair(RIG, lines=()), known)
+    assert len(matches.ridge) == 0
+    assert np.isnan(fit.residual_px)
+    np.testing.assert_array_equal(fit.step, 0.0)
+    np.testing.assert_allclose(fit.covariance, before, rtol=1e-9)
+
+
+def test_the_plane_gets_less_certain_with_time_but_no_less_than_at_the_start() -> None:
+    known = PlaneFilter(1.2)
+    start = known.covariance.copy()
+    known.update(np.array((0.01, 0.002, 0.0)), 1e-6 * np.eye(3))
+    known.predict(0.05)
+    grown = known.covariance.copy()
+    assert (np.diag(grown) > 1e-6).all()
+    assert (np.diag(grown) < np.diag(start)).all()
+    known.predict(10.0)
+    np.testing.assert_allclose(known.covariance, start)
+
+
+def test_what_nothing_measures_returns_to_the_calibration_unless_it_is_held() -> None:
+    known = PlaneFilter(1.2)
+    known.update(np.array((0.01, 0.002, 0.0)), 1e-6 * np.eye(3))
+    known.predict(10.0, held=True)
+    assert known.plane == Plane(0.01, 0.002, 0.0)
+    known.predict(10.0)
+    np.testing.assert_allclose(known.plane, 0.0, atol=1e-8)

@@ -1,0 +1,161 @@
+"""`stereo` on simulated drives with two cameras: accuracy, plane, one eye that sees nothing, what it refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from automodel.assembly.parts import make_pipeline
+from automodel.config import CarConfig, ConfigError, LaneConfig, SecondCamera
+from automodel.pipelines.stereo import Stereo
+from automodel.runtime.loop import Loop
+from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
+from automodel.sim.appearance import Appearance
+from automodel.sim.track_files import load_track
+from tests.support.rendered_drives import Seen, check_sound
+from tests.support.stereo_drives import StereoDrive, stereo_car
+
+CAR = stereo_car()
+LOOK = Appearance(noise_seed=3)
+
+
+def errors_m(seen: list[Seen]) -> np.ndarray:
+    return np.array([abs(one.offset_error_m) for one in seen if one.estimate.valid])
+
+
+def motion(t_ns: int) -> Motion:
+    return Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
+
+
+@pytest.fixture(scope="module")
+def lap() -> tuple[StereoDrive, list[Seen]]:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK)
+    return drive, drive.run(0.0, 3.0)
+
+
+def test_the_lane_is_followed(lap: tuple[StereoDrive, list[Seen]]) -> None:
+    seen = lap[1]
+    for one in seen:
+        check_sound(one.estimate, one.frame.t_ns)
+    assert all(one.estimate.valid for one in seen[2:])
+    assert errors_m(seen).mean() < 0.03 * CAR.lane.width_m
+    bounds = np.array([one.estimate.pose.offset_bound_m for one in seen if one.estimate.pose])
+    assert (errors_m(seen) < bounds).all()
+
+
+def test_the_same_pairs_give_the_same_lane(lap: tuple[StereoDrive, list[Seen]]) -> None:
+    drive, seen = lap
+    drive.estimator.reset()
+    for one in seen[:20]:
+        again = drive.estimator.step(one.frame, one.motion)
+        assert (again.pose is None) == (one.estimate.pose is None)
+        if again.pose is not None and one.estimate.pose is not None:
+            assert again.pose.offset_m == one.estimate.pose.offset_m
+
+
+def test_a_nodding_car_keeps_its_lane_and_measures_the_nod() -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK, nod_rad=np.radians(1.0))
+    found: list[float] = []
+    step = drive.estimator.step
+    assert isinstance(drive.estimator, Stereo)
+    plane = drive.estimator
+
+    def watched(frame: Frame, motion: Motion) -> object:
+        estimate = step(frame, motion)
+        found.append(plane.plane.pitch_rad)
+        return estimate
+
+    drive.estimator.step = watched  # type: ignore[method-assign, assignment]
+    seen = drive.run(0.0, 2.0)
+    both = [k for k, one in enumerate(seen) if one.estimate.status is LaneStatus.TRACKING and k > 5]
+    assert len(both) > 20
+    off = np.degrees([found[k] - drive.nod(k) for k in both])
+    assert np.abs(off).mean() < 0.4  # less than two thirds of what the nod's mean is
+    assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_one_eye_goes_on_alone_and_the_pair_comes_back(eye: int) -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK, blind={eye: (15, 40)})
+    seen = drive.run(0.0, 2.0)
+    assert all(one.estimate.valid for one in seen[2:])
+    assert any(one.estimate.left and one.estimate.left.seen for one in seen[20:40])
+    assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
+    assert isinstance(drive.estimator, Stereo)
+    assert ("left", "right")[eye] in drive.estimator.warning
+
+
+def test_nothing_is_said_of_two_good_eyes(lap: tuple[StereoDrive, list[Seen]]) -> None:
+    assert lap[0].estimator.warning == ""  # type: ignore[attr-defined]
+
+
+def test_both_eyes_dark_is_no_lane() -> None:
+    pipeline = Stereo(CAR)
+    dark = np.zeros((480, 640), np.uint8)
+    for k in range(5):
+        estimate = pipeline.step(StereoFrame(t_ns=k * 30_000_000, index=k, left=dark, right=dark), motion(k))
+        assert estimate.status is LaneStatus.LOST
+
+
+@pytest.mark.parametrize("shape", [(480, 640, 3), (480, 640)])
+def test_noise_makes_no_lane(shape: tuple[int, ...]) -> None:
+    pipeline, rng = Stereo(CAR), np.random.default_rng(4)
+    for k in range(10):
+        left, right = (rng.integers(0, 256, shape, np.uint8) for _ in range(2))
+        estimate = pipeline.step(StereoFrame(t_ns=k * 30_000_000, index=k, left=left, right=right), motion(k))
+        check_sound(estimate, k * 30_000_000)
+        assert estimate.status is LaneStatus.LOST
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_a_picture_of_another_size_is_lost(side: str) -> None:
+    images = {"left": np.zeros((480, 640), np.uint8), "right": np.zeros((480, 640), np.uint8)}
+    images[side] = np.zeros((240, 320), np.uint8)
+    assert Stereo(CAR).step(StereoFrame(t_ns=1, index=0, **images), motion(1)).status is LaneStatus.LOST
+
+
+def test_a_car_with_one_camera_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"stereo: needs two cameras.*\[camera.right.extrinsics\]"):
+        make_pipeline("stereo", CarConfig())
+
+
+def test_two_cameras_at_one_place_are_refused() -> None:
+    same = SecondCamera(intrinsics=CAR.camera.intrinsics, extrinsics=CAR.camera.extrinsics)
+    car = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, right=same))
+    with pytest.raises(ConfigError, match="both cameras are at the same place"):
+        make_pipeline("stereo", car)
+
+
+def test_dark_markings_are_seen_too() -> None:
+    look = Appearance(floor_grey=170.0, marking_grey=50.0)
+    for markings in ("dark", "both"):
+        car = stereo_car(lane=LaneConfig(markings=markings))
+        seen = StereoDrive(track=load_track("oval"), car=car, look=look).run(0.0, 0.6)
+        assert all(one.estimate.valid for one in seen[3:])
+
+
+def test_the_loop_gives_pairs_to_a_pipeline_of_two_cameras() -> None:
+    class Watching:
+        name = "watching"
+
+        def __init__(self, cameras: int) -> None:
+            self.cameras = cameras
+            self.seen: list[object] = []
+
+        def step(self, frame: object, motion: Motion) -> object:
+            self.seen.append(frame)
+            raise KeyboardInterrupt
+
+        def reset(self) -> None:
+            """Nothing."""
+
+    image = np.zeros((4, 4), np.uint8)
+    pair = StereoFrame(t_ns=1, index=0, left=image, right=image + 1)
+    for cameras, kind in ((1, Frame), (2, StereoFrame)):
+        pipeline = Watching(cameras)
+        loop = Loop(pipeline, None, None, validity_s=1.0)  # type: ignore[arg-type]
+        with pytest.raises(KeyboardInterrupt):
+            loop.tick(pair, motion(1), None, 1)
+        assert isinstance(pipeline.seen[0], kind)
