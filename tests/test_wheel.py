@@ -66,6 +66,7 @@ def test_the_wheel_holds_the_three_packages_and_the_tracks(wheel: Path) -> None:
         "tracks/README.md",
         "automodel/py.typed",
         "automodel/cli/kits/nano-arduino.toml",
+        "automodel/recording/foxglove_layout.json",
         "firmware_link/arduino.py",
         "calibration/__init__.py",
     ):

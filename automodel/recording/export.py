@@ -1,17 +1,22 @@
-"""poses.csv (the pose in the lane, one row per frame), and the export of recordings as CSV and overlay video."""
+"""poses.csv (the pose in the lane, one row per frame), and the export of recordings as CSV, video and for Foxglove."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
+from typing import Any
+
+from mcap.records import Channel, Message
 
 from automodel.config import CarConfig
 from automodel.geometry import GroundCamera
-from automodel.output_files import output_text
+from automodel.output_files import output_path, output_text
+from automodel.recording.codec import CAMERA, LEFT, TOPICS, decode
 from automodel.recording.reader import Recording, Step
-from automodel.signals import Command, Frame, LaneEstimate, LaneLine, StereoFrame
+from automodel.recording.recover import RecordCopy
+from automodel.signals import Command, Event, Frame, LaneEstimate, LaneLine, Motion, StereoFrame
 from automodel.sources.images import check_size
 from automodel.types import Image
 from automodel.viewer.overlay import draw
@@ -137,6 +142,50 @@ def export_video(recording: Recording, path: str | Path, car: CarConfig, progres
             if progress is not None:
                 progress(frames)
     return frames
+
+
+def export_foxglove(recording: Recording, path: str | Path, car: CarConfig, progress: Progress | None = None) -> int:
+    """Write a copy of a recording with the messages of `automodel.recording.foxglove` beside its own; their number.
+
+    `automodel replay` reads the copy as it reads the recording. `car` is the configuration of the run. Raises
+    ConfigError and SourceError.
+    """
+    from automodel.recording import foxglove  # its schemas take a while to load
+
+    scene = foxglove.FoxgloveScene(car)
+    made: dict[str, Callable[[Any], Iterator[foxglove.Topical]]] = {
+        TOPICS[Motion]: scene.motion,
+        TOPICS[LaneEstimate]: scene.estimate,
+        TOPICS[Event]: scene.event,
+    }
+    added, started = 0, False
+    with output_path(path) as part, open(part, "wb") as stream:
+        copy = RecordCopy(stream, "automodel export")
+        channels = {
+            topic: copy.writer.register_channel(
+                topic, "protobuf", copy.writer.register_schema(name, "protobuf", descriptors)
+            )
+            for topic, kind in foxglove.TOPICS.items()
+            for name, descriptors in [foxglove.schema_of(kind)]
+        }
+        for topic, record in recording.records():
+            if (record.topic if isinstance(record, Channel) else topic) in channels:  # of an earlier export
+                continue
+            copy.add(record)
+            if not isinstance(record, Message):
+                continue
+            messages = [] if started else list(scene.start(record.log_time))
+            started = True
+            if topic in made:
+                messages += made[topic](decode(topic, record.data))
+            for name, message in messages:
+                data, t_ns = message.SerializeToString(), record.log_time
+                copy.writer.add_message(channels[name], t_ns, data, t_ns, record.sequence)
+            added += len(messages)
+            if progress is not None and topic in (CAMERA, LEFT):
+                progress(copy.frames)
+        copy.finish()
+    return added
 
 
 def latency_ms(step: Step) -> float | None:

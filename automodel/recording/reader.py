@@ -10,7 +10,7 @@ from typing import IO, Any
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Channel, Message
+from mcap.records import Channel, McapRecord, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdError
@@ -73,19 +73,27 @@ class Recording:
 
     def __iter__(self) -> Iterator[Recorded]:
         """All messages in the order in which they were written, without topics of other programs."""
-        channels: dict[int, Channel] = {}
         left: tuple[int, Image] | None = None
+        for topic, record in self.records():
+            if not isinstance(record, Message):
+                continue
+            try:
+                if topic == LEFT:
+                    left = (record.sequence, decode_image(record.data))
+                elif topic in CAMERA_TOPICS or topic in TOPICS.values():
+                    yield _recorded(topic, record, left)
+            except _DAMAGE as error:
+                raise self._damaged(error) from None
+
+    def records(self) -> Iterator[tuple[str, McapRecord]]:
+        """All records of the file as they are, each after its topic; "" for those that are no message."""
+        channels: dict[int, Channel] = {}
         with self._open() as file:
             try:
                 for record in StreamReader(file, validate_crcs=True).records:
                     if isinstance(record, Channel):
                         channels[record.id] = record
-                    elif isinstance(record, Message):
-                        topic = channels[record.channel_id].topic
-                        if topic == LEFT:
-                            left = (record.sequence, decode_image(record.data))
-                        elif topic in CAMERA_TOPICS or topic in TOPICS.values():
-                            yield _recorded(topic, record, left)
+                    yield channels[record.channel_id].topic if isinstance(record, Message) else "", record
             except _DAMAGE as error:
                 raise self._damaged(error) from None
 

@@ -120,7 +120,7 @@ def recover(path: str | Path, out: str | Path | None = None, force: bool = False
         if not force:
             raise ConfigError(f"{target}: already exists; choose another name, or overwrite it with --force")
     with _open(source) as file, output_path(target) as part, open(part, "wb") as stream:
-        copy = _Copy(stream)
+        copy = RecordCopy(stream, "automodel recover")
         for record in salvage(file, source.stat().st_size):
             copy.add(record)
         copy.finish()
@@ -129,14 +129,14 @@ def recover(path: str | Path, out: str | Path | None = None, force: bool = False
     return Recovered(path=target, messages=copy.messages, frames=copy.frames, duration_s=copy.duration_s)
 
 
-class _Copy:
-    """A new MCAP file; channels and schemas get new numbers."""
+class RecordCopy:
+    """A new MCAP file; channels and schemas get new numbers. `writer` takes what is not copied."""
 
-    def __init__(self, stream: IO[bytes]) -> None:
+    def __init__(self, stream: IO[bytes], library: str) -> None:
         self.messages = self.frames = 0
         self._stream = stream
-        self._writer: Any = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
-        self._writer.start(library="automodel recover")
+        self.writer: Any = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        self.writer.start(library=library)
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, tuple[int, str]] = {}
         self._first_ns: int | None = None
@@ -144,33 +144,33 @@ class _Copy:
 
     @property
     def duration_s(self) -> float:
+        """The time between the first and the last message [s]."""
         return 0.0 if self._first_ns is None else (self._last_ns - self._first_ns) * 1e-9
 
     def add(self, record: object) -> None:
         """Copy a record, unless its channel or schema is lost."""
         if isinstance(record, Schema) and record.id not in self._schemas:
-            self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+            self._schemas[record.id] = self.writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel) and record.id not in self._channels and record.schema_id in self._schemas:
             schema = self._schemas[record.schema_id]
-            new = self._writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
+            new = self.writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
             self._channels[record.id] = (new, record.topic)
         elif isinstance(record, Message) and record.channel_id in self._channels:
             self._add_message(record)
         elif isinstance(record, Attachment):
-            self._writer.add_attachment(
-                record.create_time, record.log_time, record.name, record.media_type, record.data
-            )
+            self.writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
         elif isinstance(record, Metadata):
-            self._writer.add_metadata(record.name, record.metadata)
+            self.writer.add_metadata(record.name, record.metadata)
 
     def finish(self) -> None:
-        self._writer.finish()
+        """Write the index; the file stays open."""
+        self.writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
 
     def _add_message(self, record: Message) -> None:
         channel, topic = self._channels[record.channel_id]
-        self._writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+        self.writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
         self.messages += 1
         self.frames += topic in (CAMERA, LEFT)
         self._first_ns = record.log_time if self._first_ns is None else min(self._first_ns, record.log_time)

@@ -67,7 +67,8 @@ def test_the_first_examples_run_as_written(tmp_path: Path, cli, monkeypatch: pyt
         line = line.replace("--duration 5", "--duration 1")
         assert cli(*shlex.split(line)[1:]).code == 0, line
     assert {path.name for path in tmp_path.iterdir()} == {
-        "my.mcap", "truth.csv", "poses.csv", "overlay.mp4", "report.html", "driven.csv"
+        "my.mcap", "truth.csv", "poses.csv", "overlay.mp4", "report.html", "driven.csv", "my.foxglove.mcap",
+        "my.foxglove.layout.json",
     }  # fmt: skip
 
 
