@@ -60,7 +60,14 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.viewer": GROUND,
     "automodel.recording": GROUND | {"automodel", "automodel.interfaces", "automodel.sources", "automodel.viewer"},
     "automodel.sim": GROUND | {"automodel.runtime.clocks", "automodel.runtime.os_signals", "automodel.sources.errors"},
-    "automodel.console": {"automodel", "automodel.interfaces", "automodel.signals", "automodel.runtime.os_signals"},
+    "automodel.console": {
+        "automodel",
+        "automodel.config",
+        "automodel.output_files",
+        "automodel.interfaces",
+        "automodel.signals",
+        "automodel.runtime.os_signals",
+    },
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
     "calibration": PARTS - {"automodel.pipelines", "automodel.perception"}
     | {"automodel.perception.markings.ridge", "automodel.perception.markings.marking_width"},

@@ -15,7 +15,7 @@ import numpy as np
 from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import appearance, renderer
 from automodel.config import PIPELINE_NAMES, CarConfig
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.signals import FALSE_LANE, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track_files import load_track
 from automodel.sim.trajectory import STYLES, Drive, DrivenPose, Odometer
@@ -201,16 +201,15 @@ class Choice:
         ]
 
 
-def measure(car: CarConfig, choice: Choice, jobs: int | None, plot: Path | None) -> list[Row]:
+def measure(car: CarConfig, choice: Choice, sweep: Sweep, plot: Path | None) -> list[Row]:
     """A row a drive; `plot` gets a PNG of all of them."""
-    cases = choice.cases()
-    meters = list(spread("bench accuracy", functools.partial(measure_case, car), cases, jobs))
+    found = list(spread("bench accuracy", functools.partial(measure_case, car), choice.cases(), sweep))
     if plot is not None:
         from automodel.viewer.plots import plot_accuracy
 
-        names = [f"{case.pipeline}, {case.track}, {case.style}, seed {case.seed}" for case in cases]
-        plot_accuracy(plot, [(name, m.t_s, m.estimated, m.true) for name, m in zip(names, meters, strict=True)])
+        names = [f"{case.pipeline}, {case.track}, {case.style}, seed {case.seed}" for case, _ in found]
+        plot_accuracy(plot, [(name, m.t_s, m.estimated, m.true) for name, (_, m) in zip(names, found, strict=True)])
     return [
         {"pipeline": case.pipeline, "track": case.track, "style": case.style, "seed": case.seed, **meter.row()}
-        for case, meter in zip(cases, meters, strict=True)
+        for case, meter in found
     ]

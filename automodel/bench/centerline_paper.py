@@ -36,7 +36,7 @@ from automodel.config import (
     VehicleConfig,
 )
 from automodel.console.messages import say
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.sim.appearance import Appearance
 from automodel.sim.track import Track
@@ -250,7 +250,7 @@ def rides(choice: Choice, circuits: CircuitChoice) -> list[Ride]:
 
 
 def measure(
-    car: CarConfig, choice: Choice, circuits: CircuitChoice, jobs: int | None, plot: Path | None
+    car: CarConfig, choice: Choice, circuits: CircuitChoice, sweep: Sweep, plot: Path | None
 ) -> dict[str, list[Row]]:
     """Drive; gives the rows of Table I ("rides"), and where there are several odometries, what they cost ("odometry").
 
@@ -262,10 +262,9 @@ def measure(
     for name in pipelines:
         make_pipeline(name, car)  # raises for what it cannot work with before any work
     say_what(chosen)
-    meters = spread("bench accuracy", functools.partial(measure_ride, car, seers), chosen, jobs)
     found = [
         (ride, seer, meter)
-        for ride, of_ride in zip(chosen, meters, strict=True)
+        for ride, of_ride in spread("bench accuracy", functools.partial(measure_ride, car, seers), chosen, sweep)
         for seer, meter in zip(seers, of_ride, strict=True)
     ]
     rows = [ride_row((ride.letter, ride.style, ride.light), seer, meter) for ride, seer, meter in found]

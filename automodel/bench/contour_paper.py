@@ -18,7 +18,7 @@ import numpy as np
 from automodel.bench.accuracy import Case, RenderedDrive, Row
 from automodel.config import CarConfig
 from automodel.console.messages import say
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.pipelines.contour import Contour
 from automodel.signals import FALSE_LANE, Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.trajectory import Drive, Odometer
@@ -186,10 +186,10 @@ def measure_drive(car: CarConfig, claim: ClaimDrive, tick: Tick) -> Meters:
     return meters
 
 
-def measure(car: CarConfig, drives: Sequence[ClaimDrive], jobs: int | None, figure: Path | None) -> list[Row]:
+def measure(car: CarConfig, drives: Sequence[ClaimDrive], sweep: Sweep, figure: Path | None) -> list[Row]:
     """A row for each law, rate and reported speed, over all drives; `figure` gets a PNG."""
     whole: Meters = {}
-    for meters in spread("bench contour-paper", functools.partial(measure_drive, car), drives, jobs):
+    for _, meters in spread("bench contour-paper", functools.partial(measure_drive, car), drives, sweep):
         for key, meter in meters.items():
             whole.setdefault(key, ClaimMeter()).include(meter)
     rows: list[Row] = [

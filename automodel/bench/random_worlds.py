@@ -23,7 +23,7 @@ from automodel.assembly.simulated_car import renderer
 from automodel.bench.accuracy import AccuracyMeter, Row
 from automodel.bench.centerline_paper import full_scale_car
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.geometry import SE2, GroundCamera
 from automodel.output_files import output_path
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
@@ -260,7 +260,7 @@ def save_worst(path: Path, world: RandomWorld, seer: Seer) -> None:
             raise ConfigError(f"{path}: cannot be written as an image")
 
 
-def measure(car: CarConfig, choice: WorldChoice, jobs: int | None, plot: Path | None) -> list[Row]:
+def measure(car: CarConfig, choice: WorldChoice, sweep: Sweep, plot: Path | None) -> list[Row]:
     """A row for each pipeline and world, then for each pipeline those of each kind and all; `plot` gets a PNG.
 
     Of `car` the camera counts in scale worlds, the pipeline's settings in all. Raises ConfigError.
@@ -274,7 +274,7 @@ def measure(car: CarConfig, choice: WorldChoice, jobs: int | None, plot: Path | 
     work = functools.partial(measure_world, car, names, choice)
     rows: dict[str, list[Row]] = {name: [] for name in names}
     meters: dict[tuple[str, str], AccuracyMeter] = {}
-    for (_, kind), found in zip(cases, spread("bench accuracy", work, cases, jobs), strict=True):
+    for (_, kind), found in spread("bench accuracy", work, cases, sweep):
         for name, (row, meter) in zip(names, found, strict=True):
             rows[name].append(row)
             meters.setdefault((name, kind), AccuracyMeter()).include(meter)

@@ -26,7 +26,7 @@ from automodel.bench.tuned_numbers import TunedNumber, moved, pipelines_of, tune
 from automodel.bench.tusimple import LABELS, assumed_car, clip_of, read_labels
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.config.parts import PIPELINES
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Pipeline
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
 from automodel.pipelines.centerline import network_config
@@ -122,10 +122,10 @@ def listing(choice: SensitivityChoice) -> list[Row]:
     return list(names.values())
 
 
-def measure(car: CarConfig, choice: SensitivityChoice, jobs: int | None) -> list[Row]:
+def measure(car: CarConfig, choice: SensitivityChoice, sweep: Sweep) -> list[Row]:
     """A row for each number and pipeline, those that matter most first."""
     work = functools.partial(measure_number, car, choice)
-    rows = list(spread("bench sensitivity", work, choice.cases(), jobs))
+    rows = [row for _, row in spread("bench sensitivity", work, choice.cases(), sweep)]
     return sorted(rows, key=lambda row: (-row["effect"], -row["changed_pct"]))
 
 

@@ -28,7 +28,7 @@ from automodel.bench.accuracy import Case, Choice, Row, watch
 from automodel.bench.speed import TimedStep, opencv_threads
 from automodel.config import CarConfig
 from automodel.console.messages import say
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, complete
 from automodel.curves import GraphCurve
 from automodel.geometry import SE2, View
 from automodel.pipelines.windows import Windows
@@ -267,15 +267,15 @@ def measure_case(car: CarConfig, case: Case, tick: Tick, frames: int | None = No
     return meter
 
 
-def measure(car: CarConfig, choice: Choice, jobs: int | None) -> dict[str, list[Row]]:
+def measure(car: CarConfig, choice: Choice, sweep: Sweep) -> dict[str, list[Row]]:
     """Drive tmr in both directions, centred; gives the rows of each table.
 
     Of `choice` the first seed, the look and the speed count.
     """
     choice = replace(choice, pipelines=("windows",), tracks=("tmr",), styles=("centred",), seeds=choice.seeds[:1])
     cases = [case for direction in ("forward", "reverse") for case in replace(choice, direction=direction).cases()]
-    whole, *others = spread("bench accuracy", functools.partial(measure_case, car), cases, jobs)
-    for other in others:
+    (_, whole), *others = complete("bench accuracy", functools.partial(measure_case, car), cases, sweep)
+    for _, other in others:
         whole.include(other)
     say(
         f"a pixel is {1e3 * whole.m_per_px:.3g} mm here and of unknown size in the paper; a marking is"

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
+from automodel import __version__
 from automodel.assembly.parts import car_of
-from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
+from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, SWEEP, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
 from automodel.sim.random_worlds import KINDS
 from automodel.sim.trajectory import STYLES
+
+if TYPE_CHECKING:
+    from automodel.console.workers import Sweep
 
 CIRCUITS = ("monza", "lights", "odometries", "stretches", "full")  # options for --table centerline-paper alone
 WORLDS = ("kinds", "frames", "worst")  # options for --world random alone
@@ -27,8 +31,8 @@ REFUSED = {  # by --table: the options that would choose other drives
 
 CAR = click.option("--car", "car_file", type=FILE, help="car.toml (default: the simulated car).")
 SEVERAL = click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="Default: all.")
-JOBS = click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core).")
 JSON = click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
+CSV = click.option("--csv", "csv_file", type=FILE, help="Results as CSV, with commit, seed and machine.")
 FIRST_SEED = click.option(
     "--seed", "first_seed", type=click.IntRange(0), default=0, show_default=True, help="The first seed."
 )
@@ -67,26 +71,28 @@ def command() -> None:
 @click.option("--save-worst", "worst", type=FILE, metavar="DIR",
               help="--world random: the worst frame of each row, as PNG.")  # fmt: skip
 @click.option("--plot", type=FILE, help="Estimate and truth over time, as PNG; --world random: errors over bounds.")
-@JOBS
+@SWEEP
+@CSV
 @JSON
 def accuracy(
     car_file: Path | None,
     table: str | None,
     world: str | None,
     plot: Path | None,
-    jobs: int | None,
+    sweep: Sweep,
+    csv_file: Path | None,
     as_json: bool,
     **chosen: Any,
 ) -> int:
     """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
     from automodel.bench import accuracy, centerline_paper, windows_paper
 
-    check_outputs({"--plot": plot}, {"--car": car_file, "--monza": chosen["monza"]})
+    check_outputs({"--plot": plot, "--csv": csv_file}, {"--car": car_file, "--monza": chosen["monza"]})
     car = car_of(car_file)
     if world is not None:
         _refuse(("table", "tracks", "styles", "look", "direction", "speed_mps", *CIRCUITS, "full"),
                 "--world random has its own drives: leave out {}")  # fmt: skip
-        return _random_worlds(car, plot, jobs, as_json, **chosen)
+        return _random_worlds(car, plot, sweep, csv_file, as_json, **chosen)
     _refuse(WORLDS, "{} is for --world random alone")
     _refuse(REFUSED[table], "--table has its own drives: leave out {}")
     if table != "centerline-paper":
@@ -99,21 +105,42 @@ def accuracy(
     choice = accuracy.Choice(seeds=seeds, **{name: chosen[name] for name in names})
     if table == "centerline-paper":
         circuits = centerline_paper.CircuitChoice(**{name: chosen[name] for name in CIRCUITS if name != "full"})
-        tables = centerline_paper.measure(car, choice, circuits, jobs, plot)
-        show_tables("bench accuracy", tables, as_json, {"rides": centerline_paper.COLUMNS})
+        tables = centerline_paper.measure(car, choice, circuits, sweep, plot)
+        columns = {"rides": centerline_paper.COLUMNS}
     elif table == "windows-paper":
-        show_tables("bench accuracy", windows_paper.measure(car, choice, jobs), as_json, {})
+        tables, columns = windows_paper.measure(car, choice, sweep), {}
     else:
-        show("bench accuracy", accuracy.measure(car, choice, jobs, plot), as_json, accuracy.COLUMNS)
+        rows = accuracy.measure(car, choice, sweep, plot)
+        _write(csv_file, rows, choice.seeds[0])
+        show("bench accuracy", rows, as_json, accuracy.COLUMNS)
+        return 0
+    _write(csv_file, [{"table": name, **row} for name, rows in tables.items() for row in rows], choice.seeds[0])
+    show_tables("bench accuracy", tables, as_json, columns)
     return 0
 
 
-def _random_worlds(car: CarConfig, plot: Path | None, jobs: int | None, as_json: bool, **chosen: Any) -> int:
+def _write(csv_file: Path | None, rows: Sequence[Mapping[str, Any]], seed: int) -> None:
+    """Write rows as CSV with what they were measured with; rows that have their own seed keep it."""
+    if csv_file is None:
+        return
+    from automodel.bench.machine import described, this_machine
+    from automodel.console.kept import commit
+    from automodel.console.tables import write_csv
+
+    origin = {"automodel": __version__, "commit": commit(), "machine": described(this_machine())}
+    write_csv(csv_file, [{"seed": seed, **row, **origin} for row in rows])
+
+
+def _random_worlds(
+    car: CarConfig, plot: Path | None, sweep: Sweep, csv_file: Path | None, as_json: bool, **chosen: Any
+) -> int:
     from automodel.bench.random_worlds import COLUMNS, WorldChoice, measure
 
     seeds = range(chosen["first_seed"], chosen["first_seed"] + chosen["seeds"])
     choice = WorldChoice(seeds=seeds, **{name: chosen[name] for name in ("pipelines", *WORLDS)})
-    show("bench accuracy", measure(car, choice, jobs, plot), as_json, COLUMNS)
+    rows = measure(car, choice, sweep, plot)
+    _write(csv_file, rows, seeds[0])
+    show("bench accuracy", rows, as_json, COLUMNS)
     return 0
 
 
@@ -135,7 +162,8 @@ def _refuse(names: Iterable[str], why: str) -> None:
 @FIRST_SEED
 @click.option("--frames", type=click.IntRange(2), default=90, show_default=True, help="Of each drive.")
 @click.option("--list", "listed", is_flag=True, help="Name the numbers, and the pipelines that they are part of.")
-@JOBS
+@SWEEP
+@CSV
 @JSON
 def sensitivity(
     car_file: Path | None,
@@ -145,7 +173,8 @@ def sensitivity(
     first_seed: int,
     frames: int,
     listed: bool,
-    jobs: int | None,
+    sweep: Sweep,
+    csv_file: Path | None,
     as_json: bool,
 ) -> int:
     """What each tuned number of the stages matters: moved by -50, -20, +20 and +50 %, over short and varied drives."""
@@ -158,7 +187,10 @@ def sensitivity(
     if listed:
         show("bench sensitivity", numbers(choice), as_json, ("number", "value", "pipelines", "meaning"))
     else:
-        show("bench sensitivity", measure(car_of(car_file), choice, jobs), as_json, COLUMNS)
+        check_outputs({"--csv": csv_file}, {"--car": car_file})
+        rows = measure(car_of(car_file), choice, sweep)
+        _write(csv_file, rows, first_seed)
+        show("bench sensitivity", rows, as_json, COLUMNS)
     return 0
 
 
@@ -240,24 +272,28 @@ def tusimple(
 @click.option("--speed", "speed_mps", type=ABOVE_ZERO, callback=finite, default=2.0, show_default=True)
 @click.option("--seconds", type=ABOVE_ZERO, callback=finite, help="Of each drive.  [default: a lap]")
 @click.option("--figure", type=FILE, help="The results over the frame rate, as PNG.")
-@JOBS
+@SWEEP
+@CSV
 @JSON
 def contour_paper(
     car_file: Path | None,
     seeds: int,
     first_seed: int,
     figure: Path | None,
-    jobs: int | None,
+    sweep: Sweep,
+    csv_file: Path | None,
     as_json: bool,
     **drive: Any,
 ) -> int:
     """What knowing the speed is worth to `contour` in bends: right, wrong by 20 % and unknown, at 5 to 60 frames/s."""
     from automodel.bench.contour_paper import COLUMNS, LAWS, ClaimDrive, measure
 
-    check_outputs({"--figure": figure}, {"--car": car_file})
+    check_outputs({"--figure": figure, "--csv": csv_file}, {"--car": car_file})
     drive["laws"] = tuple(dict.fromkeys(drive["laws"])) or LAWS
     drives = [ClaimDrive(seed=seed, **drive) for seed in range(first_seed, first_seed + seeds)]
-    show("bench contour-paper", measure(car_of(car_file), drives, jobs, figure), as_json, COLUMNS)
+    rows = measure(car_of(car_file), drives, sweep, figure)
+    _write(csv_file, rows, first_seed)
+    show("bench contour-paper", rows, as_json, COLUMNS)
     return 0
 
 
@@ -269,7 +305,8 @@ def contour_paper(
               help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
 @click.option("--link", type=click.Choice(["arduino", "avr"]), default="arduino", show_default=True,
               help="The emulated board; or the firmware on a simulated chip: wire and board.")  # fmt: skip
-@JOBS
+@SWEEP
+@CSV
 @click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")
 @JSON
 def faults(
@@ -278,7 +315,8 @@ def faults(
     seed: int,
     pipeline: str,
     link: str,
-    jobs: int | None,
+    sweep: Sweep,
+    csv_file: Path | None,
     listed: bool,
     as_json: bool,
 ) -> int:
@@ -293,6 +331,8 @@ def faults(
         return 0
     from automodel.bench.faults.measure import COLUMNS, measure
 
-    rows = measure(names, runs, seed, pipeline, jobs, link)
+    check_outputs({"--csv": csv_file}, {})
+    rows = measure(names, runs, seed, pipeline, sweep, link)
+    _write(csv_file, rows, seed)
     show("bench faults", rows, as_json, COLUMNS)
     return 1 if any(row["violations"] for row in rows) else 0

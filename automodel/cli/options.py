@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -94,3 +96,42 @@ def _identity(path: Path) -> object:
     except OSError:  # it is not there yet
         return os.path.realpath(path)
     return status.st_dev, status.st_ino
+
+
+class _Shard(click.ParamType):  # type: ignore[type-arg]
+    """ "i/n" as (i, n)."""
+
+    name = "i/n"
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        first, _, count = value.partition("/")
+        if not (first.isdigit() and count.isdigit() and 1 <= int(first) <= int(count)):
+            self.fail(f"expected i/n with i from 1 to n, such as 1/4; got {value!r}", param, ctx)
+        return int(first), int(count)
+
+
+def SWEEP(function: Callable[..., int]) -> Callable[..., int]:
+    """The options of a sweep, given to the command as `sweep`; it ends with 1 where cases were lost."""
+
+    @functools.wraps(function)
+    def command(
+        jobs: int | None, keep: Path | None, shard: tuple[int, int] | None, scheduler: str | None, **rest: Any
+    ) -> int:
+        from automodel.console.workers import Sweep  # takes a while to load
+
+        if shard is not None and keep is None:
+            raise click.UsageError("--shard needs --keep DIR, for its results")
+        if scheduler is not None and jobs is not None:
+            raise click.UsageError("--jobs and --scheduler: the cluster has its own workers; give one")
+        sweep = Sweep(jobs=jobs, keep=keep, shard=shard, scheduler=scheduler)
+        code = function(sweep=sweep, **rest)
+        return code or (1 if sweep.lost else 0)
+
+    for option in (
+        click.option("--scheduler", metavar="ADDRESS", help="Run on a Dask cluster, such as tcp://10.0.0.1:8786."),
+        click.option("--shard", type=_Shard(), help="--keep: of n equal parts, run only the i-th."),
+        click.option("--keep", type=FILE, metavar="DIR", help="Keep the results of finished cases; go on from there."),
+        click.option("--jobs", type=click.IntRange(1), help="Processes (default: one a core)."),
+    ):
+        command = option(command)
+    return command

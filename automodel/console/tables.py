@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 import textwrap
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import click
 
 from automodel import __version__
+from automodel.output_files import output_text
 
 Row = Mapping[str, Any]
 
@@ -62,6 +65,15 @@ def show_tables(
         if number and rows:
             click.echo()
         show(command, rows, False, columns.get(name, ()))
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Rows as CSV with the keys of all of them as columns; None is empty. Raises ConfigError."""
+    names = list(dict.fromkeys(key for row in rows for key in row))
+    with output_text(path) as file:
+        table = csv.DictWriter(file, names, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows)
 
 
 def terminal_width() -> int:

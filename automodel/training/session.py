@@ -15,7 +15,7 @@ import torch
 
 from automodel.config.toml_reader import ConfigError
 from automodel.console.messages import say
-from automodel.console.workers import spread
+from automodel.console.workers import Sweep, complete
 from automodel.output_files import output_path, output_text
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 from automodel.training import dataset, train
@@ -120,8 +120,7 @@ def _samples(config: SessionConfig) -> tuple[dataset.Samples, dataset.Samples, s
     missing = dataset.missing(measure + learn)
     if missing:
         say(f"drawing {sum(shard.count for shard in missing)} samples into {config.data}")
-    for _ in spread("drawing", _draw, missing, config.workers):
-        pass
+    complete("drawing", _draw, missing, Sweep(jobs=config.workers))
     return dataset.Samples(learn), dataset.Samples(measure), version
 
 

@@ -14,7 +14,7 @@ import shutil
 import struct
 import subprocess
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, NamedTuple
 
@@ -38,8 +38,8 @@ class AvrMissing(LinkError):
 class AvrProgram:
     """The firmware for the chip, and the simulator of the board for this machine."""
 
-    firmware: Path
-    simulator: Path
+    firmware: Path = field(repr=False)  # built anew by every run: the folder says nothing about the program
+    simulator: Path = field(repr=False)
 
 
 def build_avr(folder: Path, baud: int = 115200) -> AvrProgram:

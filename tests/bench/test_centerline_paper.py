@@ -26,6 +26,7 @@ from automodel.bench.centerline_paper import (
     spans_s,
 )
 from automodel.config import CarConfig, ConfigError, PipelineConfig
+from automodel.console.workers import Sweep
 from automodel.curves import line
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
@@ -202,7 +203,7 @@ def test_rain_is_driven_as_sun_is_and_looks_otherwise() -> None:
 def test_both_tables_and_the_plot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     choice = Choice(pipelines=("believer",), tracks=("circuit",), styles=("racing",))
     circuits = CircuitChoice(lights=("wet",), odometries=("encoder", "command"), stretches=1)
-    tables = measure(CarConfig(), choice, circuits, 1, tmp_path / "plot.png")
+    tables = measure(CarConfig(), choice, circuits, Sweep(jobs=1), tmp_path / "plot.png")
     encoder, command = tables["rides"]
     assert (encoder["track"], encoder["style"], encoder["light"], encoder["frames"]) == ("A", "racing", "wet", 20)
     (costs,) = tables["odometry"]
@@ -212,7 +213,7 @@ def test_both_tables_and_the_plot(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "1 stretch a ride" in said
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
     alone = CircuitChoice(lights=("wet",), stretches=1)
-    assert measure(CarConfig(), choice, alone, 1, None) == {"rides": [encoder], "odometry": []}
+    assert measure(CarConfig(), choice, alone, Sweep(jobs=1), None) == {"rides": [encoder], "odometry": []}
 
 
 def test_without_monza_its_rides_are_left_out_and_it_is_said(
@@ -263,7 +264,7 @@ def test_a_track_for_toys_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "toy.csv"
     path.write_text("\n".join(f"{3 * math.cos(a):.6f},{3 * math.sin(a):.6f},0.2,0.2" for a in angle))
     with pytest.raises(ConfigError, match=r"toy\.csv: expected a circuit of .*; got 19 m, 0\.4 m wide"):
-        measure(CarConfig(), Choice(tracks=("B",)), CircuitChoice(monza=path), 1, None)
+        measure(CarConfig(), Choice(tracks=("B",)), CircuitChoice(monza=path), Sweep(jobs=1), None)
 
 
 @pytest.mark.slow
@@ -271,7 +272,9 @@ def test_a_track_for_toys_is_refused(tmp_path: Path) -> None:
 def test_a_real_pipeline_on_both_tracks(data_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(centerline_paper, "STRETCH_S", 1.5)
     circuits = CircuitChoice(lights=("dry",), monza=data_root / "racetracks" / "Monza.csv", stretches=2)
-    rows = measure(CarConfig(), Choice(pipelines=("windows",), styles=("centred",)), circuits, 1, None)["rides"]
+    rows = measure(CarConfig(), Choice(pipelines=("windows",), styles=("centred",)), circuits, Sweep(jobs=1), None)[
+        "rides"
+    ]
     assert [(row["track"], row["paper_heading_mae_deg"]) for row in rows] == [("A", 2.892), ("B", 1.642)]
     assert all(row["frames"] == 300 for row in rows)
     assert all(row["availability_pct"] > 50.0 for row in rows)

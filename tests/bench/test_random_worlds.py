@@ -13,6 +13,7 @@ from automodel.assembly.simulated_car import renderer
 from automodel.bench.accuracy import AccuracyMeter
 from automodel.bench.random_worlds import LaneSight, WorldChoice, build_world, measure, row_of, true_camera
 from automodel.config import CarConfig
+from automodel.console.workers import Sweep
 from automodel.curves import line
 from automodel.signals import LaneEstimate, LaneLine, LanePose, LaneStatus
 from automodel.sim.truth import Truth, TruthFollower
@@ -111,7 +112,7 @@ def test_a_lane_is_in_sight_where_its_paint_is_in_the_image(seed: int) -> None:
 
 def test_a_short_run_has_its_rows_and_pictures(tmp_path: Path) -> None:
     choice = WorldChoice(pipelines=("windows",), seeds=range(2), kinds=("plain", "unmarked"), frames=8, worst=tmp_path)
-    rows = measure(CarConfig(), choice, 1, tmp_path / "plot.png")
+    rows = measure(CarConfig(), choice, Sweep(jobs=1), tmp_path / "plot.png")
     assert [(row["pipeline"], row["seed"], row["frames"]) for row in rows] == [
         ("windows", 0, 8),
         ("windows", 1, 8),
@@ -124,4 +125,4 @@ def test_a_short_run_has_its_rows_and_pictures(tmp_path: Path) -> None:
     assert rows[1]["world"].startswith("unmarked")
     assert rows[1]["phantom_pct"] is not None
     assert {path.name for path in tmp_path.iterdir()} == {"windows-0000.png", "windows-0001.png", "plot.png"}
-    assert measure(CarConfig(), choice, 1, None) == rows
+    assert measure(CarConfig(), choice, Sweep(jobs=1), None) == rows

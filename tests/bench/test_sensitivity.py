@@ -9,6 +9,7 @@ import pytest
 from automodel.bench.sensitivity import METRICS, SensitivityChoice, measure, measure_number
 from automodel.bench.tuned_numbers import tuned_numbers
 from automodel.config import CarConfig, ConfigError
+from automodel.console.workers import Sweep
 
 
 @pytest.fixture(autouse=True)
@@ -21,7 +22,7 @@ def choice_of(*only: str) -> SensitivityChoice:
 
 
 def test_one_number_matters_and_another_does_not() -> None:
-    rows = measure(CarConfig(), choice_of("SlidingWindows.WIDTH", "road.MAX_GAP_S"), 1)
+    rows = measure(CarConfig(), choice_of("SlidingWindows.WIDTH", "road.MAX_GAP_S"), Sweep(jobs=1))
     width, gap = rows  # what matters most comes first
     assert (width["number"].split(".")[-1], gap["number"].split(".")[-1]) == ("WIDTH", "MAX_GAP_S")
     assert width["changed_pct"] > 0.0
@@ -42,4 +43,4 @@ def test_a_number_that_cannot_be_so_is_no_end() -> None:
 
 def test_nothing_chosen_is_refused() -> None:
     with pytest.raises(ConfigError, match="no tuned number of windows"):
-        measure(CarConfig(), choice_of("no such number"), 1)
+        measure(CarConfig(), choice_of("no such number"), Sweep(jobs=1))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import csv
 import json
 import os
 import signal
@@ -30,6 +31,36 @@ def test_accuracy_has_its_keys_and_a_picture(tmp_path: Path, cli) -> None:
     assert (row["track"], row["style"], row["seed"]) == ("oval", "centred", 0)
     assert row["frames"] > 50
     assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_sharded_sweep_is_put_together_with_commit_seed_and_machine(tmp_path: Path, cli) -> None:
+    quick = ["bench", "accuracy", "--world", "random", "--pipeline", "contour", "--frames", "3", "--seed", "7"]
+    quick += ["--seeds", "3", "--jobs", "1"]
+    for shard in ("1/2", "2/2"):
+        said = cli(*quick, "--keep", tmp_path / "kept", "--shard", shard, "--json")
+        assert (said.code, said.out) == (0, "")
+    assert len(list((tmp_path / "kept").iterdir())) == 3
+    whole = cli(*quick, "--keep", tmp_path / "kept", "--csv", tmp_path / "all.csv", "--json")
+    assert whole.rows == cli(*quick, "--json").rows
+    with open(tmp_path / "all.csv", newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["seed"] for row in table] == ["7", "8", "9", ""]  # the last is that of all
+    assert {*whole.rows[0], "automodel", "commit", "machine"} == set(table[0])
+    assert str(this_machine()["cores"]) in table[0]["machine"]
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--shard", "1/2"], "--shard needs --keep DIR"),
+        (["--shard", "3/2", "--keep", "kept"], "expected i/n with i from 1 to n, such as 1/4; got '3/2'"),
+        (["--scheduler", "tcp://127.0.0.1:9", "--jobs", "2"], "--jobs and --scheduler"),
+    ],
+)
+def test_what_makes_no_sweep_is_one_line(options: list[str], why: str, cli) -> None:
+    said = cli(*QUICK, *options)
+    assert said.code == 2
+    assert why in said.line()
 
 
 @pytest.mark.slow

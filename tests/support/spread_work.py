@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 Tick = Callable[[float], None]
 
@@ -15,9 +17,34 @@ def root(number: float, tick: Tick) -> float:
     return math.sqrt(number)
 
 
-def die(code: int, tick: Tick) -> None:
-    """End the process."""
-    os._exit(code)
+def die_if_negative(number: float, tick: Tick) -> float:
+    """The square root; a negative number ends the process."""
+    if number < 0:
+        os._exit(3)
+    return math.sqrt(number)
+
+
+def die_once(folder: Path, number: float, tick: Tick) -> float:
+    """The square root; the first process that is asked for it is killed."""
+    mark = folder / str(number)
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return math.sqrt(number)
+
+
+def noted_root(log: Path, number: float, tick: Tick) -> float:
+    """The square root; every call is noted in a file."""
+    with open(log, "a") as file:
+        print(number, file=file)
+    return math.sqrt(number)
+
+
+def whereabouts(folder: Path, number: float, tick: Tick) -> float:
+    """The square root, after 50 ms; the process leaves a file with its number as name."""
+    (folder / str(os.getpid())).touch()
+    time.sleep(0.05)
+    return math.sqrt(number)
 
 
 def slowly(steps: int, tick: Tick) -> int:

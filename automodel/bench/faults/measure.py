@@ -33,7 +33,7 @@ from automodel.bench.faults.faulty_parts import (
 from automodel.bench.faults.judge import RENDERED_NS, Observed, Plan, Verdict, draw_plan, judge
 from automodel.config import CameraConfig, CarConfig, Intrinsics
 from automodel.console.messages import say
-from automodel.console.workers import Tick, spread
+from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.input_checks import InputChecks
@@ -355,7 +355,7 @@ class Case:
 
 
 def measure(
-    names: Sequence[str], runs: int, seed: int, pipeline: str, jobs: int | None, link: str = "arduino"
+    names: Sequence[str], runs: int, seed: int, pipeline: str, sweep: Sweep, link: str = "arduino"
 ) -> list[Row]:
     """A row a fault, `runs` in all shared out evenly; runs with a violation are reported on stderr.
 
@@ -368,12 +368,12 @@ def measure(
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:
         program = build_avr(Path(folder), CAR.link.baud) if link == "avr" else None
-        found = spread("bench faults", functools.partial(_verdict, pipeline, seed, program), cases, jobs)
-        for case, verdict in zip(cases, found, strict=True):  # they come while the folder is there
+        found = spread("bench faults", functools.partial(_verdict, pipeline, seed, program), cases, sweep)
+        for case, verdict in found:  # they come while the folder is there
             verdicts[case.name].append(verdict)
             if verdict.violations:
                 say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
-    return [_row(name, judged) for name, judged in verdicts.items()]
+    return [_row(name, judged) for name, judged in verdicts.items() if judged]
 
 
 def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, tick: Tick) -> Verdict:
