@@ -6,10 +6,12 @@ No vehicle link is imported, let alone opened. The same frames give the same est
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import functools
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,9 +19,10 @@ import numpy as np
 
 from automodel.assembly.guess import DOUBTFUL, EvenSample, trustworthy, why_lost
 from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
-from automodel.config import CarConfig, parse_car
+from automodel.config import CarConfig, ConfigError, parse_car
 from automodel.console.messages import say
 from automodel.console.progress import progress
+from automodel.console.workers import Sweep, spread
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
 from automodel.recording.export import PosesCsv
@@ -27,12 +30,15 @@ from automodel.recording.reader import RecordingSource
 from automodel.runtime.loop import Tick
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.files import MotionTable, read_motion_csv
+from automodel.sources.files import MotionTable, natural_key, read_motion_csv
 from automodel.sources.images import check_size
 from automodel.viewer.overlay import draw
 from automodel.viewer.video import film_writer
 
 AnyFrame = Frame | StereoFrame
+Row = dict[str, object]
+Advance = Callable[[float], None]
+SUFFIXES = frozenset({".mcap", ".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})  # of what is taken from folders
 SELDOM = 0.05  # share of frames with a line: where fewer have one, the replay says why
 COLUMNS = (
     "pipeline", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms", "source",
@@ -59,9 +65,77 @@ class ReplayOptions:
     to_s: float = math.inf
 
 
-def replay(options: ReplayOptions) -> list[dict[str, object]]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayCase:
+    """One of several sources; `stamps` are size and time of what is read, so that a changed file is another case."""
+
+    options: ReplayOptions
+    stamps: tuple[tuple[int, int] | None, ...]
+
+
+def sources_in(paths: Sequence[Path]) -> list[Path]:
+    """The recordings and videos of each folder that holds any, in natural order; other paths as they are."""
+    found: list[Path] = []
+    for path in paths:
+        within = [] if not path.is_dir() else [one for one in path.iterdir() if one.suffix.lower() in SUFFIXES]
+        found += sorted(within, key=lambda one: natural_key(one.name)) or [path]
+    return list(dict.fromkeys(found))
+
+
+def replay_all(sources: Sequence[Path], options: ReplayOptions, sweep: Sweep) -> tuple[list[Row], int]:
+    """The rows of all sources, and how many of these could not be read, each of which is reported on stderr.
+
+    `options` are those of all; CSV and video are named after the source as well. Raises ConfigError where two sources
+    have one name and files are to be written.
+    """
+    stems = Counter(source.stem for source in sources)
+    if (options.csv_file or options.video_file) and len(stems) < len(sources):
+        twice = next(stem for stem, count in stems.items() if count > 1)
+        raise ConfigError(f"--csv, --video: several sources are called {twice!r}; replay them one after the other")
+    cases = []
+    for source in sources:
+        csv_file, video_file = (path and _named(path, source.stem) for path in (options.csv_file, options.video_file))
+        if video_file is not None and video_file.resolve() in map(Path.resolve, sources):
+            raise ConfigError(f"--video {video_file}: is one of the sources; choose another name")
+        one = dataclasses.replace(options, source=source, csv_file=csv_file, video_file=video_file)
+        cases.append(ReplayCase(options=one, stamps=tuple(map(_stamp, (source, one.car_file, one.motion_file)))))
+    rows: list[Row] = []
+    failed = 0
+    for _, (found, error) in spread("replay", _replay_case, cases, sweep):
+        rows += found
+        if error:
+            say(error)
+            failed += 1
+    return rows, failed
+
+
+def _stamp(path: Path | None) -> tuple[int, int] | None:
+    if path is None or not path.exists():
+        return None
+    status = path.stat()
+    return status.st_size, status.st_mtime_ns
+
+
+def _replay_case(case: ReplayCase, advance: Advance) -> tuple[list[Row], str]:
+    done = 0.0
+
+    def tick(share: float) -> None:
+        nonlocal done
+        done += share
+        advance(share)
+
+    try:
+        return replay(case.options, tick), ""
+    except (ConfigError, SourceError) as error:
+        return [], str(error)
+    finally:
+        advance(1.0 - done)
+
+
+def replay(options: ReplayOptions, advance: Advance | None = None) -> list[Row]:
     """A row of metrics for each pipeline; CSV and video are written meanwhile, one for each pipeline.
 
+    `advance` takes the share that was done since its last call; without it there is a progress bar for each pipeline.
     Raises ConfigError and SourceError for a file that is wrong, before or while it is read.
     """
     motion = read_motion_csv(options.motion_file) if options.motion_file is not None else None
@@ -77,7 +151,7 @@ def replay(options: ReplayOptions) -> list[dict[str, object]]:
             _named(path, car.pipeline.name) if several and path else path
             for path in (options.csv_file, options.video_file)
         )
-        rows.append(_replay(options, car, motion, csv_file, video_file))
+        rows.append(_replay(options, car, motion, csv_file, video_file, advance))
     return rows
 
 
@@ -117,8 +191,13 @@ def _named(path: Path, pipeline: str) -> Path:
 
 
 def _replay(
-    options: ReplayOptions, car: CarConfig, motion: MotionTable | None, csv_file: Path | None, video_file: Path | None
-) -> dict[str, object]:
+    options: ReplayOptions,
+    car: CarConfig,
+    motion: MotionTable | None,
+    csv_file: Path | None,
+    video_file: Path | None,
+    advance: Advance | None,
+) -> Row:
     path = options.source
     source = open_source(path, car, options.rate_hz)
     rate_hz = options.rate_hz or getattr(source, "rate_hz", 0.0) or car.camera.rate_hz
@@ -130,7 +209,12 @@ def _replay(
         files.callback(source.close)
         csv = files.enter_context(PosesCsv(csv_file)) if csv_file else None
         paint = _painter(files, video_file, car, rate_hz)
-        bar = files.enter_context(progress(f"replay {car.pipeline.name}", getattr(source, "frame_count", None)))
+        count = getattr(source, "frame_count", None)
+        if advance is None:
+            bar = files.enter_context(progress(f"replay {car.pipeline.name}", count))
+        else:
+            share = 1.0 / (count * max(len(options.pipelines), 1)) if count else 0.0
+            bar = functools.partial(advance, share)
         for _, frame, moved, state in frames_between(source, motion, options.from_s, options.to_s):
             if isinstance(frame, Frame):
                 check_frame_size(path, frame, car, options.car_file)
@@ -187,11 +271,11 @@ def _painter(
     return paint
 
 
-def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: list[float]) -> dict[str, object]:
+def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: list[float]) -> Row:
     frames = sum(statuses.values())
     if frames == 0:
         say(f"{path}: no frames")
-    row: dict[str, object] = {"pipeline": car.pipeline.name, "source": str(path), "frames": frames}
+    row: Row = {"pipeline": car.pipeline.name, "source": str(path), "frames": frames}
     row.update({status.value.lower(): statuses[status] for status in LaneStatus})
     valid = frames - statuses[LaneStatus.LOST]
     row["availability_pct"] = 100.0 * valid / frames if frames else 0.0

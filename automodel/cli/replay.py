@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from automodel.cli.options import ABOVE_ZERO, FILE, FROM, PIPELINE, RATE, TO, check_outputs, finite
+from automodel.cli.options import ABOVE_ZERO, FILE, FROM, PIPELINE, RATE, SWEEP, TO, check_outputs, finite
 
 if TYPE_CHECKING:
     from automodel.assembly.replay import ReplayOptions
+    from automodel.console.workers import Sweep
 
 
 @click.command("replay")
-@click.argument("source", type=FILE, required=False)
+@click.argument("sources", metavar="[SOURCE]...", type=FILE, nargs=-1)
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: the recording's own).")
 @click.option("--motion", "motion_file", type=FILE, help="motion.csv: t_s,speed_mps,yaw_rate_radps.")
 @click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="May be given several times.")
@@ -37,17 +38,31 @@ if TYPE_CHECKING:
 @click.option("--motion-csv", type=FILE, default=Path("motion.csv"), show_default=True, help="--can: written here.")
 @FROM
 @TO
+@SWEEP
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(
-    as_json: bool, guess: bool, lane_width_m: float | None, view_deg: float | None, to_s: float | None, **given: Any
+    as_json: bool,
+    guess: bool,
+    lane_width_m: float | None,
+    view_deg: float | None,
+    to_s: float | None,
+    sources: tuple[Path, ...],
+    sweep: Sweep,
+    **given: Any,
 ) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of images or a donkeycar tub (v2).
 
-    Of a camera that nothing is known of: automodel replay VIDEO --guess.
+    Several, or a folder of recordings and videos, run on all cores. Of a camera that nothing is known of: automodel
+    replay VIDEO --guess.
     """
-    from automodel.assembly.replay import COLUMNS, ReplayOptions, replay
+    from automodel.assembly.replay import COLUMNS, ReplayOptions, replay, replay_all, sources_in
     from automodel.console.tables import show
 
+    found = sources_in(sources)
+    swept = len(found) > 1 or sweep.keep is not None or sweep.scheduler is not None
+    if swept and (guess or given["can_log"] or given["motion_file"]):
+        raise click.UsageError("--guess, --can and --motion are for one SOURCE on this machine")
+    given["source"] = found[0] if found else None
     if not _from_can(given, as_json):
         return 0
     options = ReplayOptions(to_s=math.inf if to_s is None else to_s, **given)
@@ -55,10 +70,17 @@ def command(
         options = _guessed(options)
     elif lane_width_m is not None or view_deg is not None:
         raise click.UsageError("--lane-width-m and --view-deg are for --guess; otherwise car.toml says both")
-    inputs: dict[str, Path | None] = {"SOURCE": options.source, "--motion": options.motion_file}
+    inputs: dict[str, Path | None] = {
+        " ".join(["SOURCE", str(number)][: len(found)]): path for number, path in enumerate(found, 1)
+    }
+    inputs |= {"--motion": options.motion_file}
     outputs = {"--csv": options.csv_file, "--video": options.video_file}
     (outputs if guess else inputs)["--guess" if guess else "--car"] = options.car_file
     check_outputs(outputs, inputs)
+    if swept:
+        rows, failed = replay_all(found, options, sweep)
+        show("replay", rows, as_json, COLUMNS)
+        return 2 if failed else 0
     if guess:
         from automodel.assembly.guess import guess_car_file
 

@@ -220,3 +220,55 @@ def test_a_part_of_a_recording(driven: Path, tmp_path: Path, cli) -> None:
     assert float(first["t_s"]) - whole[0].frame.t_ns * 1e-9 == pytest.approx(0.5, abs=0.02)
     assert float(last["t_s"]) - whole[0].frame.t_ns * 1e-9 == pytest.approx(1.0, abs=0.02)
     assert film.stat().st_size > 1000
+
+
+def timeless(rows: list[dict[str, object]]) -> list[dict[str, object]]:
+    """Rows without what differs from run to run."""
+    return [{name: value for name, value in row.items() if name not in ("p50_ms", "p99_ms")} for row in rows]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_folder_of_recordings_gives_what_each_gives_alone(jobs: int, driven: Path, tmp_path: Path, cli) -> None:
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    names = ["run2.mcap", "run10.mcap"]
+    for name in names:
+        shutil.copy(driven / "run.mcap", folder / name)
+    (folder / "notes.txt").write_text("not a recording")
+    options = ["--pipeline", "windows", "--pipeline", "contour", "--to", "0.5", "--json"]
+    said = cli("replay", folder, *options, "--csv", tmp_path / "poses.csv", "--jobs", jobs, "--keep", tmp_path / "kept")
+    assert (said.code, said.err) == (0, "")
+    alone = [cli("replay", folder / name, *options).rows for name in names]
+    assert timeless(said.rows) == timeless([*alone[0], *alone[1]])
+    written = {f"poses.{stem}.{pipeline}.csv" for stem in ("run2", "run10") for pipeline in ("windows", "contour")}
+    assert {path.name for path in tmp_path.glob("*.csv")} == written
+    again = cli("replay", folder, *options, "--csv", tmp_path / "poses.csv", "--keep", tmp_path / "kept")
+    assert again.rows == said.rows  # the times, too: nothing was replayed
+
+
+def test_a_recording_that_cannot_be_read_costs_only_itself(driven: Path, tmp_path: Path, cli) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((driven / "run.mcap").read_bytes()[:5000])
+    said = cli("replay", cut, driven / "run.mcap", "--pipeline", "contour", "--to", "0.2", "--jobs", "1", "--json")
+    assert said.code == 2
+    assert said.line() == f"{cut}: the file is cut; run: automodel recover {cut}"
+    assert [row["source"] for row in said.rows] == [str(driven / "run.mcap")]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (("a.mcap", "b.mcap", "--guess"), "--guess, --can and --motion are for one SOURCE"),
+        (("a.mcap", "b.mcap", "--motion", "m.csv"), "--guess, --can and --motion are for one SOURCE"),
+        (("a/run.mcap", "b/run.mcap", "--csv", "p.csv"), "several sources are called 'run'"),
+        (("a.mcap", "v.a.mp4", "--video", "v.mp4"), "v.a.mp4: is one of the sources"),
+    ],
+)
+def test_what_several_sources_cannot_share_is_one_line(
+    arguments: tuple[str, ...], why: str, tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = cli("replay", *arguments)
+    assert said.code == 2
+    assert why in said.line()
+    assert not list(tmp_path.iterdir())
