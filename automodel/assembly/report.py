@@ -7,7 +7,7 @@ import csv
 import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,7 +73,7 @@ def report(options: ReportOptions) -> list[ReportedRun]:
     return runs
 
 
-class _Eye:
+class Eye:
     """One pipeline over the frames of a run; without a loop, what was recorded."""
 
     def __init__(self, name: str, car: CarConfig, loop: Loop | None) -> None:
@@ -98,9 +98,9 @@ class _Eye:
 
 
 def _gather(options: ReportOptions, path: Path) -> ReportedRun:
-    car = _car_of(options, path)
+    car = car_of_run(options.car_file, path)
     source = open_source(path, car, options.rate_hz)
-    eyes = _eyes(options, car, isinstance(source, RecordingSource))
+    eyes = eyes_of(options.pipelines, car, isinstance(source, RecordingSource))
     motion = read_motion_csv(options.motion_file) if options.motion_file is not None else None
     worst, events, motions = _Worst(car.lane.width_m), [], []
     with contextlib.closing(source), progress(f"report {path.name}", getattr(source, "frame_count", None)) as bar:
@@ -134,19 +134,20 @@ def _gather(options: ReportOptions, path: Path) -> ReportedRun:
     )
 
 
-def _car_of(options: ReportOptions, path: Path) -> CarConfig:
-    if options.car_file is None and path.suffix.lower() == ".mcap":
+def car_of_run(car_file: Path | None, path: Path) -> CarConfig:
+    """The car of a source: of the file that is given, else a recording's own, else the simulated one."""
+    if car_file is None and path.suffix.lower() == ".mcap":
         return parse_car(RecordingSource(path).recording.car_text, f"{path} (car.toml)")
-    return car_of(options.car_file)
+    return car_of(car_file)
 
 
-def _eyes(options: ReportOptions, car: CarConfig, recorded: bool) -> list[_Eye]:
+def eyes_of(pipelines: Sequence[str], car: CarConfig, recorded: bool) -> list[Eye]:
     """What was recorded, and the pipelines that are asked for; of a source without estimates that of car.toml."""
-    eyes = [_Eye(RECORDED, car, None)] if recorded else []
-    names = options.pipelines or (() if recorded else (car.pipeline.name,))
+    eyes = [Eye(RECORDED, car, None)] if recorded else []
+    names = pipelines or (() if recorded else (car.pipeline.name,))
     for name in dict.fromkeys(names):
         other = with_pipeline(car, name)
-        eyes.append(_Eye(name, other, make_loop(other)))
+        eyes.append(Eye(name, other, make_loop(other)))
     return eyes
 
 
@@ -157,7 +158,7 @@ class _Worst:
         self._width_m = width_m
         self._kept: list[tuple[float, Moment]] = []
 
-    def look(self, t_s: float, frame: AnyFrame, seen: Mapping[_Eye, Seen], events: tuple[Event, ...]) -> None:
+    def look(self, t_s: float, frame: AnyFrame, seen: Mapping[Eye, Seen], events: tuple[Event, ...]) -> None:
         """Keep the frame if it is among the worst so far."""
         score, why = self._judge(seen, events)
         near = [kept for kept in self._kept if t_s - kept[1].t_s < APART_S]
@@ -174,7 +175,7 @@ class _Worst:
         """In the order of their times."""
         return tuple(sorted((moment for _, moment in self._kept), key=lambda moment: moment.t_s))
 
-    def _judge(self, seen: Mapping[_Eye, Seen], events: tuple[Event, ...]) -> tuple[float, str]:
+    def _judge(self, seen: Mapping[Eye, Seen], events: tuple[Event, ...]) -> tuple[float, str]:
         """How bad the frame is, in lane widths, and in which respect most of all."""
         words = {eye.name: word.estimate for eye, word in seen.items()}
         parts: list[tuple[float, str]] = [(0.0, "as good as any")]

@@ -28,6 +28,7 @@ COMMANDS = {
     "doctor": "Look at machine, camera, board and calibration, and say what to do.",
     "bench": "Measure accuracy, speed, latency and the reaction to faults.",
     "report": "Runs as one page: map, plots, pipelines side by side, the worst moments.",
+    "view": "A run in the browser, on its time line.",
     "export": "A recording as CSV and video.",
     "recover": "Make a recording readable that was cut by a power loss.",
     "train": "Train the network that finds lane markings.",

@@ -15,7 +15,7 @@ import pickle
 import signal
 import ssl
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -26,25 +26,20 @@ from aiohttp import WSMsgType, web
 from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera
 from automodel.viewer.overlay import draw
-from automodel.web.access import HEADERS, Access, PageOptions
+from automodel.web.access import Access, PageOptions
 from automodel.web.dead_man import HOLD_TIMEOUT_S, Word
+from automodel.web.guard import REFUSED, GuardedServer
 from automodel.web.mailbox import Mailbox
 from automodel.web.snapshot import Snapshot
 
-CLIENTS_MAX = 8  # sockets at a time, those included that have not yet sent their token
-MESSAGE_BYTES = 256  # the longest message of a page, its token
-TOKEN_S = 3.0  # for the token to come
 WORDS_PER_S = 50  # of one page, which says 10: more would pile up in front of another's STOP
 HISTORY = 2400  # rows kept for a page that is opened late: two minutes at the page's rate
 _LOOK_S = 0.02  # between two looks into the mailbox
 _JPEG_QUALITY = 80  # [%]
 _NICE = 10  # the loop and the recorder come first
 _FILES = {"/": ("index.html", "text/html"), "/page.js": ("page.js", "text/javascript"),
-          "/page.css": ("page.css", "text/css")}  # fmt: skip
+          "/draw.js": ("draw.js", "text/javascript"), "/page.css": ("page.css", "text/css")}  # fmt: skip
 _WORDS = {"stop": Word.STOP, "arm": Word.ARM, "hold": Word.HOLD, "release": Word.RELEASE}
-_NO_TOKEN = 4401  # websocket close codes, with the HTTP status that they stand for
-_REFUSED = 4400
-Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
 
 def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
@@ -98,27 +93,19 @@ def _tls(files: tuple[Path, Path] | None) -> ssl.SSLContext | None:
     return context
 
 
-class Page:
+class Page(GuardedServer):
     """The page's requests and its open sockets; `say` sends a word's byte to the run."""
 
     def __init__(self, car: CarConfig, access: Access, say: Callable[[bytes], None]) -> None:
+        super().__init__(access, _FILES)
         self._vehicle = car.vehicle
         self._camera = GroundCamera.from_config(car.camera)
-        self._access, self._say = access, say
-        self._open = 0
+        self._say = say
         self._clients: set[_Client] = set()
         self._holder: _Client | None = None  # whose button is held, or was last, and when it was heard of [s]
         self._holder_s = 0.0
         self._start_ns: int | None = None  # of the page's time: the first cycle shown
         self._history: deque[list[float | None]] = deque(maxlen=HISTORY)
-
-    def app(self) -> web.Application:
-        """The application."""
-        app = web.Application(middlewares=[self._guard], client_max_size=1)
-        app.router.add_get("/socket", self._socket)
-        for path in _FILES:
-            app.router.add_get(path, _file)
-        return app
 
     async def show(self, snapshot: Snapshot) -> None:
         """Tell every open page of a cycle; a page that has not yet received the one before gets only the newest."""
@@ -145,43 +132,9 @@ class Page:
         )
         return cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
 
-    @web.middleware
-    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
-        if not self._access.host_fits(request.headers.get("Host")):
-            return web.Response(status=421, text="this is not the host that you asked for\n", headers=HEADERS)
-        try:
-            response = await handler(request)
-        except web.HTTPException as error:
-            error.headers.update(HEADERS)
-            raise
-        if not response.prepared:
-            response.headers.update(HEADERS)
-        return response
-
-    async def _socket(self, request: web.Request) -> web.StreamResponse:
-        if not self._access.origin_fits(request.headers.get("Origin"), request.headers.get("Host")):
-            raise web.HTTPForbidden(text="only this server's own page may open its socket\n")
-        if self._open >= CLIENTS_MAX:
-            raise web.HTTPServiceUnavailable(text="too many pages are open\n")
-        self._open += 1
-        try:
-            socket = web.WebSocketResponse(max_msg_size=MESSAGE_BYTES, heartbeat=5.0, compress=False)
-            await socket.prepare(request)
-            if await self._has_token(socket):
-                await self._talk(_Client(socket))
-            else:
-                await socket.close(code=_NO_TOKEN, message=b"token")
-            return socket
-        finally:
-            self._open -= 1
-
-    async def _has_token(self, socket: web.WebSocketResponse) -> bool:
-        with contextlib.suppress(asyncio.TimeoutError):
-            first = await asyncio.wait_for(socket.receive(), TOKEN_S)
-            return first.type is WSMsgType.TEXT and self._access.token_fits(first.data)
-        return False
-
-    async def _talk(self, client: _Client) -> None:
+    async def talk(self, socket: web.WebSocketResponse) -> None:
+        """Send what happens, and hear the operator."""
+        client = _Client(socket)
         await client.socket.send_str(json.dumps({"history": list(self._history)}, allow_nan=False))
         self._clients.add(client)
         sending = asyncio.create_task(client.send())
@@ -189,7 +142,7 @@ class Page:
             async for message in client.socket:
                 known = message.type is WSMsgType.TEXT and message.data in _WORDS
                 if not known or client.floods(asyncio.get_running_loop().time()):
-                    await client.socket.close(code=_REFUSED, message=b"unknown word, or too many")
+                    await client.socket.close(code=REFUSED, message=b"unknown word, or too many")
                     break
                 self._hear(client, _WORDS[message.data])
         finally:
@@ -238,12 +191,6 @@ class _Client:
                     text, picture = self._newest
                     await self.socket.send_str(text)
                     await self.socket.send_bytes(picture)
-
-
-async def _file(request: web.Request) -> web.Response:
-    name, kind = _FILES[request.path]
-    text = (Path(__file__).parent / "page" / name).read_text(encoding="utf-8")
-    return web.Response(text=text, content_type=kind)
 
 
 def row_of(snapshot: Snapshot, start_ns: int) -> list[float | None]:

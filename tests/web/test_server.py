@@ -16,7 +16,8 @@ from aiohttp.test_utils import TestClient, TestServer
 from automodel.config import CarConfig
 from automodel.signals import Event, LaneEstimate, LaneStatus, VehicleState
 from automodel.web.access import CSP, Access
-from automodel.web.server import CLIENTS_MAX, MESSAGE_BYTES, WORDS_PER_S, Page
+from automodel.web.guard import CLIENTS_MAX, MESSAGE_BYTES
+from automodel.web.server import WORDS_PER_S, Page
 from automodel.web.snapshot import Snapshot
 
 WAIT_S = 20.0  # far beyond what any step takes
@@ -93,7 +94,7 @@ def snapshot(t_ns: int = 5_000_000_000) -> Snapshot:
     )
 
 
-@pytest.mark.parametrize("path", ["/", "/page.js", "/page.css"])
+@pytest.mark.parametrize("path", ["/", "/page.js", "/draw.js", "/page.css"])
 def test_the_files_carry_the_policy_and_no_token(path: str) -> None:
     async def test(made: Served) -> None:
         answer = await made.client.get(path)
@@ -220,7 +221,7 @@ def test_a_foreign_host_gets_no_page() -> None:
         ("PUT", "/page.js", 405),
     ],
 )
-def test_only_three_files_are_read(method: str, path: str, status: int) -> None:
+def test_only_the_pages_own_files_are_read(method: str, path: str, status: int) -> None:
     async def test(made: Served) -> None:
         answer = await made.client.request(method, path)
         assert answer.status == status

@@ -1,0 +1,112 @@
+"""The page of a run that is over: its time line, and each frame with what a pipeline said, drawn when asked for."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import signal
+from typing import Any
+
+import cv2
+import numpy as np
+from aiohttp import WSMsgType, web
+
+from automodel.config import ConfigError
+from automodel.console.messages import say
+from automodel.web.access import Access
+from automodel.web.film import ViewedRun
+from automodel.web.guard import REFUSED, GuardedServer
+
+HOST = "127.0.0.1"
+_JPEG_QUALITY = 85  # [%]
+_FILES = {"/": ("view.html", "text/html"), "/view.js": ("view.js", "text/javascript"),
+          "/draw.js": ("draw.js", "text/javascript"), "/page.css": ("page.css", "text/css")}  # fmt: skip
+
+
+class ViewPage(GuardedServer):
+    """A page asks "NUMBER EYE" and is told that number and, in a second message, the picture as JPEG.
+
+    What is drawn is only read; anything else closes the socket.
+    """
+
+    def __init__(self, run: ViewedRun, access: Access) -> None:
+        super().__init__(access, _FILES)
+        self._run = run
+        self._summary = json.dumps(summary(run), allow_nan=False)
+        self._drawing = asyncio.Lock()
+
+    async def talk(self, socket: web.WebSocketResponse) -> None:
+        """Send the summary, then each frame that is asked for."""
+        await socket.send_str(self._summary)
+        async for message in socket:
+            try:
+                text = message.data if message.type is WSMsgType.TEXT else ""
+                number, eye = text.split(" ", 1)
+                async with self._drawing:
+                    picture = await asyncio.to_thread(self._picture, int(number), eye)
+            except (ValueError, KeyError, IndexError):
+                await socket.close(code=REFUSED, message=b"expected: NUMBER EYE")
+                return
+            await socket.send_str(json.dumps({"number": int(number), "eye": eye}))
+            await socket.send_bytes(picture)
+
+    def _picture(self, number: int, eye: str) -> bytes:
+        drawn = self._run.picture(number, eye)
+        return cv2.imencode(".jpg", drawn, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])[1].tobytes()
+
+
+def summary(run: ViewedRun) -> dict[str, Any]:
+    """What the page draws its time line from; None for what is not known, lengths in metres, angles in radians."""
+    path = None if run.path is None else np.round(run.path.xy_m, 3).tolist()
+    return {
+        "name": run.name,
+        "t": [round(t, 4) for t in run.t_s],
+        "frames": run.frames,
+        "path": path,
+        "speed": [_number(motion.speed_mps) if motion.known else None for motion in run.motions],
+        "events": [[round(t, 3), event.kind, event.text] for t, event in run.events],
+        "eyes": {eye.name: _track(run, eye.name) for eye in run.eyes},
+    }
+
+
+def _track(run: ViewedRun, eye: str) -> dict[str, Any]:
+    """An eye's columns over the frames, and its marks."""
+    columns: dict[str, list[Any]] = {name: [] for name in ("status", "offset", "bound", "heading", "steering", "ms")}
+    for word in run.seen[eye]:
+        pose = None if word.estimate is None else word.estimate.pose
+        columns["status"].append("LOST" if word.estimate is None else word.estimate.status.value)
+        columns["offset"].append(None if pose is None else _number(pose.offset_m))
+        columns["bound"].append(None if pose is None else _number(pose.offset_bound_m))
+        columns["heading"].append(None if pose is None else _number(pose.heading_rad))
+        columns["steering"].append(None if word.command is None else _number(word.command.steering_rad))
+        columns["ms"].append(None if word.time_ms is None else _number(word.time_ms))
+    return {**columns, "marks": [[round(t, 3), text] for t, text in run.marks(eye)]}
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if math.isfinite(value) else None
+
+
+def serve(run: ViewedRun, port: int) -> None:
+    """Serve the page on this machine alone until Ctrl-C; prints its address. Raises ConfigError for a port in use."""
+    asyncio.run(_serve(run, port))
+
+
+async def _serve(run: ViewedRun, port: int) -> None:
+    access = Access()
+    runner = web.AppRunner(ViewPage(run, access).app(), access_log=None, shutdown_timeout=0.5)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, HOST, port).start()
+    except OSError as error:
+        await runner.cleanup()
+        raise ConfigError(f"--port {port}: cannot be served: {error.strerror}; choose another port") from None
+    over = asyncio.Event()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(name, over.set)
+    say(f"open http://{HOST}:{runner.addresses[0][1]}/#{access.token} ; Ctrl-C ends it")
+    try:
+        await over.wait()
+    finally:
+        await runner.cleanup()
