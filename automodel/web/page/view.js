@@ -19,6 +19,7 @@ let since = 0; // wall time [ms] and run's time [s] at which playing began
 let from = 0;
 let socket = null;
 let pictureUrl = "";
+let drawn = ""; // what the plots show
 
 const canvases = PLOTS.map(([title]) => {
   const head = document.createElement("h2");
@@ -236,9 +237,6 @@ function drawMap() {
 function facts() {
   const track = run.eyes[eye];
   const texts = [["Time", run.t[now].toFixed(2) + " s"], ["Frame", String(run.frames[now])], ["Lane", track.status[now]], ["Pipeline", eye]];
-  const key = JSON.stringify(texts);
-  if (at("values").dataset.key === key) return;
-  at("values").dataset.key = key;
   at("values").replaceChildren(...texts.map(([name, text]) => {
     const box = document.createElement("div");
     const [head, value] = [document.createElement("dt"), document.createElement("dd")];
@@ -256,9 +254,13 @@ function drawAll() {
       if (t >= duration()) playing = false;
     }
     at("play").textContent = playing ? "Pause" : "Play";
-    facts();
-    PLOTS.forEach((what, i) => plot(canvases[i], what));
-    drawMap();
+    const key = [now, eye, at("map").clientWidth, canvases[0][0].clientWidth, window.devicePixelRatio, ink("--ink")].join();
+    if (key !== drawn) {
+      drawn = key;
+      facts();
+      PLOTS.forEach((what, i) => plot(canvases[i], what));
+      drawMap();
+    }
   }
   requestAnimationFrame(drawAll);
 }
