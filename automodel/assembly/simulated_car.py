@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -25,7 +26,7 @@ from automodel.sim.sources import LockStepSource, RealTimeWorld
 from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import FullSizeWorld, Scene, UltrasonicRanges, World
+from automodel.sim.world import EyePair, FullSizeWorld, Scene, UltrasonicRanges, World
 from firmware_link.can_receiver import load_dbc
 from firmware_link.emulator.autonomos import EmulatedAutonomos
 from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
@@ -89,6 +90,14 @@ def renderer(track: Track, car: CarConfig, look: Appearance, nod_max_rad: float 
     return Renderer(paint, track.floor, track.obstacles, eye, look, roadside=track.roadside, nod_max_rad=nod_max_rad)
 
 
+def eyes(track: Track, car: CarConfig, look: Appearance) -> Renderer | EyePair:
+    """The camera of `car` over `track`, or both of a pair, each with noise of its own."""
+    cameras = (dataclasses.replace(car, camera=camera) for camera in car.camera.eyes)
+    seeds = (dataclasses.replace(look, noise_seed=look.noise_seed + number) for number in range(2))
+    renderers = [renderer(track, one, own) for one, own in zip(cameras, seeds, strict=False)]
+    return EyePair(*renderers) if len(renderers) > 1 else renderers[0]
+
+
 def build_world(car: CarConfig, simulation: Simulation) -> World:
     """The scale car at the start of its lane, standing."""
     vehicle = car.vehicle
@@ -96,7 +105,7 @@ def build_world(car: CarConfig, simulation: Simulation) -> World:
     bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
     track, start, follower, reach = _surroundings(car, simulation)
     ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
-    eye = renderer(track, car, appearance(simulation.style, simulation.seed))
+    eye = eyes(track, car, appearance(simulation.style, simulation.seed))
     return World(Plant(true, start, ranges), eye, follower, reach)
 
 
@@ -104,7 +113,7 @@ def build_full_size_world(car: CarConfig, simulation: Simulation) -> FullSizeWor
     """The full-size car at the start of its lane, standing; its centre of mass where ours is by default."""
     true = FullSizeConfig(wheelbase_m=car.vehicle.wheelbase_m, cg_to_front_m=0.47 * car.vehicle.wheelbase_m)
     track, start, follower, reach = _surroundings(car, simulation)
-    eye = renderer(track, car, appearance(simulation.style, simulation.seed))
+    eye = eyes(track, car, appearance(simulation.style, simulation.seed))
     return FullSizeWorld(FullSizePlant(true, start), eye, follower, reach)
 
 
@@ -178,9 +187,12 @@ def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
     if simulation.link == "can":
         raise ConfigError("--realtime: the full-size car on its CAN bus is simulated in lock-step only")
     shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
+    pair = car.camera.right is not None
+    shape = (2, *shape) if pair else shape
     with contextlib.ExitStack() as leaving:
         program = _program(car, simulation, leaving)
-        source = RealTimeWorld(served_world, (car, simulation, program), shape, car.camera.rate_hz, on_scene)
+        arguments = (car, simulation, program)
+        source = RealTimeWorld(served_world, arguments, shape, car.camera.rate_hz, on_scene, pair=pair)
         leaving.callback(source.close)
         link = _link(car, simulation, SerialTransport(source.port, car.link.baud))
         return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)

@@ -17,8 +17,10 @@ KITS = {  # each in automodel/cli/kits/<name>.toml
     "jetracer": "JetRacer: its Jetson and camera; an Arduino Nano replaces its servo driver.",
     "full-size": "A full-size car on a CAN bus; as it is written the simulated one.",
     "sim": "The simulated car, no hardware at all.",
+    "sim-stereo": "The simulated car with two cameras.",
 }
 _TRACK = {"full-size": " --track ring"}
+SIMULATED = ("sim", "sim-stereo", "full-size")
 _NEXT = "next: measure what is marked +, then: automodel doctor --car"
 
 
@@ -40,9 +42,7 @@ def command(kit: str | None, out: Path, listing: bool, force: bool) -> int:
         raise click.BadParameter(f"expected one of {', '.join(KITS)}, got {kit!r}", param_hint="KIT")
     backup = write_new(out, kit_text(kit), force)
     say(f"{out}: written for {kit}" + (f"; the old one is {backup}" if backup else ""))
-    say(
-        f"{_NEXT} {out}" if kit not in ("sim", "full-size") else f"next: automodel run --car {out}{_TRACK.get(kit, '')}"
-    )
+    say(f"{_NEXT} {out}" if kit not in SIMULATED else f"next: automodel run --car {out}{_TRACK.get(kit, '')}")
     return 0
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from automodel.config.toml_reader import not_negative, positive
 
@@ -68,3 +68,11 @@ class CameraConfig:
     def __post_init__(self) -> None:
         positive(self, "width_px", "height_px", "rate_hz")
         not_negative(self, "device")
+
+    @property
+    def eyes(self) -> tuple[CameraConfig, ...]:
+        """Each camera by itself: this one, and the right one where there is a pair."""
+        left = replace(self, right=None)
+        if self.right is None:
+            return (left,)
+        return left, replace(left, intrinsics=self.right.intrinsics, extrinsics=self.right.extrinsics)

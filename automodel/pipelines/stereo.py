@@ -13,7 +13,7 @@ import numpy as np
 from automodel.config import CarConfig
 from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
 from automodel.estimation.parabola.plane_filter import PlaneFilter
-from automodel.geometry import CameraModel, GroundCamera, View
+from automodel.geometry import GroundCamera, View
 from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
 from automodel.perception.line_scan import LineScan, ScanConfig
 from automodel.perception.markings.marking_width import MarkingWidth
@@ -245,13 +245,11 @@ class Stereo:
     @staticmethod
     def rig(car: CarConfig) -> StereoRig:
         """Both cameras of a car; raises ValueError without a second one, and for two at the same place."""
-        second = car.camera.right
-        if second is None:
+        if car.camera.right is None:
             raise ValueError(
                 "needs two cameras: car.toml has no [camera.right.intrinsics] and [camera.right.extrinsics]"
             )
-        model = CameraModel(second.intrinsics, car.camera.width_px, car.camera.height_px)
-        rig = StereoRig(GroundCamera.from_config(car.camera), GroundCamera(model, second.extrinsics))
+        rig = StereoRig(*map(GroundCamera.from_config, car.camera.eyes))
         if rig.baseline_m < 1e-3:
             raise ValueError("[camera.right.extrinsics]: both cameras are at the same place; nothing can be measured")
         return rig

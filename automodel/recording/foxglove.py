@@ -10,7 +10,6 @@ that it is done after the drive (`automodel export --foxglove`), not by the reco
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterable, Iterator
 from importlib import resources
@@ -191,8 +190,8 @@ def _cameras(config: CameraConfig) -> list[tuple[str, str, CameraConfig]]:
     """Topic of the images, frame of reference and configuration of each camera."""
     if config.right is None:
         return [(CAMERA, "camera", config)]
-    second = dataclasses.replace(config, intrinsics=config.right.intrinsics, extrinsics=config.right.extrinsics)
-    return [(LEFT, "camera", config), (RIGHT, "camera/right", second)]
+    left, right = config.eyes
+    return [(LEFT, "camera", left), (RIGHT, "camera/right", right)]
 
 
 def _calibration(config: CameraConfig, frame_id: str, t_ns: int) -> CameraCalibration:

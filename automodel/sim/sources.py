@@ -15,9 +15,17 @@ import numpy as np
 
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.os_signals import signals_held_back
-from automodel.signals import Frame
+from automodel.signals import Frame, StereoFrame
 from automodel.sim.world import Scene, Surroundings
 from automodel.sources.errors import SourceError
+from automodel.types import Image
+
+
+def frame_of(scene: Scene, image: Image, pair: bool) -> Frame | StereoFrame:
+    """What the camera of a scene gives; of a `pair` the image is (2, h, w), left first."""
+    if pair:
+        return StereoFrame(t_ns=scene.t_ns, index=scene.index, left=image[0], right=image[1])
+    return Frame(t_ns=scene.t_ns, index=scene.index, image=image)
 
 
 class LockStepSource:
@@ -41,7 +49,7 @@ class LockStepSource:
         self._on_scene = on_scene
         self._start_ns, self._rate_hz, self._index = clock.now_ns(), rate_hz, 0
 
-    def read(self, timeout_s: float) -> Frame | None:
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The next frame; None, with `timeout_s` elapsed, if none is due within it."""
         now_ns = self.clock.now_ns()
         taken = int((now_ns - self._start_ns) * 1e-9 * self._rate_hz)
@@ -56,7 +64,7 @@ class LockStepSource:
         image, scene = self.world.capture(t_ns, self._index)
         self._on_scene(scene)
         self.clock.advance_to(max(t_ns, now_ns) + self._latency_ns)
-        return Frame(t_ns=t_ns, index=self._index, image=image)
+        return frame_of(scene, image, self.world.pair)
 
     def _time_of(self, index: int) -> int:
         return self._start_ns + round(index * 1e9 / self._rate_hz)
@@ -93,7 +101,7 @@ class RealTimeWorld:
 
     `factory(*arguments)` builds the world in the child process; `port` is the serial port of its board. Frames come
     through shared memory (a ring of `SLOTS`), announced over a pipe. They are rendered ahead (see `World`) and arrive
-    at their capture time.
+    at their capture time. `shape` is that of an image; with `pair` of two, (2, h, w).
     """
 
     START_TIMEOUT_S = 20.0
@@ -106,13 +114,15 @@ class RealTimeWorld:
         shape: tuple[int, ...],
         rate_hz: float,
         on_scene: Callable[[Scene], None],
+        *,
+        pair: bool = False,
     ) -> None:
         context = multiprocessing.get_context("spawn")
         size = int(np.prod(shape))
         memory = context.RawArray("B", size * SLOTS)
         self._slots = np.frombuffer(memory, dtype=np.uint8).reshape((SLOTS, *shape))
         self._pipe, theirs = context.Pipe()
-        self._on_scene = on_scene
+        self._on_scene, self._pair = on_scene, pair
         self._process = context.Process(
             target=_serve, args=(factory, arguments, memory, shape, rate_hz, theirs), daemon=True
         )
@@ -125,7 +135,7 @@ class RealTimeWorld:
             self.close()
             raise
 
-    def read(self, timeout_s: float) -> Frame | None:
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The newest frame, None if none came in time; raises SourceError when the world's process has died.
 
         Older frames are dropped: the ring may have been overwritten.
@@ -140,7 +150,7 @@ class RealTimeWorld:
                     break
         except (EOFError, OSError) as error:
             raise SourceError("the simulated world's process has ended") from error
-        return Frame(t_ns=scene.t_ns, index=scene.index, image=self._slots[slot].copy())
+        return frame_of(scene, self._slots[slot].copy(), self._pair)
 
     def close(self) -> None:
         """End the world's process."""

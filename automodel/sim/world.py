@@ -142,17 +142,21 @@ class Surroundings(Generic[DynamicsT]):
     """The plant behind a lock (a served board has its own thread), with its camera and ground truth.
 
     The plant's actuators have dead times, during which its motion is already determined: `capture` can render a frame
-    ahead of its time and be exact. `reach` gives `Scene.reach_m`.
+    ahead of its time and be exact. `reach` gives `Scene.reach_m`. `pair`: the car has two cameras.
     """
 
     def __init__(
         self, plant: DynamicsT, renderer: Eye, follower: TruthFollower, reach: Callable[[CarState], float]
     ) -> None:
         self.plant, self.renderer, self.follower, self._reach = plant, renderer, follower, reach
+        self.pair = isinstance(renderer, EyePair)
         self._lock = threading.Lock()
 
     def capture(self, t_ns: int, index: int) -> tuple[Image, Scene]:
-        """Image and truth at `t_ns`, which is now or at most the plant's shortest dead time ahead."""
+        """Image and truth at `t_ns`, which is now or at most the plant's shortest dead time ahead.
+
+        Of two cameras the images of both, left first: (2, h, w).
+        """
         with self._lock:
             car = self.plant.predicted(t_ns)
         image = self.renderer.render(car.x_m, car.y_m, car.yaw_rad, car.speed_mps, car.yaw_rate_radps, index)
@@ -202,6 +206,19 @@ class Eye(Protocol):
     ) -> Image:
         """The image from a pose of the body frame."""
         ...
+
+
+class EyePair:
+    """Two cameras that look at the same time; an `Eye` whose image is that of both, left first: (2, h, w)."""
+
+    def __init__(self, left: Eye, right: Eye) -> None:
+        self._eyes = left, right
+
+    def render(
+        self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
+    ) -> Image:
+        """Both images from a pose of the body frame."""
+        return np.stack([eye.render(x_m, y_m, yaw_rad, speed_mps, yaw_rate_radps, index) for eye in self._eyes])
 
 
 class TrueLane:

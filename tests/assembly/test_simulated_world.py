@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import Frame
+from automodel.signals import Frame, StereoFrame
 from automodel.sim.sources import LockStepSource, RealTimeWorld
-from automodel.sim.world import Scene, World
+from automodel.sim.world import EyePair, Scene, World
 from automodel.sources.errors import SourceError
 from tests.support import spawned_worlds
-from tests.support.spawned_worlds import SHAPE, small_world
+from tests.support.spawned_worlds import SHAPE, CountingRenderer, small_world
 
 MS = 1_000_000
 RIGHT_US, FORWARD_US = 1800.0, 1700.0
@@ -86,7 +86,7 @@ class TestLockStep:
         frames = []
         for _ in range(120):
             frame = source.read(0.1)
-            assert frame is not None
+            assert isinstance(frame, Frame)
             frames.append(frame)
             assert clock.now_ns() == frame.t_ns + 3 * MS  # the loop's own time
         assert [f.index for f in frames] == list(range(1, 121))
@@ -149,12 +149,22 @@ class TestLockStep:
             pictures = []
             for _ in range(30):
                 frame = source.read(0.1)
-                assert frame is not None
+                assert isinstance(frame, Frame)
                 pictures.append(frame.image.tobytes())
             told.append((pictures, scenes))
         assert told[0] == told[1]
         source.close()
         source.close()
+
+    def test_two_cameras_look_at_the_same_time(self) -> None:
+        world = small_world(EyePair(CountingRenderer(), CountingRenderer(first=100)))
+        source = LockStepSource(world, settled_clock(world), 50.0, 0, lambda scene: None)
+        for index in (1, 2):
+            frame = source.read(0.1)
+            assert isinstance(frame, StereoFrame)
+            assert (frame.t_ns, frame.index) == (index * 20 * MS, index)
+            assert (frame.left[0, 0], frame.right[0, 0]) == (index, 100 + index)
+            assert frame.left.shape == frame.right.shape == SHAPE
 
 
 @pytest.mark.realtime
@@ -167,7 +177,7 @@ class TestRealTime:
             frames: list[Frame] = []
             while len(frames) < 15:
                 frame = world.read(10.0)
-                assert frame is not None
+                assert isinstance(frame, Frame)
                 assert frame.t_ns <= time.monotonic_ns()
                 frames.append(frame)
         finally:
@@ -179,6 +189,15 @@ class TestRealTime:
             assert frame.image.shape == SHAPE
             assert frame.image[0, 0] == frame.index % 256
             assert (scene.t_ns, scene.index) == (frame.t_ns, frame.index)
+
+    def test_a_pair_comes_whole(self) -> None:
+        world = RealTimeWorld(spawned_worlds.seeing_double, (), (2, *SHAPE), 50.0, lambda scene: None, pair=True)
+        try:
+            frame = world.read(10.0)
+        finally:
+            world.close()
+        assert isinstance(frame, StereoFrame)
+        assert (frame.left[0, 0], frame.right[0, 0]) == (frame.index, 100 + frame.index)
 
     def test_nothing_in_time_is_none(self) -> None:
         world = RealTimeWorld(spawned_worlds.living, (), SHAPE, 0.05, lambda scene: None)

@@ -10,13 +10,16 @@ from automodel.geometry import SE2
 from automodel.sim.plant import CarState, Plant, PlantConfig
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import World
+from automodel.sim.world import EyePair, World
 
 SHAPE = (4, 6)
 
 
 class CountingRenderer:
-    """Pictures that say their index and where the car is."""
+    """Pictures that say their index, counted from `first`, and where the car is."""
+
+    def __init__(self, first: int = 0) -> None:
+        self.first = first
 
     def render(
         self,
@@ -28,7 +31,7 @@ class CountingRenderer:
         index: int = 0,
     ) -> np.ndarray:
         picture = np.zeros(SHAPE, np.uint8)
-        picture[0, 0] = index % 256
+        picture[0, 0] = (self.first + index) % 256
         picture[1] = int(1000 * x_m) % 256
         return picture
 
@@ -72,6 +75,10 @@ def reach(state: CarState) -> float:
 
 def living() -> tuple[World, NoPort]:
     return small_world(), NoPort()
+
+
+def seeing_double() -> tuple[World, NoPort]:
+    return small_world(EyePair(CountingRenderer(), CountingRenderer(first=100))), NoPort()
 
 
 def dying() -> tuple[World, NoPort]:
