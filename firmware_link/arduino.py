@@ -198,7 +198,7 @@ class ArduinoLink:
             self._follow_up(session, now_ns)
 
     def disarm(self, now_ns: int) -> None:
-        """Neutral and straight at once; repeated until the board confirms it."""
+        """Neutral at once, straight once the car has rolled out; repeated until the board confirms it."""
         session = self._live()
         _end_arming(session)
         if session.hello is not None:

@@ -212,7 +212,7 @@ class Arm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disarm:
-    """Neutral and straight at once; accepted in every state, and invalidates every earlier Arm."""
+    """Neutral at once, straight after the roll-out; accepted in every state, and invalidates every earlier Arm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

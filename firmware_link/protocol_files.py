@@ -43,6 +43,7 @@ def _constants() -> str:
             f"constexpr uint16_t kPulseMin = {_steps(low_us)};  // [0.5 us]",
             f"constexpr uint16_t kPulseMax = {_steps(high_us)};  // [0.5 us]",
             f"constexpr uint16_t kCommandTimeoutMs = {logic.COMMAND_TIMEOUT_MS};",
+            f"constexpr uint16_t kRollOutMs = {logic.ROLL_OUT_MS};",
             f"constexpr uint16_t kMaxDeadlineMs = {logic.MAX_DEADLINE_MS};",
             f"constexpr uint16_t kNonceStep = {logic.NONCE_STEP:#06x};",
         ]

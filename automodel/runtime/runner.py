@@ -309,7 +309,8 @@ class Runner:
 
     def _park(self) -> None:
         now_ns = self._clock.now_ns()
-        self._link.send(self._standstill(0.0, now_ns), now_ns)
+        # A car that is being driven rolls out as after every stop; what is on the wire is straight otherwise.
+        self._link.send(self._standstill(self._on_wire.steering_rad, now_ns), now_ns)
         self._link.disarm(now_ns)
         self._run_log.note(Event(t_ns=now_ns, kind="end", text=self._end))
 

@@ -20,11 +20,16 @@ disarms itself in such a pause, as it must: for `STALL_S` from then on it is ask
     DISARMED          | auto-arm not yet used up, healthy for rearm_s            | ARMING   | NEUTRAL, arm
     ARMING            | unwell, broken or ARM_TIMEOUT_S over                     | DISARMED | NEUTRAL, disarm
     ARMING            | the vehicle says it is armed, healthy frame in this cycle | DRIVING  | PASS
-    DRIVING           | broken                                                   | STOPPED  | NEUTRAL, disarm
-    DRIVING           | unwell, and held holds_max times in holds_window_s       | STOPPED  | NEUTRAL, disarm
+    DRIVING           | broken                                                   | STOPPED  | roll out, disarm
+    DRIVING           | unwell, and held holds_max times in holds_window_s       | STOPPED  | roll out, disarm
     DRIVING           | unwell                                                   | HOLD     | HOLD_STEERING
-    HOLD              | broken, or hold_s over                                   | STOPPED  | NEUTRAL, disarm
+    HOLD              | broken, or hold_s over                                   | STOPPED  | roll out, disarm
     HOLD              | healthy frame in this cycle                               | DRIVING  | PASS
+
+*Roll out* is HOLD_STEERING for `ROLL_OUT_S`, then NEUTRAL: a car that is stopped in a bend still rolls, and with
+straight wheels it would roll out of its lane. The throttle is neutral from the first moment, whoever stops the car and
+why; the steering is the one sent last, which no later frame changes and nothing prolongs: the next mode ends it. A
+board that is disarmed holds it for the same time by itself (`firmware_link`).
 
 The first row that fits counts, and nothing else changes the mode. TRACKING, ONE_LINE and COASTING all drive; driving
 slower on less is the controller's task. A request is never remembered: a car that starts off seconds after the key
@@ -51,6 +56,7 @@ STALL_S = 0.3  # after a longer pause of the loop a person must look, however sl
 FUTURE_S = 0.05  # a frame further ahead of the clock than this carries a wrong time
 LINK_SILENCE_S = 0.1  # a vehicle that has said nothing for so long is gone: of 150 ms for a stop 45 are left then
 ARM_TIMEOUT_S = 1.0  # the vehicle's time to say that it is armed
+ROLL_OUT_S = 2.0  # a car that freewheels from 1.3 m/s stands by then (0.5 to 2 s by motor controller and speed)
 REPEAT_S = 0.1  # arm and disarm are asked for again so often while the vehicle does not follow: a wire may lose bytes
 
 
@@ -61,7 +67,7 @@ class SafetyMode(enum.Enum):
     ARMING = "ARMING"  # the vehicle has been asked to take commands, and has not yet said that it does
     DRIVING = "DRIVING"
     HOLD = "HOLD"  # steering held, neutral throttle, for a bounded time
-    STOPPED = "STOPPED"  # straight, neutral, latched until a person arms again
+    STOPPED = "STOPPED"  # neutral, straight once it has rolled out; latched until a person arms again
 
 
 class Action(enum.Enum):
@@ -248,7 +254,7 @@ class Safety:
         action, arm, disarm = Action.NEUTRAL, False, False
         if self._mode is SafetyMode.DRIVING:
             action = Action.PASS
-        elif self._mode is SafetyMode.HOLD:
+        elif self._mode is SafetyMode.HOLD or self._rolls_out(now_ns):
             action = Action.HOLD_STEERING
         due = self._asked_ns is None or now_ns - self._asked_ns >= REPEAT_S * NS_PER_S
         armed = inputs.state is not None and inputs.state.armed
@@ -260,6 +266,10 @@ class Safety:
             self._asked_ns = now_ns
             self._must_disarm = False
         return SafetyDecision(mode=self._mode, action=action, arm=arm, disarm=disarm, reason=reason, events=events)
+
+    def _rolls_out(self, now_ns: int) -> bool:
+        rolled_ns = now_ns - self._since_ns
+        return self._mode is SafetyMode.STOPPED and 0 <= rolled_ns < ROLL_OUT_S * NS_PER_S
 
     def _clock_fault(self, inputs: SafetyInputs, now_ns: int) -> tuple[str | None, str | None]:
         """How the loop has stood still where the car can be held for it, and what is wrong with time where it cannot.

@@ -58,15 +58,18 @@ class EmulatedArduino(UartBoard):
     DISARMED     Command                                     DISARMED, ignored
     ARMED        Command, fresh, counter 1..127 ahead,       ARMED, timer restarts; the pulses, clamped and
                  deadline 0..150 ms ahead                    slewed, from the next servo frame on
-    ARMED        Command, not fresh, counter ahead           ARMED, straight and neutral; the timer keeps running
+    ARMED        Command, not fresh, counter ahead           ARMED, rolls out; the timer keeps running
     ARMED        Command that is late, repeated, invalid     ARMED, a fault; otherwise ignored
     ARMED        Limits; Arm                                 ARMED, fault LIMITS_REFUSED; nothing
     ARMED        command timer: 100 ms without a fresh one   DISARMED (latched), new nonce, fault COMMAND_TIMEOUT
     any but BOOT Disarm                                      DISARMED, new nonce
     ===========  ==========================================  =====================================================
 
-    DISARMED always means straight and neutral, without slewing, from the next servo frame on. It ends with an Arm that
-    the host sends on a person's request: the nonce changes with every disarming, so that no older Arm is valid.
+    DISARMED always means neutral, without slewing, from the next servo frame on. A car that drove rolls out: the
+    steering of the last command stays, so that a car that coasts through a bend stays in its lane, and is straight
+    after 2 s, or at once with an Arm, new Limits or a restart. Nothing prolongs the 2 s from the first neutral on.
+    DISARMED ends with an Arm that the host sends on a person's request: the nonce changes with every disarming, so
+    that no older Arm is valid.
     What is straight and neutral is in the Limits: without valid ones (flag NO_LIMITS) there are no pulses.
     COMMAND_TIMEOUT is reported until the next valid Arm.
 
@@ -135,9 +138,9 @@ class EmulatedArduino(UartBoard):
         if self._state is not _State.RUN:
             return self._until_ns
         due = min(self._servo_due_ns, self._status_due_ns, self._sensors_due_ns, self._hello_due_ns)
-        timer_ms = self._logic.timer.due_ms
-        if timer_ms is not None:
-            due = min(due, self._start_ns + timer_ms * TICK_NS)
+        for due_ms in (self._logic.timer.due_ms, self._logic.pulses.straight_ms):
+            if due_ms is not None:
+                due = min(due, self._start_ns + due_ms * TICK_NS)
         arrival_ns = self._rx.next_ns()
         if arrival_ns is not None:
             ticks = -(-(arrival_ns - self._start_ns) // TICK_NS)
@@ -203,7 +206,7 @@ class EmulatedArduino(UartBoard):
         elif isinstance(message, messages.Arm):
             self._logic.on_arm(message, frame.counter, t_ms)
         elif isinstance(message, messages.Disarm):
-            self._logic.on_disarm()
+            self._logic.on_disarm(t_ms)
         elif isinstance(message, messages.Limits):
             if self._logic.on_limits(message):
                 self._limits = message

@@ -12,6 +12,7 @@ from firmware_link import messages
 from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fault, Limits, StatusFlag
 
 COMMAND_TIMEOUT_MS = 100
+ROLL_OUT_MS = 2000  # how long a model car rolls at neutral with a freewheeling motor controller, at most
 MAX_DEADLINE_MS = 150  # a deadline further ahead is a past one, wrapped around
 
 
@@ -141,6 +142,7 @@ class Pulses:
 
     def __init__(self, limits: Limits) -> None:
         self.limits = limits
+        self.straight_ms: int | None = None  # when a car that rolls out gets straight wheels
         self.straighten()
 
     @property
@@ -151,11 +153,27 @@ class Pulses:
     def set_target(self, servo_us: float, motor_us: float) -> None:
         """Set the pulses from the next servo frame on."""
         limits = self.limits
+        self.straight_ms = None
         self._servo_target_us = min(max(servo_us, limits.servo_min_us), limits.servo_max_us)
         self._motor_target_us = min(max(motor_us, limits.motor_min_us), limits.motor_max_us)
 
+    def roll_out(self, t_ms: int) -> None:
+        """Neutral from the next servo frame on, without slewing; the steering goes on to its target, then straight.
+
+        It is straight `ROLL_OUT_MS` later. A car that is rolling out already is given no more time.
+        """
+        self.motor_us = self._motor_target_us = self.limits.motor_neutral_us
+        if self.straight_ms is None:
+            self.straight_ms = t_ms + ROLL_OUT_MS
+
+    def tick(self, t_ms: int) -> None:
+        """Each millisecond: end the roll-out."""
+        if self.straight_ms is not None and t_ms >= self.straight_ms:
+            self.straighten()
+
     def straighten(self) -> None:
         """Straight and neutral from the next servo frame on, without slewing."""
+        self.straight_ms = None
         self.servo_us = self._servo_target_us = self.limits.servo_straight_us
         self.motor_us = self._motor_target_us = self.limits.motor_neutral_us
 
@@ -194,7 +212,7 @@ class BoardLogic:
             self.timer.feed(t_ms)
             self.pulses.set_target(command.servo_us, command.motor_us)
         else:
-            self.pulses.straighten()
+            self.pulses.roll_out(t_ms)
 
     def on_arm(self, message: Arm, counter: int, t_ms: int) -> None:
         """Disarmed -> armed; the first fresh command must follow within the timer's 100 ms."""
@@ -204,14 +222,15 @@ class BoardLogic:
             self.event(Fault.ARM_REFUSED)
             return
         self._timed_out = False
+        self.pulses.straighten()
         self._gate.start(counter)
         self.timer.feed(t_ms)
 
-    def on_disarm(self) -> None:
-        """Any state -> disarmed."""
+    def on_disarm(self, t_ms: int) -> None:
+        """Any state -> disarmed; a car that drove rolls out."""
         self.arming.disarm()
         self.timer.stop()
-        self.pulses.straighten()
+        self.pulses.roll_out(t_ms)
 
     def on_limits(self, limits: Limits) -> bool:
         """Accept new limits while disarmed; gives whether they were accepted."""
@@ -222,9 +241,10 @@ class BoardLogic:
         return True
 
     def tick(self, t_ms: int) -> None:
-        """Each millisecond, after the messages: disarm if the timer has expired."""
+        """Each millisecond, after the messages: end the roll-out, and disarm if the timer has expired."""
+        self.pulses.tick(t_ms)
         if self.timer.expired(t_ms):
-            self.on_disarm()
+            self.on_disarm(t_ms)
             self._timed_out = True
 
     def event(self, fault: Fault) -> None:

@@ -19,6 +19,7 @@ from firmware_link.transport import MemoryTransport
 
 MS = 1_000_000
 STRAIGHT = (1520.0, 1500.0)
+ROLLING = (1310.0, 1500.0)  # neutral, and the steering of the last command as long as the car rolls
 
 
 def test_closed_link_does_nothing(make_rig: Callable[..., Any]) -> None:
@@ -53,7 +54,7 @@ def test_command_timer_runs_out_between_95_and_105_ms(virtual: Any) -> None:
         assert 95 * MS <= virtual.now_ns() - sent_ns <= 105 * MS
         virtual.wait(20 * MS)
         virtual.link.poll(virtual.now_ns())
-        t_ns, *_ = next(p for p in virtual.peripherals.pulses if p[0] > sent_ns + 90 * MS and p[1:] == STRAIGHT)
+        t_ns, *_ = next(p for p in virtual.peripherals.pulses if p[0] > sent_ns + 90 * MS and p[1:] == ROLLING)
         assert 95 * MS <= t_ns - sent_ns <= 125 * MS  # at the pin
         virtual.wait(100 * MS)
 
@@ -81,7 +82,7 @@ def test_not_finite_goes_out_as_neutral(virtual: Any, bad: float) -> None:
         virtual.link.send(virtual.command(steering_rad, speed_mps), virtual.now_ns())
         virtual.wait(25 * MS)
         virtual.link.poll(virtual.now_ns())
-        assert virtual.peripherals.at_pins == STRAIGHT
+        assert virtual.peripherals.at_pins == ROLLING
         virtual.drive(0.2, 1.0, (1310.0, 1600.0))
 
 
@@ -145,7 +146,7 @@ def test_arm_frame_of_another_arming_is_worth_nothing(virtual: Any) -> None:
         virtual.wait(2 * MS)
         virtual.link.poll(virtual.now_ns())
     assert not virtual.board.armed
-    assert virtual.peripherals.at_pins == STRAIGHT
+    assert virtual.peripherals.at_pins == ROLLING
 
 
 def test_lost_frames_of_the_handshake_are_sent_again(make_rig: Callable[..., Any]) -> None:
@@ -244,7 +245,7 @@ def test_stale_command_is_neutral_at_once_while_still_armed(virtual: Any) -> Non
     virtual.wait(23 * MS)
     state = virtual.link.poll(virtual.now_ns())
     assert state.armed
-    assert virtual.peripherals.at_pins == STRAIGHT
+    assert virtual.peripherals.at_pins == ROLLING
 
 
 def written(rig: Any) -> list[Any]:
@@ -316,7 +317,7 @@ def test_commands_are_neutral_after_disarm_even_when_the_disarm_is_lost(virtual:
         virtual.wait(10 * MS)
         assert not virtual.link.poll(virtual.now_ns()).armed
     assert virtual.board.armed
-    assert virtual.peripherals.at_pins == STRAIGHT
+    assert virtual.peripherals.at_pins == ROLLING
     virtual.cable.write = pass_on
     virtual.wait(10 * MS)
     virtual.link.send(virtual.command(0.2, 1.0), virtual.now_ns())

@@ -147,18 +147,58 @@ def test_timer_counts_from_the_last_fresh_command_only(make_bench: Callable[...,
     assert not bench.board.armed
     assert 95 * MS <= bench.t_ns - fed_ns <= 112 * MS
     bench.wait(20)
-    assert bench.peripherals.at_pins == NEUTRAL
+    assert bench.peripherals.at_pins == (1600.0, 1500.0)
 
 
-def test_command_that_is_not_fresh_is_straight_and_neutral_at_once(make_bench: Callable[..., Any]) -> None:
+def rolling(make_bench: Callable[..., Any]) -> Any:
+    """An armed board's steering at 1900 us, the motor at 1600 us."""
     bench = make_bench().running().arm()
     bench.send(bench.command(1900.0, 1600.0))
     bench.wait(60)
     assert bench.peripherals.at_pins == (1900.0, 1600.0)
-    bench.send(bench.command(1900.0, 1600.0, flags=0))
+    return bench
+
+
+def test_command_that_is_not_fresh_is_neutral_at_once_and_keeps_the_steering(make_bench: Callable[..., Any]) -> None:
+    bench = rolling(make_bench)
+    bench.send(bench.command(1100.0, 1600.0, flags=0))
     bench.wait(22)
-    assert bench.peripherals.at_pins == NEUTRAL
+    assert bench.peripherals.at_pins == (1900.0, 1500.0)
     assert bench.board.armed
+
+
+def test_steering_is_kept_for_2_s_after_the_first_neutral_and_nothing_prolongs_it(
+    make_bench: Callable[..., Any],
+) -> None:
+    bench = rolling(make_bench)
+    start_ns = bench.t_ns
+    bench.send(bench.command(flags=0))
+    bench.wait(40)
+    while bench.t_ns < start_ns + 1940 * MS:
+        bench.send(messages.Disarm())
+        bench.send(bench.command(1100.0, 1600.0))  # nobody is armed any more
+        bench.wait(50)
+        assert bench.peripherals.at_pins == (1900.0, 1500.0)
+    bench.wait(90)
+    assert bench.peripherals.at_pins == NEUTRAL
+    straight_ns = next(t for t, servo_us, _ in bench.peripherals.pulses if t > start_ns and servo_us == NEUTRAL[0])
+    assert 2000 * MS <= straight_ns - start_ns <= 2025 * MS
+
+
+@pytest.mark.parametrize("how", ["arm", "limits", "reset"])
+def test_an_arm_new_limits_or_a_restart_end_the_roll_out(make_bench: Callable[..., Any], how: str) -> None:
+    bench = rolling(make_bench)
+    bench.send(messages.Disarm())
+    bench.wait(42)
+    assert bench.peripherals.at_pins == (1900.0, 1500.0)
+    if how == "arm":
+        bench.arm()
+    elif how == "limits":
+        bench.send(WIDE_LIMITS)
+    else:
+        bench.board.reset(bench.t_ns)
+    bench.wait(42)
+    assert bench.peripherals.at_pins == NEUTRAL
 
 
 @pytest.mark.parametrize(
@@ -206,6 +246,6 @@ def test_disarm_is_taken_in_every_state_and_voids_arms_under_way(make_bench: Cal
     bench.wait(22)
     bench.send(messages.Disarm())
     bench.wait(22)
-    assert bench.peripherals.at_pins == NEUTRAL
+    assert bench.peripherals.at_pins == (1600.0, 1500.0)
     assert bench.faults() == 0
     assert bench.status.nonce != nonce

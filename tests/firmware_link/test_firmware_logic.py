@@ -156,7 +156,9 @@ class Pair:
         elif what < 0.005:
             self.emulated.hang(self.t_ns)
             self.compiled.hang(self.t_ns)
-        elif what < 0.02:
+        elif what < 0.015:
+            self.wait(round(rng.uniform(1.9e9, 2.3e9)))  # a car that was armed has rolled out, or nearly
+        elif what < 0.03:
             self.send(rng.randbytes(rng.choice([1, 5, 30, 300])))
         else:
             self.counter = (self.counter + rng.choices([1, 0, 2, 200], [90, 4, 4, 2])[0]) & 0xFF

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from automodel.bench.faults import measure
 from automodel.bench.faults.fault import BOUND_S
 from automodel.config import SafetyConfig
 from automodel.runtime import safety
@@ -32,3 +33,8 @@ def test_the_last_command_of_a_host_that_falls_silent_ends_in_time() -> None:
 def test_a_held_car_goes_on_by_itself_only_before_anybody_could_arm_it() -> None:
     assert CONFIG.hold_s < CONFIG.rearm_s
     assert CONFIG.hold_s >= safety.STALL_S
+
+
+def test_host_and_board_hold_the_steering_of_a_stopped_car_for_the_time_that_it_rolls() -> None:
+    assert measure.COAST_S[1] == safety.ROLL_OUT_S
+    assert safety.ROLL_OUT_S * 1e3 == logic.ROLL_OUT_MS

@@ -6,7 +6,7 @@ import pytest
 
 from automodel.runtime.loop import Loop
 from automodel.runtime.runner import RunConfig, RunEnd, Runner, RunParts
-from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_neutral, assert_parked, sent
+from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_parked, sent
 from tests.support.runner_fakes import MS, frames
 
 
@@ -82,7 +82,7 @@ def test_hello_after_two_seconds() -> None:
     assert car.watcher.records[0].decision.reason == "the vehicle has not said hello"
 
 
-def test_no_frame_in_time_holds_then_stops_straight() -> None:
+def test_no_frame_in_time_holds_then_stops_and_rolls_out() -> None:
     car = Car(silent_for_ms=600.0)
     car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, STOPPED]
@@ -93,7 +93,7 @@ def test_no_frame_in_time_holds_then_stops_straight() -> None:
     assert {sent(r) for r in held} == {(0.2, 0.0)}
     stopped = next(r for r in after if r.decision.mode is STOPPED)
     assert captured_ns + 360 * MS <= stopped.t_ns <= captured_ns + 380 * MS
-    assert_neutral(stopped.sent)
+    assert sent(stopped) == (0.2, 0.0)
     at_stop = next(i for i, sent in enumerate(car.link.log) if sent.what == "disarm")
     assert car.link.log[at_stop - 1].command == stopped.sent  # neutral went out before the disarm
 

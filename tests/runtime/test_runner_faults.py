@@ -16,7 +16,6 @@ from tests.support.runner_car import (
     HOLD,
     STOPPED,
     Car,
-    assert_neutral,
     assert_parked,
     frame_index,
     sent,
@@ -108,7 +107,7 @@ def test_a_pipeline_that_takes_300_ms_once_stops_the_car() -> None:
     result = car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING, STOPPED]
     record = next(r for r in car.watcher.records if r.decision.mode is STOPPED)
-    assert_neutral(record.sent)
+    assert sent(record) == (0.2, 0.0)
     stop = next(e for e in car.recorder.of("event") if e.kind == "stop")
     assert stop.text == "the loop stood still for 0.316 s"  # 16 ms of waiting for the frame, too
     assert (result.stops, result.overruns) == (1, 1)

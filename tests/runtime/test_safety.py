@@ -120,7 +120,7 @@ def test_a_fault_of_a_frame_lasts_until_the_next_frame() -> None:
 def test_a_person_who_asks_for_a_stop_gets_it_in_the_same_turn(start: str) -> None:
     rig = getattr(Rig(), start)()
     stopped = rig.turn(stop="STOP", age_ms=None, arm=True)
-    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.HOLD_STEERING, True)
     assert rig.events[-1] == ("stop", "STOP")
     assert rig.turns(300).mode is SafetyMode.STOPPED
 
@@ -136,7 +136,7 @@ def test_hold_is_bounded_and_the_stop_latched() -> None:
     held = rig.turns(29, status=LaneStatus.LOST)
     assert (held.mode, held.action) == (SafetyMode.HOLD, Action.HOLD_STEERING)
     stopped = rig.turn(status=LaneStatus.LOST)
-    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.HOLD_STEERING, True)
     assert rig.events[-1] == ("stop", "held for 0.300 s: the lane is lost")
     assert rig.turns(300).mode is SafetyMode.STOPPED
 
@@ -161,7 +161,7 @@ def test_a_good_frame_comes_too_late_when_the_hold_is_over() -> None:
 def test_broken_stops_at_once(mode: SafetyMode, how: dict[str, object], text: str) -> None:
     rig = Rig().drive() if mode is SafetyMode.DRIVING else Rig().hold()
     stopped = rig.turn(**how)  # type: ignore[arg-type]
-    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.NEUTRAL, True)
+    assert (stopped.mode, stopped.action, stopped.disarm) == (SafetyMode.STOPPED, Action.HOLD_STEERING, True)
     assert rig.events[-1][0] == "stop"
     assert rig.events[-1][1].startswith(text)
     assert rig.turns(300).mode is SafetyMode.STOPPED
@@ -418,3 +418,23 @@ def test_frame_due_and_time_fault() -> None:
     assert safety.frame_time_fault(1000 * MS, 1001 * MS) is not None
     assert safety.frame_time_fault(1051 * MS, 1001 * MS) is None
     assert safety.frame_time_fault(1051 * MS + 1, 1001 * MS) is not None
+
+
+def test_a_stopped_car_rolls_out_for_2_s_and_an_arm_ends_it() -> None:
+    rig = Rig().drive()
+    assert rig.turn(stop="STOP").action is Action.HOLD_STEERING
+    assert rig.turns(199, stop="STOP").action is Action.HOLD_STEERING  # asked for again and again: no longer for it
+    assert rig.turn(stop="STOP").action is Action.NEUTRAL
+    assert rig.turn(step_ms=-1500.0).action is Action.HOLD_STEERING  # the clock went back
+    assert rig.turn(step_ms=-1500.0).action is Action.NEUTRAL  # but never before the stop
+    again = Rig().drive()
+    again.turn(stop="STOP")
+    again.turns(60)
+    assert again.turn(arm=True).action is Action.NEUTRAL
+
+
+def test_a_car_that_never_drove_has_straight_wheels() -> None:
+    rig = Rig()
+    rig.turns(60)
+    rig.turn(arm=True)
+    assert (rig.safety.mode, rig.turn(status=LaneStatus.LOST).action) == (SafetyMode.ARMING, Action.NEUTRAL)

@@ -21,6 +21,7 @@ class AnyHistory(RuleBasedStateMachine):
         self.healthy_ms = 0.0
         self.last: SafetyDecision | None = None
         self.unwell_ms = 0.0
+        self.stopped_ms = 0.0  # since the machine stopped
         self.good_turns = 0
         self.stood_ms = 1e9  # since the loop stood still while the car was slow
         self.before = SafetyMode.DISARMED
@@ -47,6 +48,8 @@ class AnyHistory(RuleBasedStateMachine):
             assert self.rig.state.armed
         stood = how.get("age_ms") is None and step_ms > 100.0 and self.rig.speed_mps * step_ms <= 100.0
         self.stood_ms = 0.0 if stood or how.get("work_ms") else self.stood_ms + step_ms
+        stays = decision.mode is SafetyMode.STOPPED and self.before is SafetyMode.STOPPED
+        self.stopped_ms = self.stopped_ms + round(step_ms * 1e6) * 1e-6 if stays else 0.0
         self.unwell_ms = 0.0 if decision.reason is None else self.unwell_ms + step_ms
 
     @rule(step_ms=st.floats(5.0, 40.0), count=st.integers(1, 40))
@@ -109,6 +112,8 @@ class AnyHistory(RuleBasedStateMachine):
         if self.last is None:
             return
         fits = {SafetyMode.DRIVING: Action.PASS, SafetyMode.HOLD: Action.HOLD_STEERING}
+        if self.stopped_ms < 2000.0:
+            fits[SafetyMode.STOPPED] = Action.HOLD_STEERING
         assert self.last.action is fits.get(self.last.mode, Action.NEUTRAL)
         if self.last.mode is SafetyMode.DRIVING:
             assert self.last.reason is None

@@ -16,9 +16,9 @@ from tests.support.runner_car import (
     HOLD,
     STOPPED,
     Car,
-    assert_neutral,
     assert_parked,
     frame_index,
+    sent,
 )
 from tests.support.runner_devices import FakeLink
 from tests.support.runner_fakes import MS, frames
@@ -94,7 +94,7 @@ def test_a_board_that_restarts_disarms_or_falls_silent_stops_the_car(what: str, 
     stop = next(event for event in car.recorder.of("event") if event.kind == "stop")
     assert stop.text.startswith(text)
     assert stop.t_ns <= (1280 if what == "silent_ms" else 1020) * MS
-    assert_neutral(next(r for r in car.watcher.records if r.decision.mode is STOPPED).sent)
+    assert sent(next(r for r in car.watcher.records if r.decision.mode is STOPPED)) == (0.2, 0.0)
 
 
 def test_a_loop_that_is_held_up_does_not_take_its_own_delay_for_silence(monkeypatch: pytest.MonkeyPatch) -> None:

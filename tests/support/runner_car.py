@@ -73,9 +73,10 @@ class Car:
 
 
 def assert_parked(car: Car) -> None:
-    """The last words on the wire are neutral, disarm, close; everything is closed once."""
+    """The last words on the wire are neutral with the steering before, disarm, close; everything is closed once."""
     assert [entry.what for entry in car.link.log[-3:]] == ["send", "disarm", "close"]
-    assert_neutral(car.link.log[-3].command)
+    before = car.link.commands[-2].steering_rad if len(car.link.commands) > 1 else 0.0
+    assert (car.link.log[-3].command.steering_rad, car.link.log[-3].command.speed_mps) == (before, 0.0)
     assert (car.recorder.closed, car.source.closed) == (1, 1)
 
 

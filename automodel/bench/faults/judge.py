@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from random import Random
 
 from automodel.bench.faults.fault import Fault, Must
+from automodel.config import SafetyConfig
+from automodel.runtime.safety import ROLL_OUT_S
 from automodel.signals import Event
 
 RENDERED_NS = 1_500_000_000  # from here on the camera sees the road, and the pipeline gets the frames
@@ -16,7 +18,8 @@ START_NS = (1_900_000_000, 2_300_000_000)  # the fault starts between these; the
 REARM_S = 0.5
 _QUIET_S = 0.25  # the car is watched so long after the time at which arming would work
 GO_ON_S = 0.3  # so long after the fault a car that may drive on must be driving
-STRAIGHT_S = 0.5  # so long after neutral a car that is stopped must have straight wheels
+# so long after neutral a car that is stopped must have straight wheels: held, rolled out, and the board's servo frame
+STRAIGHT_S = SafetyConfig().hold_s + ROLL_OUT_S + 0.1
 
 Pin = tuple[int, float, float]  # from when, servo pulse [us], motor pulse [us]
 
@@ -115,8 +118,8 @@ class Verdict:
     """What the car did wrong in a run; and the time from the fault to neutral [s], None where it never was.
 
     `left_m` [m] is how far the car's body was outside its lane, up to standstill where it was stopped. A stop that
-    leaves the lane is no violation but a figure: the pulses of a board that is disarmed have straight wheels, so that
-    a car in a bend rolls out of it.
+    leaves the lane is no violation but a figure: the steering is held while the car rolls out, but not along a lane
+    whose curvature changes, nor by a board that restarts.
     """
 
     violations: tuple[str, ...]
@@ -178,7 +181,8 @@ def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns
     if again_ns is not None:
         found.append(f"it drove off by itself, {(again_ns - start_ns) * 1e-9:.2f} s after the fault started")
     straight_ns = neutral_ns + round(STRAIGHT_S * 1e9)
-    if any(straight_ns < t < asked_ns and servo != seen.straight_us for t, servo, _ in seen.pins):
+    watched_ns = asked_ns if plan.drives_again else math.inf
+    if any(straight_ns < t < watched_ns and servo != seen.straight_us for t, servo, _ in seen.pins):
         found.append(f"the wheels were not straight {STRAIGHT_S} s after it stopped")
     inside = seen.left_m == 0  # otherwise the person would have to put it back first
     if (

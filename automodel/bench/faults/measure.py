@@ -71,7 +71,7 @@ LOOKS = 4
 TRUTH = "truth"  # the pipeline that reads it
 COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
-STANDSTILL_S = 3.0  # and the car until it stands, at most for so long
+STANDSTILL_S = 3.0  # and the car until it stands, and its wheels are straight
 COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
 OTHER_BOOT_ID = 4096  # of another board
 _SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
@@ -220,10 +220,8 @@ class FaultRig:
         )
 
     def _roll_out(self) -> float:
-        """Wait until the car stands; how far its body is outside its lane then [m], 0 where it is inside."""
-        until_ns = self._clock.now_ns() + round(STANDSTILL_S * 1e9)
-        while self._world.plant.state.speed_mps != 0.0 and self._clock.now_ns() < until_ns:
-            self._clock.sleep(0.05)
+        """Wait until the car stands straight; how far its body is outside its lane then [m], 0 where it is inside."""
+        self._clock.sleep(STANDSTILL_S)
         _, scene = self._world.capture(self._clock.now_ns(), 0)
         return _outside_m(scene)
 

@@ -83,16 +83,15 @@ def test_neutral_at_the_end_of_the_run_is_no_stop() -> None:
 
 
 def test_a_car_that_drives_off_by_itself_is_found() -> None:
-    text, wheels = judge(STOP, PLAN, seen(pins((2100, 2980), (3000, 9999)))).violations  # for one servo frame
+    (text,) = judge(STOP, PLAN, seen(pins((2100, 2980), (3000, 9999)))).violations  # for one servo frame
     assert text == "it drove off by itself, 0.98 s after the fault started"
-    assert wheels.startswith("the wheels were not straight")
 
 
 def test_a_car_that_is_armed_in_time_must_drive_and_not_before() -> None:
     assert judge(STOP, ARMED_AGAIN, seen(pins((2100, 3540)))).violations == ()
     (text,) = judge(STOP, ARMED_AGAIN, seen(pins((2100, 9999)))).violations
     assert text == "it was armed in time and did not drive"
-    text, _ = judge(STOP, ARMED_AGAIN, seen(pins((2100, 3480)))).violations
+    (text,) = judge(STOP, ARMED_AGAIN, seen(pins((2100, 3480)))).violations
     assert text == "it drove off by itself, 1.48 s after the fault started"
 
 
@@ -104,8 +103,8 @@ def test_a_request_that_comes_too_early_must_be_refused() -> None:
 
 
 def test_the_wheels_of_a_stopped_car_are_straight() -> None:
-    (text,) = judge(STOP, PLAN, seen(pins((2100, 9999), crooked=True))).violations
-    assert text == "the wheels were not straight 0.5 s after it stopped"
+    (text,) = judge(STOP, PLAN, seen(pins((2100, 9999), until_ms=4600, crooked=True))).violations
+    assert text == "the wheels were not straight 2.4 s after it stopped"
 
 
 def test_a_car_that_did_not_drive_tells_nothing() -> None:

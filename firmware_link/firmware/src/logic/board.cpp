@@ -67,7 +67,7 @@ void Board::obey(uint32_t t_ms) {
       logic_.on_arm(protocol::Arm::read(payload), decoder_.counter(), t_ms);
       break;
     case protocol::Disarm::kType:
-      logic_.on_disarm();
+      logic_.on_disarm(t_ms);
       break;
     case protocol::Limits::kType:
       if (!logic_.on_limits(protocol::Limits::read(payload))) break;

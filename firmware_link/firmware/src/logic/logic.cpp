@@ -52,7 +52,7 @@ void Logic::on_command(const protocol::Command& command, uint8_t counter, uint32
     timer_.feed(t_ms);
     pulses_.set_target(command.servo_us, command.motor_us);
   } else {
-    pulses_.straighten();
+    pulses_.roll_out(t_ms);
   }
 }
 
@@ -63,14 +63,15 @@ void Logic::on_arm(const protocol::Arm& message, uint8_t counter, uint32_t t_ms)
     return;
   }
   timed_out_ = false;
+  pulses_.straighten();
   gate_.start(counter);
   timer_.feed(t_ms);
 }
 
-void Logic::on_disarm() {
+void Logic::on_disarm(uint32_t t_ms) {
   arming_.disarm();
   timer_.stop();
-  pulses_.straighten();
+  pulses_.roll_out(t_ms);
 }
 
 bool Logic::on_limits(const protocol::Limits& limits) {
@@ -83,8 +84,9 @@ bool Logic::on_limits(const protocol::Limits& limits) {
 }
 
 void Logic::tick(uint32_t t_ms) {
+  pulses_.tick(t_ms);
   if (!timer_.expired(t_ms)) return;
-  on_disarm();
+  on_disarm(t_ms);
   timed_out_ = true;
 }
 

@@ -63,13 +63,13 @@ class Logic {
   // Disarmed to armed; the first fresh command must follow within the timer's 100 ms.
   void on_arm(const protocol::Arm& message, uint8_t counter, uint32_t t_ms);
 
-  // Any state to disarmed.
-  void on_disarm();
+  // Any state to disarmed; a car that drove rolls out.
+  void on_disarm(uint32_t t_ms);
 
   // Accepts new limits while disarmed; returns whether they were accepted.
   bool on_limits(const protocol::Limits& limits);
 
-  // After the messages: armed to disarmed if the timer has expired.
+  // After the messages: ends the roll-out, and armed to disarmed if the timer has expired.
   void tick(uint32_t t_ms);
 
   // Records a fault for the next status.

@@ -13,6 +13,7 @@ constexpr uint16_t kTableHash = 0x4c0d;
 constexpr uint16_t kPulseMin = 1000;  // [0.5 us]
 constexpr uint16_t kPulseMax = 5000;  // [0.5 us]
 constexpr uint16_t kCommandTimeoutMs = 100;
+constexpr uint16_t kRollOutMs = 2000;
 constexpr uint16_t kMaxDeadlineMs = 150;
 constexpr uint16_t kNonceStep = 0x9e37;
 

@@ -26,11 +26,24 @@ Pulses::Pulses(const protocol::Limits& limits) : limits_(limits) {
 }
 
 void Pulses::set_target(uint16_t servo_us, uint16_t motor_us) {
+  rolling_ = false;
   servo_target_us_ = clamped(servo_us, limits_.servo_min_us, limits_.servo_max_us);
   motor_target_us_ = clamped(motor_us, limits_.motor_min_us, limits_.motor_max_us);
 }
 
+void Pulses::roll_out(uint32_t t_ms) {
+  motor_us_ = motor_target_us_ = limits_.motor_neutral_us;
+  if (rolling_) return;
+  rolling_ = true;
+  rolling_since_ms_ = t_ms;
+}
+
+void Pulses::tick(uint32_t t_ms) {
+  if (rolling_ && t_ms - rolling_since_ms_ >= protocol::kRollOutMs) straighten();
+}
+
 void Pulses::straighten() {
+  rolling_ = false;
   servo_us_ = servo_target_us_ = limits_.servo_straight_us;
   motor_us_ = motor_target_us_ = limits_.motor_neutral_us;
 }

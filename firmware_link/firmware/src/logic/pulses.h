@@ -20,6 +20,13 @@ class Pulses {
   // Sets the pulses from the next servo frame on.
   void set_target(uint16_t servo_us, uint16_t motor_us);
 
+  // Neutral from the next servo frame on, without slewing; the steering goes on to its target, and is straight
+  // `kRollOutMs` later. A car that is rolling out already is given no more time.
+  void roll_out(uint32_t t_ms);
+
+  // Each millisecond: ends the roll-out.
+  void tick(uint32_t t_ms);
+
   // Straight and neutral, without slewing.
   void straighten();
 
@@ -33,4 +40,6 @@ class Pulses {
   protocol::Limits limits_;
   int16_t servo_us_, motor_us_;
   int16_t servo_target_us_, motor_target_us_;
+  uint32_t rolling_since_ms_ = 0;
+  bool rolling_ = false;
 };
