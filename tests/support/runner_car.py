@@ -75,8 +75,8 @@ class Car:
 def assert_parked(car: Car) -> None:
     """The last words on the wire are neutral with the steering before, disarm, close; everything is closed once."""
     assert [entry.what for entry in car.link.log[-3:]] == ["send", "disarm", "close"]
-    before = car.link.commands[-2].steering_rad if len(car.link.commands) > 1 else 0.0
-    assert (car.link.log[-3].command.steering_rad, car.link.log[-3].command.speed_mps) == (before, 0.0)
+    *before, last = car.link.commands
+    assert (last.steering_rad, last.speed_mps) == (before[-1].steering_rad if before else 0.0, 0.0)
     assert (car.recorder.closed, car.source.closed) == (1, 1)
 
 
