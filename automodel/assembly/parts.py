@@ -24,6 +24,7 @@ from automodel.runtime.run_types import RunConfig, RunParts
 from automodel.runtime.safety import Safety
 from automodel.sources.errors import SourceError
 from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub
+from automodel.sources.pairs import TOLERANCE, PairSource
 
 FOLDER_RATE_HZ = 20.0  # frames a second of images in a folder, which carry no time
 
@@ -120,6 +121,26 @@ def open_source(path: Path, car: CarConfig, rate_hz: float | None) -> Source:
     if path.suffix.lower() == ".mcap":
         return RecordingSource(path)
     return VideoSource(path, rate_hz, car.camera.colour)
+
+
+def open_pair(left: Path, right: Path, car: CarConfig, rate_hz: float | None) -> PairSource:
+    """Two videos, or two folders of images, as the pictures of two cameras; raises SourceError.
+
+    Images in folders carry no time: both folders must have the same number of them.
+    """
+    sides: list[Source] = []
+    for path in (left, right):
+        if path.suffix.lower() == ".mcap":
+            raise SourceError(f"{path}: a recording holds both cameras of a pair by itself; give it alone")
+        sides.append(open_source(path, car, rate_hz))
+    counts = [len(side.files) for side in sides if isinstance(side, ImageSource)]
+    if len(set(counts)) > 1:
+        raise SourceError(
+            f"{right}: expected {counts[0]} images as in {left}, got {counts[1]}: without times nothing tells which "
+            "belong together; remove those without a partner"
+        )
+    period_s = 1.0 / (getattr(sides[0], "rate_hz", 0.0) or car.camera.rate_hz)
+    return PairSource(sides[0], sides[1], TOLERANCE * period_s)
 
 
 def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:

@@ -18,20 +18,21 @@ from pathlib import Path
 import numpy as np
 
 from automodel.assembly.guess import DOUBTFUL, EvenSample, trustworthy, why_lost
-from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
+from automodel.assembly.parts import car_of, make_loop, open_pair, open_source, with_pipeline
 from automodel.config import CarConfig, ConfigError, parse_car
 from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.console.workers import Sweep, spread
 from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
-from automodel.recording.export import PosesCsv
+from automodel.recording.export import PosesCsv, image_of
 from automodel.recording.reader import RecordingSource
 from automodel.runtime.loop import Tick
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import MotionTable, natural_key, read_motion_csv
 from automodel.sources.images import check_size
+from automodel.sources.pairs import PairSource
 from automodel.viewer.overlay import draw
 from automodel.viewer.video import film_writer
 
@@ -49,11 +50,13 @@ COLUMNS = (
 class ReplayOptions:
     """What a replay is asked for; `rate_hz` is that of frames that carry no time.
 
-    `from_s` and `to_s` count from the first frame. With `guessed` the car file was guessed from the same source, and is
+    With `right` the sources are the left and the right camera of a pair. `from_s` and `to_s` count from the first
+    frame. With `guessed` the car file was guessed from the same source, and is
     judged by what is seen with it.
     """
 
     source: Path
+    right: Path | None = None
     car_file: Path | None = None
     motion_file: Path | None = None
     pipelines: tuple[str, ...] = ()
@@ -199,7 +202,10 @@ def _replay(
     advance: Advance | None,
 ) -> Row:
     path = options.source
-    source = open_source(path, car, options.rate_hz)
+    if options.right is None:
+        source = open_source(path, car, options.rate_hz)
+    else:
+        source = open_pair(path, options.right, car, options.rate_hz)
     rate_hz = options.rate_hz or getattr(source, "rate_hz", 0.0) or car.camera.rate_hz
     loop = make_loop(car)
     statuses: Counter[LaneStatus] = Counter()
@@ -216,8 +222,8 @@ def _replay(
             share = 1.0 / (count * max(len(options.pipelines), 1)) if count else 0.0
             bar = functools.partial(advance, share)
         for _, frame, moved, state in frames_between(source, motion, options.from_s, options.to_s):
+            check_frame_size(path, frame, car, options.car_file)
             if isinstance(frame, Frame):
-                check_frame_size(path, frame, car, options.car_file)
                 sample.add(frame.image)
             start = time.perf_counter()
             tick = loop.tick(frame, moved, state, frame.t_ns)
@@ -229,6 +235,9 @@ def _replay(
                 csv.row(frame, tick.estimate, tick.command, times_ms[-1])
             paint(frame, tick)
             bar()
+    if isinstance(source, PairSource) and source.unpaired:
+        apart_ms = 1e3 * source.tolerance_s
+        say(f"{path}, {options.right}: {source.unpaired} frames have no partner within {apart_ms:.3g} ms")
     if loop.warning:
         say(loop.warning)
     seen, frames = statuses[LaneStatus.TRACKING] + statuses[LaneStatus.ONE_LINE], sum(statuses.values())
@@ -239,13 +248,13 @@ def _replay(
     return _row(path, car, statuses, times_ms)
 
 
-def check_frame_size(path: Path, frame: Frame, car: CarConfig, car_file: Path | None) -> None:
+def check_frame_size(path: Path, frame: AnyFrame, car: CarConfig, car_file: Path | None) -> None:
     """Raise SourceError, with what to do, unless the frame has the size of the car's camera."""
     try:
         check_size(frame, car.camera)
     except SourceError as error:
         if car_file is None and path.suffix.lower() != ".mcap":
-            height, width = frame.image.shape[:2]
+            height, width = image_of(frame).shape[:2]
             raise SourceError(
                 f"{path}: frame {frame.index} has {width}x{height} pixels, and without --car the camera is the "
                 f"simulated car's of {car.camera.width_px}x{car.camera.height_px}; give a car.toml with --car, or "
@@ -264,9 +273,10 @@ def _painter(
     camera = GroundCamera.from_config(car.camera)
 
     def paint(frame: AnyFrame, tick: Tick) -> None:
-        image = frame.left if isinstance(frame, StereoFrame) else frame.image
         note, vehicle = f"{frame.t_ns * 1e-9:.2f} s  frame {frame.index}", car.vehicle
-        video.write(draw(image, tick.estimate, camera, tick.command, vehicle.reference_x_m, note, vehicle.wheelbase_m))
+        video.write(
+            draw(image_of(frame), tick.estimate, camera, tick.command, vehicle.reference_x_m, note, vehicle.wheelbase_m)
+        )
 
     return paint
 

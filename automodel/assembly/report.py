@@ -23,7 +23,7 @@ from automodel.output_files import output_text
 from automodel.recording.export import image_of, latency_ms
 from automodel.recording.reader import RecordingSource, Step
 from automodel.runtime.loop import Loop
-from automodel.signals import Command, Event, Frame, LaneEstimate, LaneStatus, Motion, MotionSource
+from automodel.signals import Command, Event, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sources.files import read_motion_csv
 from automodel.types import FloatArray, Image
 from automodel.viewer.overlay import draw
@@ -106,8 +106,7 @@ def _gather(options: ReportOptions, path: Path) -> ReportedRun:
     with contextlib.closing(source), progress(f"report {path.name}", getattr(source, "frame_count", None)) as bar:
         for t_s, frame, moved, _ in frames_between(source, motion, options.from_s, options.to_s):
             bar()
-            if isinstance(frame, Frame):
-                check_frame_size(path, frame, car, options.car_file)
+            check_frame_size(path, frame, car, options.car_file)
             step = source.step if isinstance(source, RecordingSource) else None
             happened = () if step is None else step.events
             seen = {eye: eye.see(frame, moved, step) for eye in eyes}

@@ -52,17 +52,21 @@ def command(
 ) -> int:
     """Lane poses of SOURCE: a recording (.mcap), a video, a folder of images or a donkeycar tub (v2).
 
-    Several, or a folder of recordings and videos, run on all cores. Of a camera that nothing is known of: automodel
+    Several, or a folder of recordings and videos, run on all cores. Two videos or folders of images with the car.toml
+    of two cameras are a pair, LEFT RIGHT. Of a camera that nothing is known of: automodel
     replay VIDEO --guess.
     """
     from automodel.assembly.replay import COLUMNS, ReplayOptions, replay, replay_all, sources_in
     from automodel.console.tables import show
 
-    found = sources_in(sources)
-    swept = len(found) > 1 or sweep.keep is not None or sweep.scheduler is not None
+    right = _right_of(sources, given["car_file"])
+    found = list(sources) if right else sources_in(sources)
+    swept = (len(found) > 1 and right is None) or sweep.keep is not None or sweep.scheduler is not None
     if swept and (guess or given["can_log"] or given["motion_file"]):
         raise click.UsageError("--guess, --can and --motion are for one SOURCE on this machine")
-    given["source"] = found[0] if found else None
+    if swept and right:
+        raise click.UsageError("LEFT RIGHT are one source; --keep and --scheduler are for several")
+    given["source"], given["right"] = found[0] if found else None, right
     if not _from_can(given, as_json):
         return 0
     options = ReplayOptions(to_s=math.inf if to_s is None else to_s, **given)
@@ -89,6 +93,20 @@ def command(
         guess_car_file(options.source, options.car_file, lane_width_m, view_rad, options.rate_hz)
     show("replay", replay(options), as_json, COLUMNS)
     return 0
+
+
+def _right_of(sources: tuple[Path, ...], car_file: Path | None) -> Path | None:
+    """The second of two sources, neither a recording, where car.toml has two cameras; None otherwise."""
+    if len(sources) != 2 or car_file is None or any(path.suffix.lower() == ".mcap" for path in sources):
+        return None
+    from automodel.config import load_car
+
+    if load_car(car_file).camera.right is None:
+        return None
+    left, right = sources
+    if left.resolve() == right.resolve():
+        raise click.UsageError(f"LEFT and RIGHT are both {left}; give the right camera's pictures as well")
+    return right
 
 
 def _guessed(options: ReplayOptions) -> ReplayOptions:

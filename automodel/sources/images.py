@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from automodel.config import CameraConfig
-from automodel.signals import Frame
+from automodel.signals import Frame, StereoFrame
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 
@@ -85,11 +85,14 @@ def with_channels(image: Image, colour: bool) -> Image:
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR if colour else cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
-def check_size(frame: Frame, camera: CameraConfig) -> None:
-    """Raise SourceError unless the frame has the size that the camera was calibrated for."""
-    height, width = frame.image.shape[:2]
-    if (width, height) != (camera.width_px, camera.height_px):
+def check_size(frame: Frame | StereoFrame, camera: CameraConfig) -> None:
+    """Raise SourceError unless the frame, or each image of a pair, has the size that the camera was calibrated for."""
+    images = {", left": frame.left, ", right": frame.right} if isinstance(frame, StereoFrame) else {"": frame.image}
+    for side, image in images.items():
+        height, width = image.shape[:2]
+        if (width, height) == (camera.width_px, camera.height_px):
+            continue
         raise SourceError(
-            f"frame {frame.index}: expected {camera.width_px}x{camera.height_px} pixels (car.toml), got "
+            f"frame {frame.index}{side}: expected {camera.width_px}x{camera.height_px} pixels (car.toml), got "
             f"{width}x{height}; set [camera] width_px, height_px and the intrinsics for this source"
         )

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pytest
 
+from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.cli.init import kit_path
+from automodel.config import load_car
 from automodel.recording.reader import Recording
 from automodel.signals import StereoFrame
+from automodel.sources.images import read_image
 
 
 def test_a_drive_with_two_cameras_is_recorded_with_both_and_replays(cli, tmp_path: Path) -> None:
@@ -31,3 +37,95 @@ def test_a_drive_with_two_cameras_is_recorded_with_both_and_replays(cli, tmp_pat
     replayed = table["offset_m"][np.isfinite(table["offset_m"])]
     np.testing.assert_allclose(replayed, driven, atol=1e-6)
     assert cli("replay", run, "--pipeline", "windows", "--json").rows[0]["frames"] == len(steps)  # sees the left one
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Ten pairs of the simulated car at rest, as two folders of images."""
+    root = tmp_path_factory.mktemp("pairs")
+    car = load_car(kit_path("sim-stereo"))
+    world = build_world(car, Simulation(track="oval", style="clean"))
+    for index in range(10):
+        for side, image in zip(("left", "right"), world.capture(index * 16_666_667, index)[0], strict=True):
+            (root / side).mkdir(exist_ok=True)
+            assert cv2.imwrite(str(root / side / f"{index}.png"), image)
+    return root / "left", root / "right"
+
+
+def test_two_folders_are_a_pair(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    csv, video = tmp_path / "poses.csv", tmp_path / "overlay.mp4"
+    said = cli("replay", *folders, "--car", kit_path("sim-stereo"), "--csv", csv, "--video", video, "--json")
+    assert (said.code, said.err) == (0, "")
+    assert (said.rows[0]["frames"], said.rows[0]["lost"]) == (10, 0)
+    table = np.genfromtxt(csv, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert abs(table["width_m"][-1] - 0.4) < 0.01  # by both cameras
+    assert video.stat().st_size > 1000
+
+
+def test_cameras_that_are_swapped_show_no_such_lane(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    left, right = folders
+    said = cli("replay", right, left, "--car", kit_path("sim-stereo"), "--json")
+    assert (said.code, said.rows[0]["tracking"]) == (0, 0)
+
+
+def shortened(folder: Path, to: Path, count: int) -> Path:
+    to.mkdir()
+    for path in sorted(folder.iterdir())[:count]:
+        shutil.copy(path, to)
+    return to
+
+
+def test_pairs_that_cannot_be_are_refused_in_one_line(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    (left, right), kit = folders, kit_path("sim-stereo")
+    short, small = shortened(right, tmp_path / "short", 9), tmp_path / "small"
+    small.mkdir()
+    for path in right.iterdir():
+        cv2.imwrite(str(small / path.name), np.zeros((180, 320), np.uint8))
+    for other, expected in (
+        (short, f"automodel: {short}: expected 10 images as in {left}, got 9: without times nothing tells which belong "
+                "together; remove those without a partner"),
+        (small, f"automodel: {left}: frame 0, right: expected 640x360 pixels (car.toml), got 320x180; set [camera] "
+                "width_px, height_px and the intrinsics for this source, and give it with --car"),
+        (left, f"automodel replay: LEFT and RIGHT are both {left}; give the right camera's pictures as well (see "
+               "automodel replay --help)"),
+        (tmp_path / "none", f"automodel: {tmp_path / 'none'}: no such file or folder"),
+    ):  # fmt: skip
+        said = cli("replay", left, other, "--car", kit)
+        assert (said.code, said.out, said.line()) == (2, "", expected)
+
+
+def test_frames_without_a_partner_are_reported(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    videos = []
+    for folder, count in zip(folders, (10, 7), strict=True):
+        videos.append(tmp_path / f"{folder.name}.mp4")
+        writer = cv2.VideoWriter(str(videos[-1]), cv2.VideoWriter.fourcc(*"mp4v"), 50.0, (640, 360))
+        for index in range(count):
+            writer.write(read_image(folder / f"{index}.png", colour=True))
+        writer.release()
+    said = cli("replay", *videos, "--car", kit_path("sim-stereo"), "--json")
+    assert (said.code, said.rows[0]["frames"]) == (0, 7)
+    assert said.line() == f"{videos[0]}, {videos[1]}: 3 frames have no partner within 5 ms"
+
+
+@pytest.mark.realdata
+def test_real_pairs_of_a_street(cli, data_root: Path, tmp_path: Path) -> None:
+    """A ramp of KITTI's: a bend of 22 m radius, chevrons beside the lane, ten pairs a second."""
+    ramp, csv = data_root / "kitti_ramp", tmp_path / "poses.csv"
+    car = Path(__file__).resolve().parents[1] / "cars" / "kitti_ramp.toml"
+    motion = tmp_path / "motion.csv"
+    poses = np.loadtxt(ramp / "poses.txt").reshape(-1, 3, 4)
+    speed = np.linalg.norm(np.gradient(poses[:, :, 3], 0.1, axis=0), axis=1)
+    yaw_rate = np.gradient(-np.unwrap(np.arctan2(poses[:, 0, 2], poses[:, 2, 2])), 0.1)
+    rows = np.column_stack((np.arange(len(poses)) * 0.1, speed, yaw_rate))
+    np.savetxt(motion, rows, delimiter=",", header="t_s,speed_mps,yaw_rate_radps", comments="")
+    said = cli(
+        "replay", ramp / "image_l", ramp / "image_r", "--car", car, "--rate", "10", "--motion", motion, "--csv", csv,
+        "--json",
+    )  # fmt: skip
+    assert said.code == 0
+    row = said.rows[0]
+    assert row["frames"] == 26
+    assert row["availability_pct"] >= 80.0
+    widths_m = np.genfromtxt(csv, delimiter=",", names=True, dtype=None, encoding="utf-8")["width_m"]
+    seen = widths_m[np.isfinite(widths_m)]
+    assert ((seen > 2.5) & (seen < 4.6)).all()
