@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import tempfile
 import threading
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
 from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
-from automodel.config import RecordingConfig
+from automodel.config import RecordingConfig, VehicleConfig
 from automodel.interfaces import Pipeline, Recorder, Source
 from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
@@ -85,12 +86,23 @@ class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
     Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
-    hook.
+    hook. `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
+    free space beside the car. Where it states no bound (the truth), it is.
     """
 
     name = "faulty"
 
-    def __init__(self, truth: Step, seen: Pipeline | None, hook: LaneHook | None, plan: Plan, staller: Staller) -> None:
+    def __init__(
+        self,
+        truth: Step,
+        seen: Pipeline | None,
+        hook: LaneHook | None,
+        plan: Plan,
+        staller: Staller,
+        vehicle: VehicleConfig,
+    ) -> None:
+        self.knows = True
+        self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller
 
@@ -98,7 +110,11 @@ class FaultyPipeline:
         """The lane, perhaps spoilt."""
         self._staller(At.PIPELINE)
         estimate = self._estimate(frame, motion)
-        if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
+        if frame.t_ns < self._plan.start_ns:
+            pose = estimate.pose
+            limit_m = math.inf if pose is None else self._vehicle.free_space_m(pose.width_m)
+            self.knows = pose is not None and (math.isinf(pose.offset_bound_m) or pose.offset_bound_m <= limit_m)
+        elif self._hook is not None and frame.t_ns < self._plan.end_ns:
             estimate = self._hook(estimate)
         return estimate
 

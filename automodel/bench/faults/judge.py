@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from random import Random
 
 from automodel.bench.faults.fault import Fault, Must
@@ -70,6 +70,11 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
     )
 
 
+def at_another_place(plan: Plan, attempt: int) -> Plan:
+    """The same run, started elsewhere on the lane; `attempt` 0 is the plan itself."""
+    return plan if attempt == 0 else replace(plan, place=Random(f"{plan.seed}/place/{attempt}").random())
+
+
 def _afterwards(fault: Fault, random: Random, start_ns: int, end_ns: int) -> tuple[int | None, bool, int]:
     """When a person asks to arm, whether the car must then drive, and when the run ends.
 
@@ -97,7 +102,8 @@ class Observed:
     """One run as it was observed: the pulses at the pins in their order, the run's events, and the car.
 
     `left_m` [m] is how far the car's body was outside its lane at most, from the fault's start to the run's end,
-    `rolled_m` where it stands at last. `shown_ns` is when the car's motion began to show
+    `rolled_m` where it stands at last. `knows` is whether the pipeline was sure of its lane when the fault started.
+    `shown_ns` is when the car's motion began to show
     the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
     the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest.
     """
@@ -108,6 +114,7 @@ class Observed:
     rolled_m: float
     shown_ns: int | None
     error: str | None
+    knows: bool = True
     neutral_us: float
     straight_us: float
     limits_us: tuple[float, float, float, float]
@@ -117,14 +124,16 @@ class Observed:
 class Verdict:
     """What the car did wrong in a run; and the time from the fault to neutral [s], None where it never was.
 
-    `left_m` [m] is how far the car's body was outside its lane, up to standstill where it was stopped. A stop that
-    leaves the lane is no violation but a figure: the steering is held while the car rolls out, but not along a lane
-    whose curvature changes, nor by a board that restarts.
+    `moved` is how many other places were tried before, where the pipeline was not sure of its lane when the fault
+    started. `left_m` [m] is how far the car's body was outside its lane, up to standstill where it was stopped. A stop
+    that leaves the lane is no violation but a figure: the steering is held while the car rolls out, but not along a
+    lane whose curvature changes, nor by a board that restarts.
     """
 
     violations: tuple[str, ...]
     reaction_s: float | None
     left_m: float = 0.0
+    moved: int = 0
 
 
 def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = None) -> Verdict:

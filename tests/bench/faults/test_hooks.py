@@ -14,6 +14,7 @@ from automodel.bench.faults import hooks
 from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
+from automodel.config import VehicleConfig
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sources.errors import SourceError
@@ -148,13 +149,27 @@ def test_estimates_are_spoilt_while_the_fault_lasts() -> None:
         return estimate(frame.t_ns)
 
     clock = VirtualClock(0)
-    pipeline = FaultyPipeline(truth, None, hooks.lost, PLAN, Staller(None, PLAN, clock))
+    pipeline = FaultyPipeline(truth, None, hooks.lost, PLAN, Staller(None, PLAN, clock), VehicleConfig())
     motion = Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0)
     statuses = {}
     for t_ms in (1999, 2000, 2199, 2200):
         frame = Frame(t_ns=t_ms * MS, index=0, image=np.zeros((4, 6), dtype=np.uint8))
         statuses[t_ms] = pipeline.step(frame, motion).status
     assert [t_ms for t_ms, status in statuses.items() if status is LaneStatus.LOST] == [2000, 2199]
+
+
+@pytest.mark.parametrize(("bound_m", "knows"), [(0.02, True), (0.4, False), (math.inf, True)])
+def test_a_run_counts_only_where_the_pipeline_was_sure_of_its_lane_before_the_fault(
+    bound_m: float, knows: bool
+) -> None:
+    def step(frame: Frame, motion: Motion) -> LaneEstimate:
+        return hooks.uncertain(bound_m if frame.t_ns < PLAN.start_ns else 9.0)(estimate(frame.t_ns))
+
+    pipeline = FaultyPipeline(step, None, None, PLAN, Staller(None, PLAN, VirtualClock(0)), VehicleConfig())
+    for t_ms in (1900, 1999, 2000, 2100):
+        frame = Frame(t_ns=t_ms * MS, index=0, image=np.zeros((4, 6), dtype=np.uint8))
+        pipeline.step(frame, Motion(t_ns=0, speed_mps=1.0, yaw_rate_radps=0.0))
+    assert pipeline.knows is knows
 
 
 def test_a_decoy_lies_beside_the_lane_and_a_crossing_across() -> None:

@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
+from automodel.bench.faults import page
 from automodel.bench.faults.catalogue import FAULTS, NOMINAL, chosen
 from automodel.bench.faults.fault import Kind, Must
-from automodel.bench.faults.judge import REARM_S, START_NS, draw_plan
+from automodel.bench.faults.judge import REARM_S, START_NS, at_another_place, draw_plan
 
 PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in FAULTS for index in range(30)]
 
@@ -81,3 +83,16 @@ def test_faults_are_chosen_by_name() -> None:
         chosen(("hang",))
     with pytest.raises(ValueError, match=r"'zzz': no such fault; see --list"):
         chosen(("zzz",))
+
+
+def test_a_run_at_another_place_is_the_same_one_elsewhere() -> None:
+    plan = draw_plan(chosen(("camera-off",))[0], 3, 5, 4)
+    assert at_another_place(plan, 0) == plan
+    places = [at_another_place(plan, attempt).place for attempt in range(8)]
+    assert len(set(places)) == 8
+    assert replace(at_another_place(plan, 7), place=plan.place) == plan
+
+
+def test_the_readme_has_the_table_of_the_faults() -> None:
+    """`automodel bench faults --list` and the page say the same; `python -m automodel.bench.faults.page` writes it."""
+    assert page.PAGE.read_text(encoding="utf-8") == page.text()
