@@ -31,7 +31,10 @@ from firmware_link.transport import likely_ports
 
 _QUIET_REAL = frozenset({"end"})
 _QUIET_SIMULATED = frozenset({"arming", "driving", "end"})
-_TRUTH_ONLY = ("laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane")
+_TRUTH_ONLY = (
+    "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane",
+    "estimate_mae_m", "misled_pct", "bound_exceeded_pct",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

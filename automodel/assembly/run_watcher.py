@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +15,9 @@ from automodel.output_files import output_text
 from automodel.runtime.input_checks import UNCERTAIN
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import OVERLOADED, SafetyMode
-from automodel.signals import Command, Frame, StereoFrame, VehicleState
+from automodel.signals import FALSE_LANE, Command, Frame, LanePose, StereoFrame, VehicleState
 from automodel.sim.world import Scene
+from automodel.types import Bools, FloatArray
 
 TRUTH_COLUMNS = (
     "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
@@ -29,6 +31,7 @@ class Watcher:
     def __init__(self, laps: int | None, advance: Callable[..., None]) -> None:
         self._laps, self._advance = laps, advance
         self.scenes: list[Scene] = []
+        self._estimates: list[tuple[int, LanePose]] = []  # with their capture times [ns]
         self._driving_from: int | None = None  # index of the first scene in which it was driving
         self._stood_since_ns: int | None = None
         self._now_ns = 0
@@ -46,6 +49,8 @@ class Watcher:
 
     def on_tick(self, record: TickRecord) -> None:
         """A turn of the runner."""
+        if self.scenes and record.tick is not None and record.tick.estimate.pose is not None:
+            self._estimates.append((record.tick.estimate.t_ns, record.tick.estimate.pose))
         driving = record.decision.mode in (SafetyMode.DRIVING, SafetyMode.HOLD)
         if driving and self._driving_from is None:
             self._driving_from = max(len(self.scenes) - 1, 0)
@@ -85,12 +90,15 @@ class Watcher:
             "stops": result.stops,
             "latency_p50_ms": latencies_ms[0],
             "latency_p99_ms": latencies_ms[1],
+            **self._estimated(),
         }
 
     def ending(self, result: RunResult) -> str:
         """In words how the run went: what went wrong and where, or what was driven; and why it was held."""
         held = ((UNCERTAIN, "its offset was uncertain"), (OVERLOADED, "the machine was overloaded"))
-        return "; ".join([self._outcome(result), *(text for what in held for text in _holds(result, *what))])
+        return "; ".join(
+            [self._outcome(result), *self._led_astray(), *(text for what in held for text in _holds(result, *what))]
+        )
 
     def _outcome(self, result: RunResult) -> str:
         wrong = [*self._left_lane(), *self._stops(result)]
@@ -110,6 +118,43 @@ class Watcher:
         laps = self.scenes[-1].truth.lap
         driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{self.scenes[-1].car.distance_m:.1f} m"
         return f"drove {driven} and stayed in its lane"
+
+    def _errors(self) -> FloatArray:
+        """Of the estimates of scenes (n, 6): time [s], errors of offset and heading, their bounds, lane width."""
+        truth = {scene.t_ns: scene.truth for scene in self.scenes}
+        rows = [
+            (
+                1e-9 * t_ns,
+                abs(pose.offset_m - true.offset_m),
+                abs(math.remainder(pose.heading_rad - true.heading_rad, math.tau)),
+                pose.offset_bound_m,
+                pose.heading_bound_rad,
+                true.width_m,
+            )
+            for t_ns, pose in self._estimates
+            if (true := truth.get(t_ns)) is not None
+        ]
+        return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
+    def _estimated(self) -> dict[str, object]:
+        """How true the estimates were: mean error of the offset, shares that mislead or exceed a bound."""
+        if not len(errors := self._errors()):
+            return dict.fromkeys(("estimate_mae_m", "misled_pct", "bound_exceeded_pct"))
+        _, offset, heading, offset_bound, heading_bound, _ = errors.T
+        return {
+            "estimate_mae_m": float(offset.mean()),
+            "misled_pct": 100.0 * float(_misled(errors).mean()),
+            "bound_exceeded_pct": 100.0 * float(((offset > offset_bound) | (heading > heading_bound)).mean()),
+        }
+
+    def _led_astray(self) -> list[str]:
+        """The first estimate that misled, and how many did."""
+        errors = self._errors()
+        misled = np.flatnonzero(_misled(errors))
+        if not len(misled):
+            return []
+        start_s = 1e-9 * self.scenes[0].t_ns
+        return [f"its estimate misled it in {len(misled)} frames, from t = {errors[misled[0], 0] - start_s:.1f} s on"]
 
     def _departures(self) -> list[Scene]:
         """The scenes in which the body has just left the lane."""
@@ -148,6 +193,11 @@ class Watcher:
                 values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
                 numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
                 table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
+
+
+def _misled(errors: FloatArray) -> Bools:
+    """The rows (n,) of `Watcher._errors` off by more than `FALSE_LANE` of the lane's width while the bound is less."""
+    return np.asarray((errors[:, 1] > FALSE_LANE * errors[:, 5]) & ~(errors[:, 3] >= errors[:, 1]))
 
 
 def _holds(result: RunResult, word: str, reason: str) -> list[str]:

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 from automodel.assembly.run_watcher import Watcher
+from automodel.runtime.loop import Tick
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
-from automodel.signals import Event
+from automodel.signals import NEUTRAL, Event, LaneEstimate, LanePose, LaneStatus, Motion
 from automodel.sim.plant import CarState
 from automodel.sim.truth import Truth
 from automodel.sim.world import Scene
 
 SECOND_NS = 1_000_000_000
+STILL = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
 DRIVING = SafetyDecision(mode=SafetyMode.DRIVING, action=Action.PASS, arm=False, disarm=False, reason=None, events=())
 
 
@@ -71,3 +73,21 @@ def test_holds_for_an_uncertain_offset_are_counted_in_words(times: int, text: st
     others = [("hold", "the lane is lost"), ("driving", "healthy again"), ("arm-refused", hold[1])]
     ending = watched([0.1, 0.1]).ending(result(*[hold] * times, *others))
     assert ending == f"drove 1.0 m and stayed in its lane; {text} because its offset was uncertain"
+
+
+def test_estimates_are_held_against_the_truth() -> None:
+    watcher = watched([0.1] * 4)
+    told = [(0.01, 0.02), (0.03, 0.05), (0.12, 0.05), (0.12, 0.2)]  # offset and its bound; the truth is 0.01 of 0.4 m
+    for index, (offset_m, bound_m) in enumerate(told):
+        pose = LanePose(offset_m=offset_m, heading_rad=0.0, curvature_per_m=0.0, width_m=0.4,
+                        covariance=np.eye(3), offset_bound_m=bound_m, heading_bound_rad=0.1)  # fmt: skip
+        estimate = LaneEstimate(t_ns=index * SECOND_NS, status=LaneStatus.TRACKING, pose=pose)
+        tick = Tick(estimate=estimate, motion=STILL, wanted=NEUTRAL, command=NEUTRAL)
+        record = TickRecord(
+            t_ns=index * SECOND_NS + 5, frame=None, state=None, tick=tick, decision=DRIVING, sent=None, latency_ns=None
+        )
+        watcher.on_tick(record)
+    row = watcher.row(result(), (None, None))
+    assert row["estimate_mae_m"] == pytest.approx((0.0 + 0.02 + 0.11 + 0.11) / 4)
+    assert row["misled_pct"] == row["bound_exceeded_pct"] == 25.0
+    assert "misled it in 1 frames, from t = 2.0 s on" in watcher.ending(result())

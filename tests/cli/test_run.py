@@ -18,7 +18,8 @@ from automodel.signals import Command
 from automodel.sim.track_files import load_track
 
 RUN_KEYS = [
-    "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane", "stops", "latency_p50_ms", "latency_p99_ms"
+    "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane", "stops", "latency_p50_ms", "latency_p99_ms",
+    "estimate_mae_m", "misled_pct", "bound_exceeded_pct"
 ]  # fmt: skip
 RUN = ("run", "--pipeline", "windows", "--track", "oval")  # the cheapest of the pipelines
 TRUTH_COLUMNS = "t_s,frame,offset_m,heading_rad,curvature_per_m,width_m,x_m,y_m,yaw_rad"
@@ -38,6 +39,8 @@ def test_a_lap_of_the_oval_in_lock_step(direction: str, cli) -> None:
     assert list(row) == RUN_KEYS
     assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
     assert row["mae_offset_m"] <= row["max_abs_offset_m"] <= 0.10
+    assert row["estimate_mae_m"] <= 0.01
+    assert row["misled_pct"] == 0.0
     lap_m = load_track("oval").lane(direction).centerline.length_m
     assert row["lap_s"] == pytest.approx(lap_m / 1.0, rel=0.13)  # at 1.0 m/s, slower until the bounds leave space
     assert 0 < row["latency_p50_ms"] <= row["latency_p99_ms"]
@@ -46,7 +49,9 @@ def test_a_lap_of_the_oval_in_lock_step(direction: str, cli) -> None:
 def test_the_table_is_for_people_and_json_for_programs(cli) -> None:
     said = cli("run", "--track", "oval", "--duration", "0.1")
     names = [line.rsplit("  ", 1)[0].strip().replace(" ", "_") for line in said.out.splitlines()]
-    assert names == [key.removesuffix("_s").removesuffix("_m").removesuffix("_ms") for key in RUN_KEYS]
+    assert names == [
+        key.removesuffix("_s").removesuffix("_m").removesuffix("_ms").removesuffix("_pct") for key in RUN_KEYS
+    ]
     assert said.line() == "the car did not drive: the vehicle has not said hello"
     assert list(cli("run", "--track", "oval", "--duration", "0.1", "--json").rows[0]) == RUN_KEYS
 

@@ -20,7 +20,19 @@ CASE = {"pipeline": "centerline", "track": "chicane", "style": "oscillating", "s
 RIDE = centerline_paper.ride_row(("A", "oscillating", "wet"), ("centerline", "command"), AccuracyMeter())
 WINDOWS = WindowsPaperMeter(m_per_px=0.005, m_per_row=0.01, gate_m=0.2)
 CLAIM = {"law": "gradient_descent", "rate_hz": 60, "speed": "+20 %", **ClaimMeter().row()}
-RUN = ("laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane", "stops", "latency_p50_ms", "latency_p99_ms")
+RUN = (
+    "laps",
+    "lap_s",
+    "max_abs_offset_m",
+    "mae_offset_m",
+    "left_lane",
+    "estimate_mae_m",
+    "misled_pct",
+    "bound_exceeded_pct",
+    "stops",
+    "latency_p50_ms",
+    "latency_p99_ms",
+)
 # command -> a row as wide as its real ones, and its chief columns
 COMMANDS: dict[str, tuple[dict[str, object], tuple[str, ...]]] = {
     "run": (dict.fromkeys((*RUN, "frames", "skipped"), 123.456), ()),
