@@ -18,7 +18,7 @@ from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
 from automodel.perception.line_scan import LineScan, ScanConfig
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.stereo.ground_plane import fit_plane
-from automodel.perception.stereo.matching import match, match_below
+from automodel.perception.stereo.matching import match
 from automodel.perception.stereo.reconstruction import reconstruct
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from automodel.pipelines.stages import SEEN, StageClock
@@ -190,8 +190,7 @@ class Stereo:
         self.stages.lap("plane")
         cameras = self._rig.over(self._plane.plane)
         eyes = Eye.of(cameras[0]), Eye.of(cameras[1])
-        below = match_below(left, right, known_m, NOISE_PX)
-        lines = reconstruct(left, right, eyes, matches, fit.inliers, below, self._spacing_m)
+        lines = reconstruct(left, right, eyes, matches, fit.inliers, self._spacing_m)
         self.stages.lap("lines")
         return lines
 

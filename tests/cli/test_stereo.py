@@ -129,11 +129,3 @@ def test_real_pairs_of_a_street(cli, data_root: Path, tmp_path: Path) -> None:
     widths_m = np.genfromtxt(csv, delimiter=",", names=True, dtype=None, encoding="utf-8")["width_m"]
     seen = widths_m[np.isfinite(widths_m)]
     assert ((seen > 2.5) & (seen < 4.6)).all()
-
-
-def test_lamps_that_the_floor_mirrors_are_no_lines(cli) -> None:
-    """Into a bend past two lamps' streaks; with these taken for lines the car leaves its lane after 4.2 s."""
-    said = cli("run", "--car", kit_path("sim-stereo"), "--track", "oval", "--duration", "5", "--json")
-    row = said.rows[0]
-    assert (said.code, row["left_lane"], row["stops"]) == (0, 0, 0)
-    assert row["max_abs_offset_m"] < 0.02

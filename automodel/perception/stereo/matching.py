@@ -18,7 +18,6 @@ from automodel.perception.stereo.stripes import Stripes
 from automodel.types import FloatArray, Ints
 
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
-_FAR = 1e4  # times the distance of the ground along a ray: as good as infinitely far
 _STEP = 1e-3  # share of a ray's length over which its image is taken to be straight
 
 
@@ -45,18 +44,9 @@ def match(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: f
     `height_sigma_m` (n,): how well the height of the ground is known at each ridge of the left image; what lies further
     away than three times that and the noise [px] is no match.
     """
-    return _matches(left, right, height_sigma_m, noise_px, False)
-
-
-def match_below(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: float) -> Matches:
-    """What lies below the ground, as `match` knows it: there is nothing but what a shiny floor mirrors."""
-    return _matches(left, right, height_sigma_m, noise_px, True)
-
-
-def _matches(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: float, below: bool) -> Matches:
     found = _cut(
         left.eye, right.eye, left.directions, left.stripe, right.pixels, right.directions, right.stripe,
-        height_sigma_m, noise_px, below,
+        height_sigma_m, noise_px,
     )  # fmt: skip
     return Matches(*found)
 
@@ -88,7 +78,6 @@ def _cut(
     other: Ints,
     height_sigma_m: FloatArray,
     noise_px: float,
-    below: bool,
 ) -> tuple[Ints, Ints, Ints, FloatArray, FloatArray, FloatArray]:
     """The fields of `Matches`."""
     most = len(directions) * 4
@@ -110,12 +99,6 @@ def _cut(
         along_u, along_v = along_u / length, along_v / length
         rise = length / (_STEP * eye[2])  # [px/m]: a point that is nearer along the ray is higher
         room = 3.0 * math.hypot(rise * height_sigma_m[i], noise_px)
-        least, greatest = -room, room
-        if below:  # from the ground to what is infinitely far along the ray
-            end_u, end_v = image_of(
-                right, eye[0] + _FAR * away * ray[0], eye[1] + _FAR * away * ray[1], eye[2] + _FAR * away * ray[2]
-            )
-            least, greatest = -math.hypot(end_u - u, end_v - v) - 3.0 * noise_px, -room
         for k in range(len(pixels) - 1):
             if other[k] != other[k + 1] or count == most:
                 continue
@@ -128,7 +111,7 @@ def _cut(
                 continue
             share = side / (side - beyond)
             far = along_u * (du + share * (eu - du)) + along_v * (dv + share * (ev - dv))
-            if not least <= far <= greatest:
+            if abs(far) > room:
                 continue
             one_stripe[count], other_stripe[count], ridge[count] = stripe[i], other[k], i
             ray_there = across[k] + share * (across[k + 1] - across[k])
