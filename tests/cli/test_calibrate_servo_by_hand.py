@@ -14,7 +14,7 @@ from automodel.runtime.clocks import VirtualClock
 from calibration import servo_dialogue
 from calibration.drive import Rig, Ticks
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.logic import BoardOptions
+from firmware_link.emulator.logic import ROLL_OUT_MS, BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 from tests.support.calibrated_cars import untouched
@@ -114,6 +114,8 @@ def test_by_hand_and_given_up(end: str, car: Path, monkeypatch: pytest.MonkeyPat
     assert said.err.splitlines()[-1].endswith("; nothing was written")
     person.clock.sleep(0.1)
     assert 1425.0 in {us for _, us, _ in person.bench.pulses}
+    assert person.bench.at_pins[1] == 1500.0
+    person.clock.sleep(ROLL_OUT_MS * 1e-3)
     assert person.bench.at_pins == (1500.0, 1500.0)
     assert not person.board.armed
     assert untouched(car)

@@ -14,6 +14,7 @@ from automodel.doctor.findings import Finding, Verdict, bounded
 from automodel.runtime.clocks import VirtualClock
 from firmware_link.arduino import ArduinoLink
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.logic import ROLL_OUT_MS
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.transport import MemoryTransport
 
@@ -117,6 +118,8 @@ def test_ctrl_c_while_the_servo_moves_disarms_the_board() -> None:
     assert bench.peripherals.at_pins[0] != 1500.0
     bench.clock.sleep(0.03)  # far less than the board's own timer takes
     assert not bench.board.armed
+    assert bench.peripherals.at_pins[1] == 1500.0
+    bench.clock.sleep(ROLL_OUT_MS * 1e-3)
     assert bench.peripherals.at_pins == (1500.0, 1500.0)
 
 

@@ -10,6 +10,7 @@ import pytest
 from automodel.assembly import calibration_rigs
 from automodel.sim.plant import Plant
 from calibration import drive
+from firmware_link.emulator.logic import ROLL_OUT_MS
 
 SIMULATED = '# mine\n[link]\nport = "sim"  # here\n'
 
@@ -37,7 +38,7 @@ def pins(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, float, float]]:
 
 @pytest.fixture
 def at_rest(pins: list, monkeypatch: pytest.MonkeyPatch) -> Callable[[], bool]:
-    """Whether the simulated car is straight and neutral two servo frames after the command has ended.
+    """Whether the simulated car is neutral two servo frames after the command has ended, and straight once rolled out.
 
     The board's own timer would take five: it is the host that stopped the car.
     """
@@ -52,8 +53,9 @@ def at_rest(pins: list, monkeypatch: pytest.MonkeyPatch) -> Callable[[], bool]:
 
     def look() -> bool:
         rigs[-1].clock.sleep(0.04)
-        drove = any(motor > 1500.0 for _, _, motor in pins)
-        return drove and pins[-1][1:] == (1500.0, 1500.0)
+        drove, motor_us = any(motor > 1500.0 for _, _, motor in pins), pins[-1][2]
+        rigs[-1].clock.sleep(ROLL_OUT_MS * 1e-3)
+        return drove and motor_us == 1500.0 and pins[-1][1:] == (1500.0, 1500.0)
 
     return look
 
