@@ -24,7 +24,7 @@ import cv2
 from aiohttp import WSMsgType, web
 
 from automodel.config import CarConfig, ConfigError
-from automodel.geometry import GroundCamera
+from automodel.geometry import GroundCamera, wrap_angle
 from automodel.viewer.overlay import draw
 from automodel.web.access import Access, PageOptions
 from automodel.web.dead_man import HOLD_TIMEOUT_S, Word
@@ -207,7 +207,8 @@ def row_of(snapshot: Snapshot, start_ns: int) -> list[float | None]:
         snapshot.command.steering_rad if snapshot.command is not None else None,
         snapshot.speed_mps,
         snapshot.latency_ns * 1e-6 if snapshot.latency_ns is not None else None,
-        *snapshot.place[:2],
+        snapshot.place.x_m,
+        snapshot.place.y_m,
     )
     return [round(value, 4) if value is not None and math.isfinite(value) else None for value in values]
 
@@ -226,6 +227,6 @@ def status_of(snapshot: Snapshot, start_ns: int, battery_low_v: float) -> dict[s
         "battery_low": battery_v is not None and battery_v < battery_low_v,
         "rate_hz": round(snapshot.rate_hz, 1) if snapshot.rate_hz is not None else None,
         "skipped": snapshot.skipped,
-        "yaw_rad": round(snapshot.place[2], 4),
+        "yaw_rad": round(wrap_angle(snapshot.place.yaw_rad), 4),
         "events": [[round((event.t_ns - start_ns) * 1e-9, 2), event.kind, event.text] for event in snapshot.events],
     }

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
+from automodel.geometry import SE2
 from automodel.runtime.run_types import TickRecord
 from automodel.signals import Command, Event, LaneEstimate, StereoFrame, VehicleState
 from automodel.types import Image
@@ -12,7 +12,7 @@ from automodel.types import Image
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Snapshot:
-    """A frame's cycle: `image` is the left one of a stereo frame; `place` is (x, y, yaw) [m, m, rad] by dead reckoning.
+    """A frame's cycle: `image` is the left one of a stereo frame; `place` is that of the car by dead reckoning.
 
     `rate_hz` is the rate of the frames as measured, None before the second; `skipped` frames came and were not taken
     up. `events` are the newest ones, the oldest first.
@@ -27,7 +27,7 @@ class Snapshot:
     mode: str
     reason: str | None
     latency_ns: int | None
-    place: tuple[float, float, float]
+    place: SE2
     rate_hz: float | None
     skipped: int
     events: tuple[Event, ...]
@@ -40,7 +40,7 @@ class Trip:
     """Follows a run from frame to frame: the way driven, the rate of the frames and those that were skipped."""
 
     def __init__(self) -> None:
-        self._place = (0.0, 0.0, 0.0)
+        self._place = SE2()
         self._last: tuple[int, int] | None = None  # time [ns] and index of the frame before
         self._period_ns: float | None = None
         self._skipped = 0
@@ -57,7 +57,8 @@ class Trip:
             mean_ns = period_ns / gap if self._period_ns is None else self._period_ns
             self._period_ns = mean_ns + _RATE_SHARE * (period_ns / gap - mean_ns)
             if tick is not None and tick.motion.known:
-                self._drive(tick.motion.speed_mps, tick.motion.yaw_rate_radps, period_ns * 1e-9)
+                dt_s = period_ns * 1e-9
+                self._place @= SE2.arc(tick.motion.speed_mps * dt_s, tick.motion.yaw_rate_radps * dt_s)
         self._last = (frame.t_ns, frame.index)
 
     def snapshot(self, record: TickRecord, events: tuple[Event, ...]) -> Snapshot | None:
@@ -79,14 +80,4 @@ class Trip:
             rate_hz=1e9 / self._period_ns if self._period_ns else None,
             skipped=self._skipped,
             events=events,
-        )
-
-    def _drive(self, speed_mps: float, yaw_rate_radps: float, dt_s: float) -> None:
-        x_m, y_m, yaw_rad = self._place
-        middle_rad = yaw_rad + 0.5 * yaw_rate_radps * dt_s
-        way_m = speed_mps * dt_s
-        self._place = (
-            x_m + way_m * math.cos(middle_rad),
-            y_m + way_m * math.sin(middle_rad),
-            math.remainder(yaw_rad + yaw_rate_radps * dt_s, math.tau),
         )

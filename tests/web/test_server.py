@@ -14,6 +14,7 @@ from aiohttp import WSMsgType, WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
 from automodel.config import CarConfig
+from automodel.geometry import SE2
 from automodel.signals import Event, LaneEstimate, LaneStatus, VehicleState
 from automodel.web.access import CSP, Access
 from automodel.web.guard import CLIENTS_MAX, MESSAGE_BYTES
@@ -87,7 +88,7 @@ def snapshot(t_ns: int = 5_000_000_000) -> Snapshot:
         mode="DRIVING",
         reason=None,
         latency_ns=12_000_000,
-        place=(1.0, 2.0, 0.5),
+        place=SE2(1.0, 2.0, 0.5),
         rate_hz=59.9,
         skipped=3,
         events=(Event(t_ns=t_ns, kind="hold", text="<b>the lane is lost</b>"),),
