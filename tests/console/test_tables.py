@@ -50,7 +50,7 @@ COMMANDS: dict[str, tuple[dict[str, object], tuple[str, ...]]] = {
                        "p99_ms": 1.2345, "max_ms": 1.2345, "clock": "this machine"}, latency.COLUMNS),
     "bench tusimple": ({**dict.fromkeys(tusimple.COLUMNS, 0.98765), "pipeline": "centerline"}, tusimple.COLUMNS),
     "bench faults": ({"fault": "perception-wrong-short", "runs": 300, "violations": 0, "reaction_p50_ms": 123.456,
-                      "reaction_max_ms": 123.456, "left_lane": 12, "left_max_m": 0.123}, faults.COLUMNS),
+                      "reaction_max_ms": 123.456, "left_lane": 12, "left_max_m": 0.123, "moved": 3}, faults.COLUMNS),
     "faults --list": (listing(("camera-gone",))[0], ("fault", "kind", "must", "what")),
     "calibrate servo": (dict.fromkeys(("centre_us", "left_deg", "right_deg", "play_deg", "rms_deg", "sd_max_deg",
                         "dead_ms", "dead_sd_ms", "lag_ms", "rate_radps", "holds", "strays", "max_error_deg",

@@ -69,7 +69,7 @@ CAR = CarConfig(
 TRACK = "oval"
 LOOKS = 4
 TRUTH = "truth"  # the pipeline that reads it
-COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m")
+COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m", "moved")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
 STANDSTILL_S = 3.0  # and the car until it stands, and its wheels are straight
 COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
@@ -406,4 +406,5 @@ def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
         "reaction_max_ms": round(max(reactions_ms), 3) if reactions_ms else None,
         "left_lane": sum(verdict.left_m > 0 for verdict in verdicts),
         "left_max_m": round(max(verdict.left_m for verdict in verdicts), 3),
+        "moved": sum(verdict.moved for verdict in verdicts),
     }

@@ -22,7 +22,7 @@ from tests.support.command_line import Cli, cli
 
 __all__ = ["cli"]
 
-KEYS = ["fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m"]
+KEYS = ["fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m", "moved"]
 BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
