@@ -154,7 +154,8 @@ class Watcher:
         if not len(misled):
             return []
         start_s = 1e-9 * self.scenes[0].t_ns
-        return [f"its estimate misled it in {len(misled)} frames, from t = {errors[misled[0], 0] - start_s:.1f} s on"]
+        frames = f"{len(misled)} frame{'s' if len(misled) > 1 else ''}"
+        return [f"its estimate misled it in {frames}, from t = {errors[misled[0], 0] - start_s:.1f} s on"]
 
     def _departures(self) -> list[Scene]:
         """The scenes in which the body has just left the lane."""

@@ -90,4 +90,4 @@ def test_estimates_are_held_against_the_truth() -> None:
     row = watcher.row(result(), (None, None))
     assert row["estimate_mae_m"] == pytest.approx((0.0 + 0.02 + 0.11 + 0.11) / 4)
     assert row["misled_pct"] == row["bound_exceeded_pct"] == 25.0
-    assert "misled it in 1 frames, from t = 2.0 s on" in watcher.ending(result())
+    assert "misled it in 1 frame, from t = 2.0 s on" in watcher.ending(result())
