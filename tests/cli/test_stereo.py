@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import pytest
 from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.cli.init import kit_path
 from automodel.config import load_car
+from automodel.config.camera import SecondCamera
 from automodel.recording.reader import Recording
 from automodel.signals import StereoFrame
 from automodel.sources.images import read_image
@@ -37,6 +39,15 @@ def test_a_drive_with_two_cameras_is_recorded_with_both_and_replays(cli, tmp_pat
     replayed = table["offset_m"][np.isfinite(table["offset_m"])]
     np.testing.assert_allclose(replayed, driven, atol=1e-6)
     assert cli("replay", run, "--pipeline", "windows", "--json").rows[0]["frames"] == len(steps)  # sees the left one
+
+
+def test_each_eye_has_noise_of_its_own() -> None:
+    car = load_car(kit_path("sim-stereo"))
+    place = SecondCamera(intrinsics=car.camera.intrinsics, extrinsics=car.camera.extrinsics)
+    car = replace(car, camera=replace(car.camera, right=place))
+    left, right = build_world(car, Simulation(track="oval")).capture(0, 0)[0].astype(float)
+    assert abs((left - right).mean()) < 0.1  # the same scene from the same place
+    assert (left - right).std() > 1.0
 
 
 @pytest.fixture(scope="module")
