@@ -20,7 +20,7 @@ import numpy as np
 
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.evidence import Equations, Prior, log_likelihood, posterior, settled, whitened
+from automodel.tracking.evidence import Equations, Prior, innovation, log_likelihood, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, line_beside, moved
 from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.types import FloatArray
@@ -313,10 +313,20 @@ class Evidence:
         equations = zip(*(look.equations for look in looks), strict=True)
         return log_likelihood(self._prior, Equations(*(np.concatenate(parts) for parts in equations)))
 
-    def explained(self, lines: Sequence[Assigned]) -> list[Assigned]:
-        """The lines that are likelier in their role than as a thing of their own."""
-        anything = self.belief.anything()
-        return [one for one in lines if self.of_line(*one) > anything.of_line(one.line)]
+    def explained(self, lines: Sequence[Assigned], gate: float) -> list[Assigned]:
+        """The lines that are likelier in their role than as a thing of their own.
+
+        One whose squared innovation is beyond the `gate` is not: it is a thing that the clutter does not describe
+        either, such as a line that goes on as another.
+        """
+        anything, explained = self.belief.anything(), []
+        for one in lines:
+            looks = self.looks(one.line, (one.role,))
+            if innovation(self._prior, looks[0].equations) < gate and self.log_likelihood(looks) > anything.of_line(
+                one.line
+            ):
+                explained.append(one)
+        return explained
 
     def of_line(self, line: SightedLine, role: float = 0.0) -> float:
         """The logarithm of how likely a line is in a role [nats]."""

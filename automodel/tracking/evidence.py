@@ -249,6 +249,14 @@ def log_likelihood(prior: Prior, equations: Equations) -> float:
 
 
 @compiled
+def innovation(prior: Prior, equations: Equations) -> float:
+    """Squared residuals of lines over the covariance that the belief and their errors give them."""
+    _, vector, root = _together(equations, 1.0)
+    white = forward(root, vector)
+    return equations.misfit.sum() - dot(white, white)
+
+
+@compiled
 def posterior(prior: Prior, equations: Equations, z: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
     """State (n,) and covariance (n, n) after lines that count by a `share` and put it at z."""
     root = _together(equations, share)[2]

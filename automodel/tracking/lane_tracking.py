@@ -48,7 +48,8 @@ class TrackingConfig:
     `bend`: sigma of the curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the
     nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
-    freedom); `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
+    freedom), and of a line, where it happens to one true line in a thousand (tmr in varied light, `windows`);
+    `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
     followed.
     `exists`: log-odds [nats] that it must have against clutter. `start`: sigma of a car's offset
     [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
@@ -258,6 +259,8 @@ class LaneTracking:
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
             self._believe(alone.all[0].belief)
         elif self._sure(best) and (not own or self._beats(best, said, alone.all[0].news)):
+            if not clear:  # nothing but the lines of these frames says which lane it is: the next one has such, too
+                self._pair_m = 0.0
             self._believe(best.belief)
             return best.belief if apart > self.config.differs or self._vaguer(measured, best.belief) else None
         elif self._refuted(measured):
@@ -328,8 +331,8 @@ class LaneTracking:
         if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
             evidence = Evidence(replace(belief, road=self._bends.road))
-            assigned = evidence.explained(own)
-            if own and not assigned:
+            assigned = evidence.explained(own, self.config.gate)
+            if len(assigned) < len(own):
                 self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
                 belief = evidence.update(assigned, self._news_m / self._unit)

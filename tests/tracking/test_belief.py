@@ -209,8 +209,11 @@ def test_a_mirrored_road_gives_the_mirrored_lane(curvature: float, heading: floa
     assert mirrored_odds == pytest.approx(odds, abs=1e-6)
 
 
+GATE = 27.6  # of `TrackingConfig`
+
+
 def explained(believed: LaneBelief, line: Assigned) -> bool:
-    return bool(Evidence(believed).explained((line,)))
+    return bool(Evidence(believed).explained((line,), GATE))
 
 
 def test_a_line_in_its_place_is_explained_and_another_is_not() -> None:
@@ -218,6 +221,15 @@ def test_a_line_in_its_place_is_explained_and_another_is_not() -> None:
     assert explained(sure, Assigned(line_of(STRAIGHT, LEFT), LEFT))
     assert not explained(sure, Assigned(line_of(STRAIGHT, 0.0), LEFT))
     assert not explained(sure, Assigned(line_of(STRAIGHT, RIGHT), LEFT))
+
+
+def test_a_line_that_goes_on_as_another_is_not_explained_though_no_clutter_is_likelier() -> None:
+    sure = belief(STRAIGHT, (0.02, 0.03, 0.1, 0.02))
+    points = line_of(STRAIGHT, LEFT).points_m.copy()
+    points[: len(points) // 2, 1] += 0.1 * LANE_M  # the near half is something beside it
+    mixed = sighted(points)
+    assert Evidence(sure).of_line(mixed, LEFT) > sure.anything().of_line(mixed)
+    assert not explained(sure, Assigned(mixed, LEFT))
 
 
 def test_what_is_no_news_teaches_little() -> None:

@@ -201,6 +201,28 @@ def test_an_estimator_that_jumps_is_doubted_and_the_bound_reaches_where_the_lane
     assert bound(estimate) > 0.8 * abs(jump) * 0.8 * LANE_M
 
 
+def test_an_estimator_one_of_whose_two_lines_is_another_thing_is_doubted() -> None:
+    drive = driving()
+    drive.follow(replace(said(0.0), right=said(-0.3 * LANE_M).right))
+    assert drive.doubted
+
+
+def test_a_lane_that_only_the_lines_in_view_tell_from_the_next_one_is_told_with_a_bound_that_fills_it() -> None:
+    """It may be the neighbour's until it has been followed for a lane width: that has two lines, too."""
+    drive = driving()
+    while not drive.tracking._confusable(drive.tracking._belief or pytest.fail("lost")):
+        drive.follow(said(0.0, NONE), known=False)
+    estimate = drive.follow(said(0.0, NONE), known=False)
+    while drive.anew is None and drive.doubted:
+        estimate = drive.follow(said(0.2 * LANE_M, NONE), sights(0.0))
+    assert not drive.doubted
+    estimate = drive.follow(said(0.0), sights(0.0))
+    assert bound(estimate) >= LANE_M
+    for _ in range(10):
+        estimate = drive.follow(said(0.0), sights(0.0))
+    assert bound(estimate) < 0.3 * LANE_M
+
+
 @pytest.mark.parametrize("jump", [0.6, -0.6])
 def test_after_a_jump_to_another_line_the_estimator_is_sent_back(jump: float) -> None:
     drive = driving()
