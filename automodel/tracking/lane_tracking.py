@@ -259,10 +259,12 @@ class LaneTracking:
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
             self._believe(alone.all[0].belief)
         elif self._sure(best) and (not own or self._beats(best, said, alone.all[0].news)):
+            self._believe(best.belief)
+            if apart <= self.config.differs and not self._vaguer(measured, best.belief):
+                return None
             if not clear:  # nothing but the lines of these frames says which lane it is: the next one has such, too
                 self._pair_m = 0.0
-            self._believe(best.belief)
-            return best.belief if apart > self.config.differs or self._vaguer(measured, best.belief) else None
+            return best.belief
         elif self._refuted(measured):
             return self._reckoned
         return None
