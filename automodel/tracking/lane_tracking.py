@@ -51,8 +51,8 @@ class TrackingConfig:
     freedom), and of a line, where it happens to one true line in a thousand (tmr in varied light, `windows`);
     `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
     followed.
-    `exists`: log-odds [nats] that it must have against clutter. `start`: sigma of a car's offset
-    [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
+    `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
+    `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     """
 
     coast_s: float
@@ -343,7 +343,7 @@ class LaneTracking:
             self._doubt(belief)
 
     def _watch(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
-        """Learn from all lines in view, which may fit in more than one way.
+        """Learn from all lines in view, which may fit in more than one way; specks, which lie anywhere, teach nothing.
 
         Returns a belief to start anew from where the estimator misses a line.
         """
@@ -357,7 +357,7 @@ class LaneTracking:
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
             self._contradict(belief)
-        elif best.assigned:
+        elif best.assigned and best.news > self.config.exists:
             self._learn(best.belief, measured, self._is_pair(belief, best))
             if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)

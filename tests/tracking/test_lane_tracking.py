@@ -332,6 +332,21 @@ def test_a_speck_where_the_other_line_may_be_starts_nothing_anew() -> None:
         assert drive.anew is None
 
 
+def test_a_speck_in_place_of_a_line_teaches_nothing_and_keeps_no_lane_alive() -> None:
+    speck = line_of(Road(aside_m=-0.04), RIGHT, 1.2, 1.21, count=1)
+    beliefs = []
+    for lines in ((), (speck,)):
+        drive = driving()
+        for _ in range(6):
+            drive.follow(said(0.0, NONE), lines)
+        assert drive.tracking._belief is not None
+        beliefs.append(drive.tracking._belief)
+        while not drive.tracking.lost:
+            drive.follow(said(0.0, NONE), lines)
+            assert drive.t_ns < 5_000_000_000
+    assert beliefs[1].state == pytest.approx(beliefs[0].state, abs=1e-12)
+
+
 def test_a_lone_line_teaches_nothing_until_it_is_weighed_with_all_in_view() -> None:
     drive = driving()
     drive.follow(said(0.0, (LEFT,)), sights(0.0))  # a look at all of them
