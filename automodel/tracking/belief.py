@@ -311,21 +311,20 @@ class Evidence:
     def log_likelihood(self, looks: Sequence[Look]) -> float:
         """The logarithm of how likely lines are [nats]."""
         equations = zip(*(look.equations for look in looks), strict=True)
-        return log_likelihood(self._prior, Equations(*(np.concatenate(parts) for parts in equations)))
+        return log_likelihood(Equations(*(np.concatenate(parts) for parts in equations)))
 
     def explained(self, lines: Sequence[Assigned], gate: float) -> list[Assigned]:
-        """The lines that are likelier in their role than as a thing of their own.
+        """The lines that are likelier in their role than as a thing of their own, and fit there.
 
-        One whose squared innovation is beyond the `gate` is not: it is a thing that the clutter does not describe
-        either, such as a line that goes on as another.
+        One whose squared innovation is beyond the `gate` does not fit: it may be two things in one, such as a line
+        that goes on as another, which is unlikely as clutter too.
         """
         anything, explained = self.belief.anything(), []
-        for one in lines:
-            looks = self.looks(one.line, (one.role,))
-            if innovation(self._prior, looks[0].equations) < gate and self.log_likelihood(looks) > anything.of_line(
-                one.line
-            ):
-                explained.append(one)
+        for line, role in lines:
+            (look,) = self.looks(line, (role,))
+            squares, volume = innovation(look.equations)
+            if squares < gate and -0.5 * (squares + volume) > anything.of_line(line):
+                explained.append(Assigned(line, role))
         return explained
 
     def of_line(self, line: SightedLine, role: float = 0.0) -> float:

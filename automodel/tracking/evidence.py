@@ -238,22 +238,21 @@ def settled(
 
 
 @compiled
-def log_likelihood(prior: Prior, equations: Equations) -> float:
-    """The logarithm of how likely lines are [nats]."""
+def innovation(equations: Equations) -> tuple[float, float]:
+    """Squared innovation of lines over its covariance S, which the belief and their errors give, and log |2 pi S|."""
     _, vector, root = _together(equations, 1.0)
     white = forward(root, vector)
     volume = equations.log_volume.sum()
     for i in range(len(root)):
         volume += 2.0 * math.log(root[i, i])
-    return -0.5 * (equations.misfit.sum() - dot(white, white) + volume)
+    return equations.misfit.sum() - dot(white, white), volume
 
 
 @compiled
-def innovation(prior: Prior, equations: Equations) -> float:
-    """Squared residuals of lines over the covariance that the belief and their errors give them."""
-    _, vector, root = _together(equations, 1.0)
-    white = forward(root, vector)
-    return equations.misfit.sum() - dot(white, white)
+def log_likelihood(equations: Equations) -> float:
+    """The logarithm of how likely lines are [nats]."""
+    squares, volume = innovation(equations)
+    return -0.5 * (squares + volume)
 
 
 @compiled

@@ -48,9 +48,8 @@ class TrackingConfig:
     `bend`: sigma of the curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the
     nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
-    freedom), and of a line, where it happens to one true line in a thousand (tmr in varied light, `windows`);
-    `differs`: one that happens in a hundredth of them. `sure`: posterior of the one hypothesis that is
-    followed.
+    freedom), and of a line's points: with nine of them, the most, once in a thousand true lines. `differs`: squared
+    innovation that happens once in a hundred frames. `sure`: posterior of the one hypothesis that is followed.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     """
@@ -262,7 +261,7 @@ class LaneTracking:
             self._believe(best.belief)
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
-            if not clear:  # nothing but the lines of these frames says which lane it is: the next one has such, too
+            if not clear:  # that it has two lines tells it from no other lane: it must be followed before it is sure
                 self._pair_m = 0.0
             return best.belief
         elif self._refuted(measured):

@@ -15,6 +15,7 @@ from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import STATION, STATIONS, Assigned, Bends, Evidence, LaneBelief, Part, RoadModel
 from automodel.tracking.hypotheses import LEFT, RIGHT
 from automodel.tracking.lane_path import ROAD, WIDTH
+from automodel.tracking.lane_tracking import TrackingConfig
 from automodel.types import FloatArray
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.sighted_lines import ROAD_MODEL, belief, line_of, sighted
@@ -209,11 +210,8 @@ def test_a_mirrored_road_gives_the_mirrored_lane(curvature: float, heading: floa
     assert mirrored_odds == pytest.approx(odds, abs=1e-6)
 
 
-GATE = 27.6  # of `TrackingConfig`
-
-
 def explained(believed: LaneBelief, line: Assigned) -> bool:
-    return bool(Evidence(believed).explained((line,), GATE))
+    return bool(Evidence(believed).explained((line,), TrackingConfig(coast_s=1.0, coast_lanes=1.0).gate))
 
 
 def test_a_line_in_its_place_is_explained_and_another_is_not() -> None:
