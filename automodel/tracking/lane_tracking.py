@@ -201,7 +201,7 @@ class LaneTracking:
         else:
             return None
         self._started_ns = self._seen_ns = t_ns
-        self._pair_m = self._unit if roles >= {LEFT, RIGHT} else 0.0
+        self._pair_m = 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:
@@ -261,8 +261,6 @@ class LaneTracking:
             self._believe(best.belief)
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
-            if not clear:  # that it has two lines tells it from no other lane: it must be followed before it is sure
-                self._pair_m = 0.0
             return best.belief
         elif self._refuted(measured):
             return self._reckoned
@@ -444,7 +442,9 @@ class LaneTracking:
         self.in_doubt = True
 
     def _believe(self, belief: LaneBelief) -> None:
-        """The doubt is over."""
+        """The doubt is over; where dead reckoning could not tell the lane from the next one, it may be that one."""
+        if self._reckoned is not None and self._confusable(self._reckoned, 1.0):
+            self._pair_m = 0.0
         self._belief, self._reckoned, self.in_doubt, self._news_m = belief, None, False, 0.0
         self._hypotheses.start(())
         self._innovations.reset()
@@ -471,9 +471,9 @@ class LaneTracking:
         mean = np.array((pose.offset_m, -pose.heading_rad, pose.curvature_per_m, pose.width_m))
         return LaneBelief.arc(mean, covariance, self._bends.road, self._reference_x_m)
 
-    def _confusable(self, belief: LaneBelief) -> bool:
-        """Whether another line may be taken for the lane's."""
-        return self._lateral_variance(belief) > (self.config.confusable * belief.width_m) ** 2
+    def _confusable(self, belief: LaneBelief, away: float = 0.5) -> bool:
+        """Whether a line so many lane widths away may be taken for the lane's."""
+        return self._lateral_variance(belief) > (2.0 * away * self.config.confusable * belief.width_m) ** 2
 
     def _lateral_variance(self, belief: LaneBelief) -> float:
         """Of the lane's place at the nearest ground that is seen [m^2]."""

@@ -26,7 +26,7 @@ from tests.support.sighted_lines import line_of
 CAR = CarConfig()
 LANE_M = CAR.lane.width_m
 CONFIG = TrackingConfig(coast_s=1.0, coast_lanes=2.0)
-STEP_NS, SPEED_MPS = 50_000_000, 1.0
+STEP_NS, STEP_S, SPEED_MPS = 50_000_000, 0.05, 1.0
 AHEAD = GraphCurve((0.0, 0.0), 0.0, 2.0)
 BOTH: tuple[float, ...] = (LEFT, RIGHT)
 NONE: tuple[float, ...] = ()
@@ -117,7 +117,12 @@ def test_two_lines_in_view_are_a_lane_at_once() -> None:
     start = drive.tracking.start(drive.t_ns, sights(0.05))
     assert start is not None
     assert start.offset_m == pytest.approx(0.05, abs=0.01)
-    assert drive.tracking.follow(drive.frame, said(start.offset_m)).status is LaneStatus.TRACKING
+    estimate = drive.tracking.follow(drive.frame, said(start.offset_m))
+    assert estimate.status is LaneStatus.TRACKING
+    assert bound(estimate) >= LANE_M  # two pieces of paint may lie like a lane's lines until the car has followed them
+    followed = [bound(drive.follow(said(start.offset_m))) for _ in range(math.ceil(LANE_M / (SPEED_MPS * STEP_S)) + 1)]
+    assert min(followed[:3]) >= LANE_M
+    assert followed[-1] < 0.5 * LANE_M
 
 
 @pytest.mark.parametrize("roles", [(), (RIGHT_FAR,), (LEFT_FAR,)])
@@ -207,19 +212,30 @@ def test_an_estimator_one_of_whose_two_lines_is_another_thing_is_doubted() -> No
     assert drive.doubted
 
 
-def test_a_lane_that_only_the_lines_in_view_tell_from_the_next_one_is_told_with_a_bound_that_fills_it() -> None:
+@pytest.mark.parametrize(("says", "seen"), [(0.2, NONE), (0.0, NONE), (0.0, BOTH)])
+def test_a_lane_that_only_the_lines_in_view_tell_from_the_next_one_is_told_with_a_bound_that_fills_it(
+    says: float, seen: tuple[float, ...]
+) -> None:
     """It may be the neighbour's until it has been followed for a lane width: that has two lines, too."""
     drive = driving()
-    while not drive.doubted:  # until dead reckoning no longer tells which lane it is
-        assert drive.follow(said(0.0, NONE), known=False).valid
-    found = []
+    while bound(drive.follow(said(0.0, NONE), known=False)) < LANE_M:  # dead reckoning no longer tells which lane it is
+        assert drive.t_ns < 3e9
     while drive.doubted:
-        assert drive.follow(said(0.2 * LANE_M, NONE), sights(0.0)).valid
-        found.append(drive.anew)
-    assert found[-1] is not None
+        assert drive.follow(said(says * LANE_M, seen), sights(0.0)).valid
+        assert drive.t_ns < 3e9
     assert bound(drive.follow(said(0.0), sights(0.0))) >= LANE_M
     told = [bound(drive.follow(said(0.0), sights(0.0))) for _ in range(10)]
     assert told[-1] < 0.3 * LANE_M
+
+
+def test_a_lane_that_dead_reckoning_tells_from_the_next_one_is_known_when_its_lines_are_seen_again() -> None:
+    drive = driving()
+    while not drive.doubted:
+        assert drive.follow(said(0.0, NONE), known=False).valid
+    while drive.doubted:
+        assert drive.follow(said(0.0), sights(0.0)).valid
+        assert drive.t_ns < 3e9
+    assert bound(drive.follow(said(0.0), sights(0.0))) < 0.5 * LANE_M
 
 
 @pytest.mark.parametrize("jump", [0.6, -0.6])
