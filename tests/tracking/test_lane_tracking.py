@@ -161,7 +161,7 @@ def test_a_lane_of_one_line_is_told_with_a_bound_that_fills_the_lane() -> None:
     drive, first = beginning()
     estimates = [first] + [drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT,))) for _ in range(4)]
     assert all(estimate.status is LaneStatus.ONE_LINE for estimate in estimates)
-    assert all(bound(estimate) >= LANE_M for estimate in estimates)
+    assert all(bound(estimate) > LANE_M + 0.01 for estimate in estimates)  # the next lane's is not exactly seen either
 
 
 def test_a_lane_that_the_estimator_does_not_see_in_its_first_frame_was_none() -> None:
