@@ -526,8 +526,8 @@ class LaneTracking:
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))
-        if not self.paired:  # what is seen may be the next lane's, a lane width away
-            offset += pose.width_m
+        if not self.paired:  # what is seen may be the next lane's, a lane width away, whatever its own width seems
+            offset += max(pose.width_m, self._unit)
         return offset, heading
 
 

@@ -164,6 +164,11 @@ def test_a_lane_of_one_line_is_told_with_a_bound_that_fills_the_lane() -> None:
     assert all(bound(estimate) > LANE_M + 0.01 for estimate in estimates)  # the next lane's is not exactly seen either
 
 
+def test_a_lane_that_seems_narrow_may_be_the_next_one_all_the_same() -> None:
+    drive, _ = beginning()
+    assert bound(drive.follow(said(0.0, (LEFT,), width_m=0.8 * LANE_M), sights(0.0, (LEFT,)))) > LANE_M
+
+
 def test_a_lane_that_the_estimator_does_not_see_in_its_first_frame_was_none() -> None:
     drive = Drive()
     drive.predict()
