@@ -113,11 +113,14 @@ class LaneTracking:
         self._bends.reset()
         self._t_ns = self._started_ns = 0
         self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
+        self._belief: LaneBelief | None = None
+        self._placed = True  # in its lane, by a person
         self.forget()
 
     def forget(self) -> None:
         """Forget the lane."""
-        self._belief: LaneBelief | None = None
+        self._placed = self._placed and self._belief is None
+        self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
         self._hypotheses.start(())
         self._innovations.reset()
@@ -184,7 +187,7 @@ class LaneTracking:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
 
         The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across. Where
-        one of its lines is all that is in view, it is in doubt.
+        one of its lines is all that is in view, it is in doubt. After a lane was lost, it may be the next one.
         """
         if not self._hypotheses.all or self._hypotheses.driven_lanes < STILL:
             self._hypotheses.start(((self._anywhere(), 0.0),))  # a car that stands sees the same again: no new witness
@@ -201,7 +204,7 @@ class LaneTracking:
         else:
             return None
         self._started_ns = self._seen_ns = t_ns
-        self._pair_m = 0.0
+        self._pair_m = self._unit if self._placed and roles >= {LEFT, RIGHT} else 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:
