@@ -18,7 +18,30 @@ from automodel.sim.track_files import load_track
 from automodel.sources.files import read_motion_csv
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def _pages(folder: str) -> list[Path]:
+    return list((ROOT / folder).glob("*.md" if folder == "." else "**/*.md"))
+
+
+PAGES = sorted(
+    path
+    for folder in (".", ".github", "automodel", "calibration", "firmware_link", "tracks")
+    for path in _pages(folder)
+)
+SHORT = 250  # lines of README.md, at most
+README = "\n".join(
+    (ROOT / name).read_text(encoding="utf-8")
+    for name in (
+        "README.md",
+        "automodel/cli/README.md",
+        "automodel/pipelines/README.md",
+        "automodel/recording/README.md",
+        "automodel/runtime/README.md",
+        "automodel/web/README.md",
+        "calibration/README.md",
+    )
+)
 
 
 def blocks(language: str) -> list[str]:
@@ -27,7 +50,27 @@ def blocks(language: str) -> list[str]:
 
 LINES = [line for block in blocks("sh") for line in block.splitlines()]
 AUTOMODEL = [line for line in LINES if line.startswith("automodel")]
-CHAIN = [line for line in blocks("sh")[2].splitlines() if not line.startswith("automodel bench accuracy")]
+(CHAIN,) = {block for block in blocks("sh") if "--record my.mcap" in block}
+
+
+def anchors(page: Path) -> set[str]:
+    """The names that GitHub gives to the headings of a page."""
+    titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", page.read_text(encoding="utf-8")):
+        if not link.startswith("http"):
+            name, _, anchor = link.partition("#")
+            target = (page.parent / name).resolve() if name else page
+            assert target.exists(), link
+            assert not anchor or anchor in anchors(target), link
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) < SHORT
 
 
 def test_there_is_something_to_test() -> None:
@@ -63,7 +106,7 @@ def test_every_command_and_option_exists(line: str) -> None:
 
 def test_the_first_examples_run_as_written(tmp_path: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for line in CHAIN:
+    for line in CHAIN.splitlines():
         line = line.replace("--duration 5", "--duration 1")
         assert cli(*shlex.split(line)[1:]).code == 0, line
     assert {path.name for path in tmp_path.iterdir()} == {
