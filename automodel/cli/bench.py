@@ -84,7 +84,12 @@ def accuracy(
     as_json: bool,
     **chosen: Any,
 ) -> int:
-    """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability."""
+    """Prescribed drives over tracks in several styles and lights: errors of heading and offset, availability.
+
+    Example:
+
+    automodel bench accuracy --world random --seeds 20 --pipeline windows
+    """
     from automodel.bench import accuracy, centerline_paper, windows_paper
 
     check_outputs({"--plot": plot, "--csv": csv_file}, {"--car": car_file, "--monza": chosen["monza"]})
@@ -177,7 +182,12 @@ def sensitivity(
     csv_file: Path | None,
     as_json: bool,
 ) -> int:
-    """What each tuned number of the stages matters: moved by -50, -20, +20 and +50 %, over short and varied drives."""
+    """What each tuned number of the stages matters: moved by -50, -20, +20 and +50 %, over short and varied drives.
+
+    Example:
+
+    automodel bench sensitivity --list
+    """
     from automodel.bench.sensitivity import COLUMNS, SensitivityChoice, measure
     from automodel.bench.sensitivity import listing as numbers
 
@@ -201,7 +211,12 @@ def sensitivity(
 @click.option("--threads", type=click.IntRange(1), default=1, show_default=True, help="Threads that OpenCV may use.")
 @JSON
 def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, threads: int, as_json: bool) -> int:
-    """Milliseconds a frame, by stage, on rendered frames of tmr."""
+    """Milliseconds a frame, by stage, on rendered frames of tmr.
+
+    Example:
+
+    automodel bench speed --pipeline contour --json
+    """
     from automodel.bench.machine import described, this_machine
     from automodel.bench.speed import COLUMNS, measure
 
@@ -221,7 +236,12 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 @click.option("--commands", type=click.IntRange(10), default=200, show_default=True)
 @JSON
 def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int, commands: int, as_json: bool) -> int:
-    """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse."""
+    """Milliseconds from a frame to its command on the wire, and from there to the servo's pulse.
+
+    Example:
+
+    automodel bench latency --pipeline contour
+    """
     from automodel.assembly.simulated_car import has_our_firmware
     from automodel.bench.latency import COLUMNS, measure
     from automodel.bench.machine import described, this_machine
@@ -251,7 +271,12 @@ def tusimple(
     figures: Path | None,
     as_json: bool,
 ) -> int:
-    """Labelled highway images (TuSimple): its metric for the ego lines and for all, and the error of the middle."""
+    """Labelled highway images (TuSimple): its metric for the ego lines and for all, and the error of the middle.
+
+    Example:
+
+    automodel bench tusimple --root tusimple/test_set
+    """
     from automodel.bench.tusimple import COLUMNS, LABELS, measure
 
     inputs = {"--car": car_file, "the labels": root / LABELS}
@@ -285,7 +310,12 @@ def contour_paper(
     as_json: bool,
     **drive: Any,
 ) -> int:
-    """What knowing the speed is worth to `contour` in bends: right, wrong by 20 % and unknown, at 5 to 60 frames/s."""
+    """What knowing the speed is worth to `contour` in bends: right, wrong by 20 % and unknown, at 5 to 60 frames/s.
+
+    Example:
+
+    automodel bench contour-paper
+    """
     from automodel.bench.contour_paper import COLUMNS, LAWS, ClaimDrive, measure
 
     check_outputs({"--figure": figure, "--csv": csv_file}, {"--car": car_file})
@@ -323,6 +353,10 @@ def faults(
     """Faults of every part, built into runs of the simulated car at random times: does it stop, and only then?
 
     On virtual time: the same seed gives the same results. Exit code 1 where the car did not do what it must.
+
+    Example:
+
+    automodel bench faults --runs 67 --pipeline contour
     """
     if listed:
         from automodel.bench.faults.catalogue import listing

@@ -30,6 +30,10 @@ def command(sources: tuple[str, ...], car_file: Path, **given: Any) -> int:
 
     Show the board near and far, also in the corners of the image, and tilted by 20 to 50 degrees to all sides; 15 views
     are good. The printed board must be flat: glue it on something stiff.
+
+    Example:
+
+    automodel calibrate camera live --board 9x6 --square-mm 25 --car car.toml
     """
     from automodel.assembly.calibration_source import open_images
     from calibration.camera_dialogue import CameraOptions, calibrate_from_images

@@ -48,6 +48,10 @@ def command(
     Measure on the floor from the ground under the middle of the rear axle: x ahead, y to the left. Lay a sheet there
     (--board or --aruco, --at), or tape four or more points (--point, --points), or drive straight along a lane
     (--from-lanes).
+
+    Example:
+
+    automodel calibrate ground drive.mp4 --from-lanes --car car.toml
     """
     from automodel.assembly.calibration_source import open_images
     from calibration.ground_dialogue import GroundOptions, calibrate_ground

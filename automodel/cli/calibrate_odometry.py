@@ -51,6 +51,10 @@ def command(simulated: bool, **given: Any) -> int:
 
     The car drives the straight once for each of --speeds and stops; you measure the distance with a tape and type it
     in. Enter arms and Enter stops. With --push you push it along exactly --distance-m instead.
+
+    Example:
+
+    automodel calibrate odometry --distance-m 3 --car car.toml
     """
     from automodel.assembly.calibration_rigs import calibration_rig, car_to_calibrate
     from automodel.console.messages import say

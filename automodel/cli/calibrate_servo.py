@@ -54,6 +54,10 @@ def command(auto: bool, manual: bool, **given: Any) -> int:
     Without --auto and --manual, keys move the servo to find its centre and ends. --auto drives for a minute on a free,
     level floor of 6 x 6 m, up to 10 m long where the centre is far off; at --speed 0.3 it needs 60 % of that. Enter
     arms and Enter stops, as does Ctrl-C; then nothing is written.
+
+    Example:
+
+    automodel calibrate servo --auto --sim --seed 3
     """
     if auto and manual:
         raise click.UsageError("--auto and --manual: choose one of them")

@@ -26,6 +26,10 @@ def command(car_file: Path | None, move: bool, yes: bool, as_json: bool) -> int:
     """Check machine, camera, board and calibration: OK, WARN, FAIL or SKIP, and what to do.
 
     Nothing moves without --move. The exit code is 1 if a check says FAIL, else 0.
+
+    Example:
+
+    automodel doctor --car car.toml --move
     """
     from automodel.assembly.parts import car_of
     from automodel.doctor.board import Consent

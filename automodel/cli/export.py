@@ -21,7 +21,12 @@ from automodel.recording.reader import Recording
 @click.option("--video", type=FILE, help="Write an MP4 with the overlay here.")
 @click.option("--foxglove", type=FILE, help="Write an .mcap for Foxglove here, and its layout beside it.")
 def command(recording: Path, csv_file: Path | None, video: Path | None, foxglove: Path | None) -> int:
-    """Write a RECORDING's estimates as CSV, its frames with overlay as video, and both as scenes for Foxglove."""
+    """Write a RECORDING's estimates as CSV, its frames with overlay as video, and both as scenes for Foxglove.
+
+    Example:
+
+    automodel export lap.mcap --csv driven.csv --video driven.mp4
+    """
     if csv_file is None and video is None and foxglove is None:
         raise click.UsageError("nothing to do: give --csv, --video or --foxglove FILE", click.get_current_context())
     layout = None if foxglove is None else foxglove.with_suffix(".layout.json")

@@ -30,7 +30,12 @@ _NEXT = "next: measure what is marked +, then: automodel doctor --car"
 @click.option("--list", "listing", is_flag=True, help="List the kits and write nothing.")
 @click.option("--force", is_flag=True, help="Replace an existing file; the old one is kept as NAME.bak.")
 def command(kit: str | None, out: Path, listing: bool, force: bool) -> int:
-    """Write a commented car.toml for KIT (see --list)."""
+    """Write a commented car.toml for KIT (see --list).
+
+    Example:
+
+    automodel init nano-arduino --out car.toml
+    """
     if listing:
         width = max(map(len, KITS))
         for name, what in KITS.items():

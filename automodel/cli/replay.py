@@ -55,6 +55,10 @@ def command(
     Several, or a folder of recordings and videos, run on all cores. Two videos or folders of images with the car.toml
     of two cameras are a pair, LEFT RIGHT. Of a camera that nothing is known of: automodel
     replay VIDEO --guess.
+
+    Example:
+
+    automodel replay drive.mp4 --car car.toml --csv poses.csv --video overlay.mp4
     """
     from automodel.assembly.replay import COLUMNS, ReplayOptions, replay, replay_all, sources_in
     from automodel.console.tables import show

@@ -31,7 +31,7 @@ def command(as_json: bool, to_s: float | None, **given: Any) -> int:
     Map, offset with its bound, heading, speed, status, time a frame, events, the worst moments with pictures; several
     pipelines on the same frames side by side. Example:
 
-    automodel report run.mcap --pipeline windows --pipeline contour --html report.html
+    automodel report run.mcap --pipeline windows --html report.html
     """
     import math
 

@@ -88,7 +88,12 @@ def command(
     as_json: bool,
     **rest: object,
 ) -> int:
-    """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime)."""
+    """Drive. Without --car: a simulated car on a simulated track, as fast as the machine can (or --realtime).
+
+    Example:
+
+    automodel run --track oval --laps 2 --record lap.mcap
+    """
     from automodel.assembly.drive import RunOptions, drive_real, drive_simulated
     from automodel.assembly.parts import is_live_camera, read_car
     from automodel.console.messages import say

@@ -52,6 +52,10 @@ def command(
     """Train the network that finds lane markings, from samples that are drawn for it.
 
     Ctrl-C ends the training early and keeps the best network so far. Needs torch: pip install 'automodel[train]'.
+
+    Example:
+
+    automodel train --out trained --minutes 60
     """
     if minutes is not None and steps is not None:
         raise click.UsageError("give --minutes or --steps, not both")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -92,7 +96,39 @@ def test_the_program_runs_as_written(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert abs(float(heading_rad)) < 0.03  # of one frame, which does not show the ground beside the car
 
 
-@pytest.mark.parametrize("line", AUTOMODEL)
+def leaves(command: click.Command, name: str = "automodel") -> Iterator[tuple[str, click.Command]]:
+    """All commands that do something, with their names."""
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for each in command.list_commands(context):
+            found = command.get_command(context, each)
+            assert found is not None
+            yield from leaves(found, f"{name} {each}")
+    else:
+        yield name, command
+
+
+HELP = {name: command.help or "" for name, command in leaves(commands)}
+EXAMPLES = [
+    line.strip() for text in HELP.values() for line in text.splitlines() if line.strip().startswith("automodel")
+]
+
+
+@pytest.mark.parametrize("name", HELP)
+def test_every_command_has_an_example_in_its_help(name: str) -> None:
+    (example,) = (line.strip() for line in HELP[name].splitlines() if line.strip().startswith("automodel"))
+    assert example == name or example.startswith(f"{name} ")
+    assert len(example) < 78  # a terminal shows it on one line
+
+
+def test_the_shell_completes_commands_and_options() -> None:
+    words = {"COMP_WORDS": "automodel bench f", "COMP_CWORD": "2", "_AUTOMODEL_COMPLETE": "bash_complete"}
+    program = Path(sys.executable).with_name("automodel")
+    said = subprocess.run([program], env=os.environ | words, capture_output=True, text=True, check=True)
+    assert said.stdout == "plain,faults\n"
+
+
+@pytest.mark.parametrize("line", AUTOMODEL + EXAMPLES)
 def test_every_command_and_option_exists(line: str) -> None:
     words = shlex.split(line)[1:]
     command: click.Command = commands
