@@ -46,7 +46,8 @@ class TrackingConfig:
     """`coast_s`, `coast_lanes`: time, and distance in lane widths, for which a lane lives without any line.
 
     `bend`: sigma of the curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the
-    nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next.
+    nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next; twice
+    as much, and the next lane may be taken for this one.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom), and of a line's points: with nine of them, the most, once in a thousand true lines. `differs`: squared
     innovation that happens once in a hundred frames. `sure`: posterior of the one hypothesis that is followed.
@@ -133,7 +134,10 @@ class LaneTracking:
 
     @property
     def paired(self) -> bool:
-        """Whether both lines were seen for a lane width of way: a lone line, or a chance pair, may be anything."""
+        """Whether both lines were seen for a lane width of way: a lone line, or a chance pair, may be anything.
+
+        Not that of the first lane, if its lines are both in view: a person has put the car there.
+        """
         return self._pair_m >= self._unit
 
     @property

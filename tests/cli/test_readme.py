@@ -24,15 +24,8 @@ from automodel.sources.files import read_motion_csv
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _pages(folder: str) -> list[Path]:
-    return list((ROOT / folder).glob("*.md" if folder == "." else "**/*.md"))
-
-
-PAGES = sorted(
-    path
-    for folder in (".", ".github", "automodel", "calibration", "firmware_link", "tracks")
-    for path in _pages(folder)
-)
+FOLDERS = (".github", "automodel", "calibration", "firmware_link", "tracks")
+PAGES = sorted([*ROOT.glob("*.md"), *(page for folder in FOLDERS for page in (ROOT / folder).rglob("*.md"))])
 SHORT = 250  # lines of README.md, at most
 README = "\n".join(
     (ROOT / name).read_text(encoding="utf-8")
@@ -58,7 +51,7 @@ AUTOMODEL = [line for line in LINES if line.startswith("automodel")]
 
 
 def anchors(page: Path) -> set[str]:
-    """The names that GitHub gives to the headings of a page."""
+    """What a link to a heading of a page ends in, as GitHub makes it."""
     titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 

@@ -161,9 +161,10 @@ def test_a_camera_that_is_lost_is_opened_again_and_the_car_stays_disarmed(
     assert back, said.err
     assert said.code == 1
     kinds = person.kinds[person.kinds.index("source-failed") :]
-    assert "source-back" in kinds
-    assert kinds[-1] == "end"
-    assert not {"arming", "driving"} & set(kinds)
+    assert [kind for kind in kinds if kind != "fault"][-2:] == ["source-back", "end"]
+    assert "driving" not in kinds
+    # the car may have rolled unseen: the lane that it finds may be the next one
+    assert kinds.count("fault") == said.err.count("fault: offset uncertain") == 1
     assert "source-failed: /dev/video0: no more frames" in said.err
     assert "source-back: " in said.err
     (recording,) = (tmp_path / "recordings").glob("*.mcap")  # a real car always records

@@ -225,6 +225,7 @@ def test_a_lane_that_only_the_lines_in_view_tell_from_the_next_one_is_told_with_
     while drive.doubted:
         assert drive.follow(said(says * LANE_M, seen), sights(0.0)).valid
         assert drive.t_ns < 3e9
+    assert (drive.anew is not None) == (says != 0.0)  # sent to where the lines are
     assert bound(drive.follow(said(0.0), sights(0.0))) >= LANE_M
     told = [bound(drive.follow(said(0.0), sights(0.0))) for _ in range(10)]
     assert told[-1] < 0.3 * LANE_M
