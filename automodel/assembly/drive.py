@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -63,12 +63,16 @@ class RunReport:
     failed: bool
 
 
-class Operator(RunObserver, Protocol):
-    """A person at a distance, who is shown the run and commands it; nothing here may wait."""
+class Viewer(RunObserver, Protocol):
+    """Who is shown the run; nothing here may wait."""
 
     def on_event(self, event: Event) -> None:
         """An event of the run."""
         ...
+
+
+class Operator(Viewer, Protocol):
+    """A person at a distance, who is shown the run and commands it; nothing here may wait."""
 
     def arm_requested(self) -> bool:
         """Whether arming was asked for since the last call."""
@@ -80,7 +84,7 @@ class Operator(RunObserver, Protocol):
 
 
 class _People:
-    """The run's own watcher, teller and key, and an operator's where there is one."""
+    """The run's own watcher, teller and key, an operator where there is one, and who only looks."""
 
     def __init__(
         self,
@@ -88,18 +92,20 @@ class _People:
         teller: EventPrinter,
         key: Callable[[], bool] | None,
         operator: Operator | None,
+        viewers: Sequence[Viewer],
     ) -> None:
         self._watcher, self._teller, self._key, self._operator = watcher, teller, key, operator
+        self._shown = viewers if operator is None else (operator, *viewers)
 
     def on_tick(self, record: TickRecord) -> None:
         self._watcher.on_tick(record)
-        if self._operator is not None:
-            self._operator.on_tick(record)
+        for viewer in self._shown:
+            viewer.on_tick(record)
 
     def on_event(self, event: Event) -> None:
         self._teller(event)
-        if self._operator is not None:
-            self._operator.on_event(event)
+        for viewer in self._shown:
+            viewer.on_event(event)
 
     def arm_requested(self) -> bool:
         by_key = self._key is not None and self._key()
@@ -110,7 +116,9 @@ class _People:
         return self._operator.stop_requested() if self._operator is not None else None
 
 
-def drive_simulated(car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None) -> RunReport:
+def drive_simulated(
+    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+) -> RunReport:
     """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
     lane = load_track(options.track).lane(options.direction)
     laps = 1 if options.laps is None and options.duration_s is None else options.laps
@@ -140,7 +148,7 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions, operator: Op
             loop=make_loop(car, checks=checks),
             recorder=recorder,
         )
-        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operator)
+        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operator, viewers)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(
             parts,
@@ -161,7 +169,9 @@ def drive_simulated(car: CarConfig, text: str, options: RunOptions, operator: Op
     return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
 
 
-def drive_real(car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None) -> RunReport:
+def drive_real(
+    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+) -> RunReport:
     """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
@@ -185,7 +195,7 @@ def drive_real(car: CarConfig, text: str, options: RunOptions, operator: Operato
             with cores.elsewhere():
                 return CaptureThread(make_camera(car))
 
-        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operator)
+        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operator, viewers)
         runner = Runner(
             parts,
             run_config(car, collector_off=True),

@@ -48,11 +48,11 @@ def command(recording: Path, csv_file: Path | None, video: Path | None, foxglove
             frames = export_video(run, video, car, lambda _: bar())
         say(f"{video}: {frames} frames")
     if foxglove is not None and layout is not None:
-        from automodel.recording.foxglove import layout_text
+        from automodel.recording.foxglove import layout_file
 
         with progress("export foxglove", run.counts.get("frames")) as bar:
             messages = export_foxglove(run, foxglove, car, lambda _: bar())
         with output_text(layout) as file:
-            file.write(layout_text())
+            file.write(layout_file().read_text(encoding="utf-8"))
         say(f"{foxglove}: {messages} messages for Foxglove; there, import the layout {layout}")
     return 0

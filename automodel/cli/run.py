@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import click
@@ -74,6 +75,15 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
     metavar="CERT KEY",
     help="Serve the page by TLS with this certificate and key (PEM).",
 )
+@click.option(
+    "--foxglove",
+    "foxglove_port",
+    is_flag=False,
+    flag_value=8766,
+    type=click.IntRange(0, 65535),
+    metavar="[PORT]",
+    help="Serve the run to Foxglove on this machine, by default at ws://127.0.0.1:8766; it can only look.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
 def command(
@@ -85,6 +95,7 @@ def command(
     lossless: bool,
     web_address: str | None,
     web_tls: tuple[Path, Path] | None,
+    foxglove_port: int | None,
     as_json: bool,
     **rest: object,
 ) -> int:
@@ -122,20 +133,27 @@ def command(
                 f"{name}: [camera] source {car.camera.source!r}: a car drives with csi or usb; see replay"
             )
     drive = drive_simulated if simulated else drive_real
-    if web_address is None:
-        if web_tls is not None:
-            raise ConfigError("--web-tls: is for the web page; give --web too")
-        report = drive(car, text, options)
-    else:
-        from automodel.web.access import PageOptions
-        from automodel.web.remote import WebRemote
+    if web_tls is not None and web_address is None:
+        raise ConfigError("--web-tls: is for the web page; give --web too")
+    with contextlib.ExitStack() as shown:
+        operator, viewers = None, []
+        if web_address is not None:
+            from automodel.web.access import PageOptions
+            from automodel.web.remote import WebRemote
 
-        host, port = host_and_port(web_address)
-        with WebRemote(car, PageOptions(host=host, port=port, tls=web_tls)) as remote:
-            say(f"web page: {remote.url}")
+            host, port = host_and_port(web_address)
+            operator = shown.enter_context(WebRemote(car, PageOptions(host=host, port=port, tls=web_tls)))
+            say(f"web page: {operator.url}")
             if web_tls is None and host not in ("127.0.0.1", "::1", "localhost"):
                 say("the page is not encrypted: on a network that others use, give --web-tls CERT KEY")
-            report = drive(car, text, options, remote)
+        if foxglove_port is not None:
+            from automodel.recording.foxglove import layout_file
+            from automodel.web.foxglove import FoxgloveLive
+
+            live = shown.enter_context(FoxgloveLive(car, foxglove_port))
+            viewers.append(live)
+            say(f"foxglove: {live.url}; in Foxglove: Open connection, then import the layout {layout_file()}")
+        report = drive(car, text, options, operator, viewers)
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
     return 1 if report.failed else 0

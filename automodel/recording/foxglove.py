@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from importlib import resources
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -61,9 +62,9 @@ _ERRORS = frozenset({"stop", "link-lost", "source-lost", "recorder-failed"})
 _WARNINGS = frozenset({"hold", "arm-refused"})
 
 
-def layout_text() -> str:
-    """The layout file that shows these topics, JSON."""
-    return (resources.files("automodel.recording") / "foxglove_layout.json").read_text(encoding="utf-8")
+def layout_file() -> Path:
+    """The layout, JSON, that shows these topics."""
+    return Path(str(resources.files("automodel.recording") / "foxglove_layout.json"))
 
 
 def schema_of(kind: type[Message]) -> tuple[str, bytes]:
@@ -98,7 +99,11 @@ class FoxgloveScene:
             dt_s = (motion.t_ns - self._moved_ns) * 1e-9
             self._place = self._place @ SE2.arc(motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s)
         self._moved_ns = motion.t_ns
-        yield WORLD_BODY, _transform("world", "body", self._place, motion.t_ns)
+        yield self.placed(self._place, motion.t_ns)
+
+    def placed(self, place: SE2, t_ns: int) -> Topical:
+        """The car at a place in the world."""
+        return WORLD_BODY, _transform("world", "body", place, t_ns)
 
     def estimate(self, estimate: LaneEstimate) -> Iterator[Topical]:
         """Lines, centerline and its bound on the image and from above, and the pose in the lane."""

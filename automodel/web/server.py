@@ -198,14 +198,14 @@ def row_of(snapshot: Snapshot, start_ns: int) -> list[float | None]:
 
     The columns: t [s], offset, its bound [m], heading, steering [rad], speed [m/s], latency [ms], x, y [m].
     """
-    pose = snapshot.estimate.pose if snapshot.estimate is not None else None
+    pose, motion = snapshot.estimate.pose if snapshot.estimate is not None else None, snapshot.motion
     values = (
         (snapshot.t_ns - start_ns) * 1e-9,
         pose.offset_m if pose is not None else None,
         pose.offset_bound_m if pose is not None else None,
         pose.heading_rad if pose is not None else None,
         snapshot.command.steering_rad if snapshot.command is not None else None,
-        snapshot.speed_mps,
+        motion.speed_mps if motion is not None and motion.known else None,
         snapshot.latency_ns * 1e-6 if snapshot.latency_ns is not None else None,
         snapshot.place.x_m,
         snapshot.place.y_m,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from automodel.geometry import SE2
 from automodel.runtime.run_types import TickRecord
-from automodel.signals import Command, Event, LaneEstimate, StereoFrame, VehicleState
+from automodel.signals import Command, Event, LaneEstimate, Motion, StereoFrame, VehicleState
 from automodel.types import Image
 
 
@@ -23,7 +23,7 @@ class Snapshot:
     estimate: LaneEstimate | None
     command: Command | None
     state: VehicleState | None
-    speed_mps: float | None
+    motion: Motion | None
     mode: str
     reason: str | None
     latency_ns: int | None
@@ -72,7 +72,7 @@ class Trip:
             estimate=tick.estimate if tick is not None else None,
             command=record.sent,
             state=record.state,
-            speed_mps=tick.motion.speed_mps if tick is not None and tick.motion.known else None,
+            motion=tick.motion if tick is not None else None,
             mode=record.decision.mode.value,
             reason=record.decision.reason,
             latency_ns=record.latency_ns,

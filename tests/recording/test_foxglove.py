@@ -151,9 +151,9 @@ def test_the_export_validates_shows_everything_that_the_layout_wants_and_still_r
     wanted = {"/camera", "/camera/calibration", foxglove.ANNOTATIONS, foxglove.LANE, foxglove.CAR, foxglove.WORLD_BODY}
     assert wanted | {foxglove.BODY_CAMERA, foxglove.BODY_LANE, foxglove.POSE} <= decoded.keys()
     assert len(decoded[foxglove.ANNOTATIONS]) == len(decoded["/camera"]) == 3
-    named = set(re.findall(r'"(/[a-z_/]+)', foxglove.layout_text()))
+    named = set(re.findall(r'"(/[a-z_/]+)', foxglove.layout_file().read_text()))
     assert named <= {*foxglove.TOPICS, *TOPICS.values(), CAMERA}
-    assert (tmp_path / "fox.layout.json").read_text() == foxglove.layout_text()
+    assert (tmp_path / "fox.layout.json").read_text() == foxglove.layout_file().read_text()
 
     before, after = (
         [encode(step.estimate) for step in Recording(path).steps() if step.estimate is not None] for path in (run, out)

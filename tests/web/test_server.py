@@ -15,7 +15,7 @@ from aiohttp.test_utils import TestClient, TestServer
 
 from automodel.config import CarConfig
 from automodel.geometry import SE2
-from automodel.signals import Event, LaneEstimate, LaneStatus, VehicleState
+from automodel.signals import Event, LaneEstimate, LaneStatus, Motion, VehicleState
 from automodel.web.access import CSP, Access
 from automodel.web.guard import CLIENTS_MAX, MESSAGE_BYTES
 from automodel.web.server import WORDS_PER_S, Page
@@ -84,7 +84,7 @@ def snapshot(t_ns: int = 5_000_000_000) -> Snapshot:
         estimate=LaneEstimate(t_ns=t_ns, status=LaneStatus.LOST),
         command=None,
         state=VehicleState(t_ns=t_ns, battery_v=6.0),
-        speed_mps=0.5,
+        motion=Motion(t_ns=t_ns, speed_mps=0.5, yaw_rate_radps=0.0),
         mode="DRIVING",
         reason=None,
         latency_ns=12_000_000,
