@@ -55,12 +55,21 @@ def steering_max_rad(speed_mps: float, wheelbase_m: float) -> float:
 
 
 def acceleration_mps2(
-    wanted_mps: float, measured_mps: float, gain_per_s: float, accel_max_mps2: float, decel_max_mps2: float
+    wanted_mps: float,
+    measured_mps: float,
+    gain_per_s: float,
+    accel_max_mps2: float,
+    decel_max_mps2: float,
+    wanted_mps2: float = 0.0,
 ) -> float:
-    """The acceleration [m/s^2] that brings the car to the wanted speed; a speed that is not finite brakes."""
-    if not math.isfinite(wanted_mps):
+    """The acceleration [m/s^2] that brings the car to the wanted speed; a speed that is not finite brakes.
+
+    `wanted_mps2` is that of the wanted speed itself: a car that only made good what is missing would trail a ramp by
+    its rate over the gain.
+    """
+    if not (math.isfinite(wanted_mps) and math.isfinite(wanted_mps2)):
         return -decel_max_mps2
-    return _clipped(gain_per_s * (wanted_mps - measured_mps), -decel_max_mps2, accel_max_mps2)
+    return _clipped(wanted_mps2 + gain_per_s * (wanted_mps - measured_mps), -decel_max_mps2, accel_max_mps2)
 
 
 def _clipped(value: float, lowest: float, highest: float) -> float:

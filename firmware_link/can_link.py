@@ -42,6 +42,7 @@ class _Session:
     latched: list[str] = field(default_factory=list)  # why it was disarmed, until it is armed again
     command: Command | None = None
     command_ns: int = 0  # when it was given
+    ramp_mps2: float = 0.0  # by which its speed is below that of the command before
     steering_rad: float = 0.0  # as it was sent last
     sent_ns: int | None = None
     due_ns: dict[str, int] = field(default_factory=dict)  # message: when it is to be sent next
@@ -112,6 +113,7 @@ class CanLink:
         """Take over a command and send it when its message is due; ignored while `poll` still gives None."""
         session = self._live()
         if session.ready and now_ns <= command.valid_until_ns:
+            session.ramp_mps2 = _ramp_mps2(session.command, command)
             session.command, session.command_ns = command, now_ns
             self._transmit(session, now_ns, EARLY_SHARE)
 
@@ -260,7 +262,12 @@ class CanLink:
             ),
             "speed_mps": max(wanted_mps, 0.0) if math.isfinite(wanted_mps) else 0.0,
             "accel_mps2": acceleration_mps2(
-                wanted_mps, measured_mps, config.accel_gain_per_s, config.accel_max_mps2, config.decel_max_mps2
+                wanted_mps,
+                measured_mps,
+                config.accel_gain_per_s,
+                config.accel_max_mps2,
+                config.decel_max_mps2,
+                0.0 if command is None else session.ramp_mps2,
             ),
         }
 
@@ -280,3 +287,13 @@ class CanLink:
             driver_override=self._overridden(values),
             gear=self._gear(values),
         )
+
+
+def _ramp_mps2(before: Command | None, command: Command) -> float:
+    """How fast the speed falls from one command to the next [m/s^2], as a number below 0.
+
+    0 where the one before is not valid any more, and where the speed rises: that is trailed, not exceeded at its end.
+    """
+    if before is None or not 0 < command.t_ns - before.t_ns <= VALID_NS:
+        return 0.0
+    return min((command.speed_mps - before.speed_mps) / ((command.t_ns - before.t_ns) * 1e-9), 0.0)

@@ -31,6 +31,7 @@ from firmware_link.transport import likely_ports
 
 _QUIET_REAL = frozenset({"end"})
 _QUIET_SIMULATED = frozenset({"arming", "driving", "end"})
+_WIDTH_HINT = 1.2  # a lane so many times wider or narrower than car.toml says is not looked for
 _TRUTH_ONLY = (
     "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane",
     "estimate_mae_m", "misled_pct", "bound_exceeded_pct",
@@ -124,6 +125,9 @@ def drive_simulated(
     laps = 1 if options.laps is None and options.duration_s is None else options.laps
     if laps is not None and not lane.centerline.closed:
         raise ConfigError(f"{options.track}: the road is not closed, there are no laps; give --duration")
+    width_m, told_m = float(lane.width_m(0.0)), car.lane.width_m
+    if not 1.0 / _WIDTH_HINT < width_m / told_m < _WIDTH_HINT:
+        say(f"{options.track}: its lane is {width_m:.3g} m wide, [lane] width_m of car.toml {told_m:.3g}: correct it")
     simulation = Simulation(
         track=options.track,
         direction=options.direction,

@@ -132,6 +132,7 @@ class ControlConfig:
     # from the command to wheels that have turned: wire, servo frame, dead time, lag; made good by prediction, as is the
     # measured time from a frame to its command
     actuator_delay_s: float = 0.067
+    speed_delay_s: float = 0.15  # from a lower speed's command to a slower car: dead time and lag of the motor
     obstacle_stop_m: float = 0.35  # stop when the ultrasonic range ahead is below this
     obstacle_go_m: float = 0.45  # and go on above this
     one_line_speed: float = 1.0  # share of the speed with one line seen
@@ -144,7 +145,7 @@ class ControlConfig:
         positive(self, "lateral_accel_mps2", "accel_mps2", "decel_mps2", "lookahead_s", "lookahead_min_m")
         positive(self, "stanley_gain_per_s", "stanley_softening_mps")
         positive(self, "one_line_speed", "coasting_speed", "uncertain_speed", "late_lanes")
-        not_negative(self, "speed_mps", "actuator_delay_s", "obstacle_stop_m", "obstacle_go_m")
+        not_negative(self, "speed_mps", "actuator_delay_s", "speed_delay_s", "obstacle_stop_m", "obstacle_go_m")
         if self.obstacle_go_m < self.obstacle_stop_m:
             raise ValueError(f"obstacle_go_m: {self.obstacle_go_m} is less than obstacle_stop_m")
 

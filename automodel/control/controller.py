@@ -77,7 +77,12 @@ class LaneController:
     def __init__(self, car: CarConfig) -> None:
         self._car = car
         self._lateral = lateral_controller(car.control, car.vehicle)
-        self._speed = SpeedPlanner(car.control, car.safety.speed_max_mps, car.vehicle)
+        self._speed = SpeedPlanner(
+            car.control,
+            car.safety.speed_max_mps,
+            car.vehicle,
+            tightest_m=car.pipeline.contour.radius_lanes * car.lane.width_m,
+        )
         self._in_flight = SteeringInFlight(car.control.actuator_delay_s, car.vehicle.wheelbase_m)
         self._expected = Limits(car.safety, car.vehicle)  # predicts what the limits will leave of a command
         self._validity_ns = round(car.safety.command_validity_s * 1e9)

@@ -9,7 +9,6 @@ from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.path import LanePath
 from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
 
-REACTION_S = 0.15  # from a lower request to a slower car: dead time and lag of a scale car's motor
 STATE_TIMEOUT_NS = 500_000_000
 _MAX_STEP_S = 0.1
 _LOOKS = 16  # places ahead at which the curvature is evaluated
@@ -83,7 +82,8 @@ def speed_in_free_space(pose: LanePose, free_m: float, delay_s: float) -> float:
 class SpeedPlanner:
     """The requested speed.
 
-    In a bend v^2 |kappa| <= a_lat; a bend at the distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. An obstacle
+    In a bend v^2 |kappa| <= a_lat; a bend at the distance x ahead allows sqrt(v_bend^2 + 2 a_dec x) here. Where the
+    lane's lines are out of sight, the tightest bend of the road may begin: `tightest_m`, its radius. An obstacle
     allows sqrt(2 a_dec x) for the distance x to the stopping distance, and 0 below it. A pose whose bound fills the
     space beside the car allows `speed_in_free_space`, but never less than the share `control.uncertain_speed`: a car
     that stands sees nothing new and cannot steer back; whether it may go on at all is for `runtime.input_checks` to
@@ -91,13 +91,16 @@ class SpeedPlanner:
     requested speed changes along ramps; only a stop for an obstacle is immediate.
     """
 
-    def __init__(self, control: ControlConfig, speed_max_mps: float, vehicle: VehicleConfig) -> None:
-        self._control = control
+    def __init__(
+        self, control: ControlConfig, speed_max_mps: float, vehicle: VehicleConfig, tightest_m: float = math.inf
+    ) -> None:
+        self._control, self._tightest_m = control, tightest_m
         self._vehicle = vehicle
         self._speed_mps = min(control.speed_mps, speed_max_mps)
         self._guard = ObstacleGuard(control.obstacle_stop_m, control.obstacle_go_m)
         self._shares = {LaneStatus.ONE_LINE: control.one_line_speed, LaneStatus.COASTING: control.coasting_speed}
         self._requested: tuple[int, float] | None = None
+        self._sight: tuple[int, float] | None = None  # time, and the way ahead [m] along which lines have been seen
 
     def observe(self, state: VehicleState | None, t_ns: int) -> None:
         """Use the vehicle's state, in every frame."""
@@ -110,6 +113,7 @@ class SpeedPlanner:
             self._for_pose(estimate, t_ns),
             self._for_delay(estimate, t_ns),
             self._for_bends(lane, s_m, speed_mps),
+            self._for_sight(estimate, speed_mps),
             self._for_obstacle(speed_mps),
         )
         if self._requested is None:
@@ -123,12 +127,12 @@ class SpeedPlanner:
 
     def stop(self) -> float:
         """The requested speed without a lane: 0 at once; the next ramp starts from the car's speed at that time."""
-        self._requested = None
+        self._requested = self._sight = None
         return 0.0
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
-        self._requested = None
+        self._requested = self._sight = None
         self._guard.reset()
 
     def _for_pose(self, estimate: LaneEstimate, t_ns: int) -> float:
@@ -136,7 +140,7 @@ class SpeedPlanner:
         if pose is None:
             return math.inf
         # from the frame to wheels that turn or slow down for it, whichever takes longer
-        delay_s = max(t_ns - estimate.t_ns, 0) * 1e-9 + max(control.actuator_delay_s, REACTION_S)
+        delay_s = max(t_ns - estimate.t_ns, 0) * 1e-9 + max(control.actuator_delay_s, control.speed_delay_s)
         free_m = self._vehicle.free_space_m(pose.width_m)
         allowed = speed_in_free_space(pose, free_m, delay_s)
         return max(allowed, control.uncertain_speed * self._speed_mps)
@@ -150,7 +154,7 @@ class SpeedPlanner:
     def _for_bends(self, lane: LanePath, s_m: float, speed_mps: float) -> float:
         control = self._control
         speed = max(speed_mps, 0.5 * self._speed_mps)
-        horizon = speed * REACTION_S + speed * speed / (2.0 * control.decel_mps2)
+        horizon = speed * control.speed_delay_s + speed * speed / (2.0 * control.decel_mps2)
         spacing = max(horizon / _LOOKS, 1e-3)
         window = max(speed * _MIN_WINDOW_S, spacing)
         allowed2 = math.inf
@@ -160,12 +164,31 @@ class SpeedPlanner:
                 break
             kappa = abs(lane.mean_curvature(start, start + window))
             if kappa > 1e-9:  # a bend may start anywhere after the previous place
-                braking = max((look - 1) * spacing - speed * REACTION_S, 0.0)
+                braking = max((look - 1) * spacing - speed * control.speed_delay_s, 0.0)
                 allowed2 = min(allowed2, control.lateral_accel_mps2 / kappa + 2.0 * control.decel_mps2 * braking)
         return math.sqrt(allowed2)
+
+    def _for_sight(self, estimate: LaneEstimate, speed_mps: float) -> float:
+        """v^2 <= v_bend^2 + 2 a_dec x for the way x to where a line's end is seen, or was and is still ahead.
+
+        Any speed where the estimate says nothing of lines.
+        """
+        if math.isinf(self._tightest_m) or (estimate.left is None and estimate.right is None):
+            return math.inf
+        control, left_m = self._control, 0.0
+        half_m = 0.5 * estimate.pose.width_m if estimate.pose is not None else 0.0
+        if self._sight is not None:
+            then_ns, seen_m = self._sight
+            left_m = seen_m - max(speed_mps, 0.0) * max(estimate.t_ns - then_ns, 0) * 1e-9
+        lines = [line for line in (estimate.left, estimate.right) if line is not None and len(line.points_m)]
+        if lines:  # the inner line of a bend ends first
+            left_m = max(left_m, min(math.hypot(*line.points_m[-1].tolist()) for line in lines) - half_m)
+        self._sight = (estimate.t_ns, max(left_m, 0.0))
+        braking_m = max(left_m - max(speed_mps, 0.0) * control.speed_delay_s, 0.0)
+        return math.sqrt(control.lateral_accel_mps2 * self._tightest_m + 2.0 * control.decel_mps2 * braking_m)
 
     def _for_obstacle(self, speed_mps: float) -> float:
         if math.isinf(self._guard.range_m):
             return math.inf
-        left = self._guard.range_m - self._control.obstacle_stop_m - max(speed_mps, 0.0) * REACTION_S
+        left = self._guard.range_m - self._control.obstacle_stop_m - max(speed_mps, 0.0) * self._control.speed_delay_s
         return max(math.sqrt(2.0 * self._control.decel_mps2 * max(left, 0.0)), _CREEP_MPS)

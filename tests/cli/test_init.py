@@ -56,6 +56,8 @@ DIFFERENCES = {
         "control.lookahead_s": 0.8,
         "control.lookahead_min_m": 5.0,
         "control.actuator_delay_s": 0.13,
+        "control.speed_delay_s": 0.4,
+        "pipeline.contour.radius_lanes": 40.0,
         "link.kind": "can",
         "safety.steering_rate_max_radps": 0.5,
         "safety.speed_max_mps": 15.0,

@@ -35,6 +35,51 @@ def test_it_drives_at_15_mps_through_a_bend(cli, tmp_path: Path) -> None:
     assert np.max(np.abs(angles)) < math.radians(3)
 
 
+HAIRPIN = """name = "hairpin"
+closed = false
+floor = { x0_m = -20.0, y0_m = -120.0, x1_m = 260.0, y1_m = 40.0 }
+lanes = { count = 1, width_m = 3.5 }
+start = { direction = "forward", s_m = 5.0 }
+pieces = [
+  { kind = "line", length_m = 160.0 },
+  { kind = "arc", radius_m = 12.0, turn_rad = -1.5707963267948966 },
+  { kind = "line", length_m = 90.0 },
+]
+[markings]
+left = { style = "solid", width_m = 0.15 }
+right = { style = "solid", width_m = 0.15 }
+"""
+
+
+@pytest.mark.parametrize("pipeline", ["contour", pytest.param("windows", marks=pytest.mark.slow)])
+def test_it_is_slow_enough_for_a_tight_bend_that_comes_into_view_late(cli, tmp_path: Path, pipeline: str) -> None:
+    car, track, truth = tmp_path / "car.toml", tmp_path / "hairpin.toml", tmp_path / "truth.csv"
+    track.write_text(HAIRPIN)
+    assert cli("init", "full-size", "--out", car).code == 0
+    text = car.read_text()
+    assert "radius_lanes = 40.0" in text
+    car.write_text(text.replace("radius_lanes = 40.0", "radius_lanes = 3.0"))  # 10.5 m
+    options = ("--track", track, "--pipeline", pipeline, "--duration", "36", "--truth", truth, "--json")
+    said = cli("run", "--car", car, *options)
+    assert said.code == 0, said.err
+    (row,) = said.rows
+    assert (row["left_lane"], row["stops"]) == (0, 0)
+    assert row["max_abs_offset_m"] <= 0.3
+    with open(truth, newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert max(abs(float(line["curvature_per_m"])) for line in rows) == pytest.approx(1 / 12, rel=0.02)
+    assert float(rows[-1]["y_m"]) < -20.0  # through the bend
+    moved = np.diff([(float(line["x_m"]), float(line["y_m"])) for line in rows], axis=0)
+    assert np.hypot(*moved.T).max() * 50.0 > 7.0  # the straight is not driven as the bend is
+
+
+def test_a_lane_of_another_width_than_car_toml_says_is_told(cli, tmp_path: Path) -> None:
+    track = tmp_path / "wide.toml"
+    track.write_text(HAIRPIN.replace("width_m = 3.5", "width_m = 7.0"))
+    said = cli(*RUN, "--track", track, "--duration", "0.1")
+    assert f"{track}: its lane is 7 m wide, [lane] width_m of car.toml 3.5: correct it" in said.err
+
+
 def test_its_kit_drives(cli, tmp_path: Path) -> None:
     car = tmp_path / "car.toml"
     assert cli("init", "full-size", "--out", car).code == 0

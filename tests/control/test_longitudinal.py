@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from automodel.config import ControlConfig, VehicleConfig
-from automodel.control.longitudinal import REACTION_S, ObstacleGuard, SpeedPlanner, speed_in_free_space
+from automodel.control.longitudinal import ObstacleGuard, SpeedPlanner, speed_in_free_space
 from automodel.control.path import LanePath
 from automodel.curves import JoinedCurve, arc, line
 from automodel.geometry import SE2
-from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
+from automodel.signals import LaneEstimate, LaneLine, LanePose, LaneStatus, VehicleState
 
 MS = 1_000_000
 CAR = VehicleConfig(width_m=0.2)  # 0.1 m free on either side in a lane of 0.4 m
@@ -102,6 +102,55 @@ def test_slows_down_early_enough_for_a_bend() -> None:
     assert settle(far, ahead(2.5, 1 / 0.6), 2.0) == 2.0  # and not earlier than it must
 
 
+def sighted(left_m: float | None, right_m: float | None, t_ns: int = 0) -> LaneEstimate:
+    """A straight lane whose lines are seen to so far ahead of the rear axle; None: not at all."""
+    lines = []
+    for end_m, y_m in ((left_m, 0.2), (right_m, -0.2)):
+        points = np.empty((0, 2)) if end_m is None else np.array([[0.3, y_m], [end_m, y_m]])
+        lines.append(LaneLine(curve=line(0.0, y_m, 0.0, 5.0), points_m=points, seen=end_m is not None))
+    return replace(seen(t_ns=t_ns), left=lines[0], right=lines[1])
+
+
+def sight_planner(radius_m: float = 0.5) -> SpeedPlanner:
+    config = ControlConfig(speed_mps=4.0, lateral_accel_mps2=1.5, decel_mps2=3.0, accel_mps2=5.0)
+    return SpeedPlanner(config, 4.0, CAR, tightest_m=radius_m)
+
+
+def test_a_bend_where_the_lines_end_is_reached_no_faster_than_it_allows() -> None:
+    planner, distance, speed, t_ns, requested = sight_planner(), 6.0, 3.0, 0, [3.0] * 15
+    fastest = 0.0
+    while distance > 0:
+        t_ns += 10 * MS
+        end_m = min(distance, 1.8)  # the view's end, later the bend's start
+        requested.append(planner.step(STRAIGHT, 0.3, sighted(end_m, end_m, t_ns), speed, t_ns))
+        speed = requested[-15]  # the reaction time
+        distance -= speed * 0.01
+        fastest = max(fastest, speed)
+    assert speed <= 1.06 * math.sqrt(1.5 * 0.5)
+    assert fastest > 2.5  # of a view of 1.8 m the straight makes what it can
+
+
+def test_what_was_seen_is_known_until_the_car_is_there() -> None:
+    planner = sight_planner()
+    free = settle(planner, STRAIGHT, 2.0, sighted(4.0, 4.0))
+    start_ns = 200 * 20 * MS
+    speeds = [
+        planner.step(STRAIGHT, 0.3, sighted(None, None, start_ns + k * 20 * MS), 2.0, start_ns + k * 20 * MS)
+        for k in range(120)
+    ]
+    assert speeds[0] == pytest.approx(free)
+    assert speeds[49] < free - 0.5
+    assert speeds[-1] == pytest.approx(math.sqrt(1.5 * 0.5))  # nothing is left of it: as if the bend were here
+
+
+def test_the_line_that_ends_first_tells_where_a_bend_may_begin() -> None:
+    inner, both, one = (
+        settle(sight_planner(), STRAIGHT, 2.0, sighted(*ends)) for ends in ((4.0, 1.0), (1.0, 1.0), (None, 1.0))
+    )
+    assert inner == both == one
+    assert settle(sight_planner(), STRAIGHT, 2.0, sighted(4.0, None)) > inner + 1.0
+
+
 def test_falls_no_faster_than_the_ramp() -> None:
     planner = SpeedPlanner(ControlConfig(speed_mps=2.0, decel_mps2=3.0), 2.0, CAR)
     planner.step(STRAIGHT, 0.3, TRACKING, 2.0, 0)
@@ -189,7 +238,7 @@ def test_the_car_slows_as_the_bound_grows_down_to_the_share_that_is_left() -> No
     assert speeds[4] == speeds[5] == pytest.approx(0.4)
     pose = seen(offset_bound_m=0.06, heading_bound_rad=0.3).pose
     assert pose is not None
-    assert speeds[2] == pytest.approx(speed_in_free_space(pose, 0.1, REACTION_S))
+    assert speeds[2] == pytest.approx(speed_in_free_space(pose, 0.1, ControlConfig().speed_delay_s))
 
 
 def test_a_frame_that_comes_later_slows_the_car_further() -> None:

@@ -86,3 +86,6 @@ def test_acceleration_towards_the_wanted_speed() -> None:
     assert acceleration_mps2(30.0, 9.0, 0.8, 2.0, 3.5) == 2.0
     assert acceleration_mps2(0.0, 9.0, 0.8, 2.0, 3.5) == -3.5
     assert acceleration_mps2(math.nan, 9.0, 0.8, 2.0, 3.5) == -3.5
+    assert acceleration_mps2(10.0, 10.0, 0.8, 2.0, 3.5, -2.5) == -2.5
+    assert acceleration_mps2(10.0, 9.0, 0.8, 2.0, 3.5, -2.5) == pytest.approx(-1.7)
+    assert acceleration_mps2(10.0, 10.0, 0.8, 2.0, 3.5, math.inf) == -3.5

@@ -470,3 +470,15 @@ def heard(port: PythonCanPort) -> list[tuple[int, bytes]]:
             return [(frame.frame_id, frame.data) for frame in frames]
         time.sleep(0.005)
     return []
+
+
+def test_a_falling_speed_is_followed_without_trailing_it() -> None:
+    rig = Rig().driving()
+    wanted = 15.0
+    for _ in range(75):
+        wanted -= 2.5 * PERIOD_NS * 1e-9
+        rig.cycle(0.0, wanted)
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.2)  # by the gain alone 2.5 / 0.8 m/s more
+    for _ in range(150):
+        rig.cycle(0.0, wanted)
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.05)
