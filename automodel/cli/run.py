@@ -79,7 +79,7 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
     "--foxglove",
     "foxglove_port",
     is_flag=False,
-    flag_value=8766,
+    flag_value=8766,  # 8765, which Foxglove offers first, is the page's
     type=click.IntRange(0, 65535),
     metavar="[PORT]",
     help="Serve the run to Foxglove on this machine, by default at ws://127.0.0.1:8766; it can only look.",

@@ -1,1 +1,1 @@
-"""The page of a run: what the car sees and does, STOP, and arming by a button that is held."""
+"""A run for who watches it: a page with STOP and arming by a button that is held, and Foxglove."""

@@ -6,43 +6,31 @@ and takes up nothing that a client sends. It needs the extra `foxglove`.
 
 from __future__ import annotations
 
-import contextlib
 import importlib.util
-import os
 import pickle
-import signal
-from collections import deque
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 
-import cv2
-
 from automodel.config import CarConfig, ConfigError, RecordingConfig
+from automodel.recording import foxglove as recorded
 from automodel.recording.codec import CAMERA, LEFT, SCHEMA, TOPICS, ImageCodec, descriptor_set, encode
 from automodel.signals import Event
-from automodel.web.live_process import LiveProcess
+from automodel.web.live_process import LOOK_S, LiveProcess, stand_back
 from automodel.web.mailbox import Mailbox
 from automodel.web.snapshot import Snapshot
 
 HOST = "127.0.0.1"
-PORT = 8766  # 8765, which Foxglove offers first, is the run's page
-_LOOK_S = 0.02  # between two looks into the mailbox
 _AGAIN_NS = 1_000_000_000  # what holds for the whole run is sent again, for a client that comes later
-_NICE = 10  # the loop and the recorder come first
 _CODEC = RecordingConfig(image="jpeg", jpeg_quality=80)
 
 
 class FoxgloveLive(LiveProcess):
     """Serves Foxglove on `port` of this machine (0: a free one) while the context is open; see `LiveProcess`."""
 
-    def __init__(self, car: CarConfig, port: int = PORT) -> None:
+    def __init__(self, car: CarConfig, port: int) -> None:
         if importlib.util.find_spec("foxglove") is None:
             raise ConfigError("--foxglove: needs foxglove-sdk; pip install 'automodel[foxglove]'")
         super().__init__("--foxglove", car, serve, port)
-
-    def __enter__(self) -> FoxgloveLive:
-        super().__enter__()
-        return self
 
     @property
     def url(self) -> str:
@@ -54,10 +42,7 @@ def serve(car: CarConfig, port: int, mailbox: Mailbox, pipe: Connection) -> None
     """Serve until the other end of `pipe` is closed; the port, or a text of what is wrong, is sent through it first."""
     import foxglove
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's, which then closes the pipe
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
-    cv2.setNumThreads(1)
+    stand_back()
     context = foxglove.Context()
     try:
         server = foxglove.start_server(name="automodel", host=HOST, port=port, context=context)
@@ -71,9 +56,9 @@ def serve(car: CarConfig, port: int, mailbox: Mailbox, pipe: Connection) -> None
         schema = foxglove.Schema(name=name, encoding="protobuf", data=descriptors)
         topics[topic] = foxglove.Channel(topic, message_encoding="protobuf", schema=schema, context=context)
     pipe.send(server.port)
-    while not pipe.poll(_LOOK_S):  # nothing is ever sent here: it ends
+    while not pipe.poll(LOOK_S):  # nothing is ever sent here: it ends
         message = mailbox.take()
-        if message is not None:
+        if message is not None and any(topic.has_sinks() for topic in topics.values()):  # somebody looks
             for topic, data, t_ns in scene.show(pickle.loads(message)):  # from our own process, through its memory
                 topics[topic].log(data, log_time=t_ns)
     server.stop()
@@ -83,19 +68,16 @@ class Scene:
     """From the cycles of a run to the messages that Foxglove is sent, with the topics and schemas of recordings."""
 
     def __init__(self, car: CarConfig) -> None:
-        from automodel.recording.foxglove import FoxgloveScene  # its schemas take a while to load
-
-        self._scene = FoxgloveScene(car)
+        self._scene = recorded.FoxgloveScene(car)
         self._images = LEFT if car.camera.right is not None else CAMERA
         self._codec = ImageCodec(_CODEC)
-        self._told: deque[Event] = deque()
+        self._told: tuple[Event, ...] = ()
         self._started_ns: int | None = None
 
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Of each topic with a schema, its name and file descriptor set."""
-        from automodel.recording.foxglove import TOPICS, schema_of
-
-        return {self._images: (SCHEMA, descriptor_set()), **{topic: schema_of(kind) for topic, kind in TOPICS.items()}}
+        images = {self._images: (SCHEMA, descriptor_set())}
+        return images | {topic: recorded.schema_of(kind) for topic, kind in recorded.TOPICS.items()}
 
     def show(self, snapshot: Snapshot) -> Iterator[tuple[str, bytes, int]]:
         """Topic, message and time [ns] of what there is to send of a cycle."""
@@ -105,7 +87,7 @@ class Scene:
             for topic, message in scene.start(t_ns):
                 yield topic, message.SerializeToString(), t_ns
         new = [event for event in snapshot.events if event not in self._told]
-        self._told = deque(snapshot.events)
+        self._told = snapshot.events
         for event in new:
             for topic, message in scene.event(event):
                 yield topic, message.SerializeToString(), event.t_ns

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import pickle
+import signal
 import time
 import types
 from collections import deque
 from collections.abc import Callable
+from typing import TypeVar
+
+import cv2
 
 from automodel.config import CarConfig, ConfigError
 from automodel.runtime.os_signals import signals_held_back
@@ -17,11 +22,22 @@ from automodel.signals import Event
 from automodel.web.mailbox import Mailbox
 from automodel.web.snapshot import Trip
 
+LOOK_S = 0.02  # between two looks into the mailbox
 RATE_HZ = 20.0  # of what is shown: a person sees a car's way in it, and two of three cycles cost nothing
 _EVENTS = 30  # the newest, which every message carries: one that is lost loses none of them
 _EXTRA_BYTES = 1 << 18  # room beside the picture; an estimate is some 20 kB
 _START_S = 30.0  # a new process and its libraries, on a slow board
 _END_S = 2.0
+_NICE = 10  # the loop and the recorder come first
+_Self = TypeVar("_Self", bound="LiveProcess")
+
+
+def stand_back() -> None:
+    """What a target does first: leave Ctrl-C to the run, which then closes the pipe, and the processor to the loop."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        os.nice(_NICE)
+    cv2.setNumThreads(1)
 
 
 class LiveProcess:
@@ -49,7 +65,7 @@ class LiveProcess:
         self._due_ns = 0
         self.port = 0  # that is served, once the context is entered
 
-    def __enter__(self) -> LiveProcess:
+    def __enter__(self: _Self) -> _Self:
         with signals_held_back():
             self._process.start()
         self._theirs.close()

@@ -30,10 +30,6 @@ class WebRemote(LiveProcess):
         self._dead_man = DeadMan()
         self._lost = False
 
-    def __enter__(self) -> WebRemote:
-        super().__enter__()
-        return self
-
     @property
     def url(self) -> str:
         """The page's address, with the token in its fragment, which a browser sends to nobody."""

@@ -12,7 +12,6 @@ import json
 import math
 import os
 import pickle
-import signal
 import ssl
 from collections import deque
 from collections.abc import Callable
@@ -29,14 +28,13 @@ from automodel.viewer.overlay import draw
 from automodel.web.access import Access, PageOptions
 from automodel.web.dead_man import HOLD_TIMEOUT_S, Word
 from automodel.web.guard import REFUSED, GuardedServer
+from automodel.web.live_process import LOOK_S, stand_back
 from automodel.web.mailbox import Mailbox
 from automodel.web.snapshot import Snapshot
 
 WORDS_PER_S = 50  # of one page, which says 10: more would pile up in front of another's STOP
 HISTORY = 2400  # rows kept for a page that is opened late: two minutes at the page's rate
-_LOOK_S = 0.02  # between two looks into the mailbox
 _JPEG_QUALITY = 80  # [%]
-_NICE = 10  # the loop and the recorder come first
 _FILES = {"/": ("index.html", "text/html"), "/page.js": ("page.js", "text/javascript"),
           "/draw.js": ("draw.js", "text/javascript"), "/page.css": ("page.css", "text/css")}  # fmt: skip
 _WORDS = {"stop": Word.STOP, "arm": Word.ARM, "hold": Word.HOLD, "release": Word.RELEASE}
@@ -44,10 +42,7 @@ _WORDS = {"stop": Word.STOP, "arm": Word.ARM, "hold": Word.HOLD, "release": Word
 
 def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
     """Serve until the other end of `pipe` is closed; the port, or a text of what is wrong, is sent through it first."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the run's, which then closes the pipe
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
-    cv2.setNumThreads(1)
+    stand_back()
     asyncio.run(_serve(car, options, access, mailbox, pipe))
 
 
@@ -78,7 +73,7 @@ async def _until_closed(page: Page, mailbox: Mailbox, pipe: Connection) -> None:
         if message is not None:
             await page.show(pickle.loads(message))  # from our own process, through memory that is ours alone
         with contextlib.suppress(asyncio.TimeoutError):
-            await asyncio.wait_for(over.wait(), _LOOK_S)
+            await asyncio.wait_for(over.wait(), LOOK_S)
 
 
 def _tls(files: tuple[Path, Path] | None) -> ssl.SSLContext | None:
