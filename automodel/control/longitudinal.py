@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections import deque
 
+import numpy as np
+
 from automodel.config import ControlConfig, VehicleConfig
 from automodel.control.path import LanePath
 from automodel.signals import LaneEstimate, LanePose, LaneStatus, VehicleState
@@ -182,7 +184,7 @@ class SpeedPlanner:
             left_m = seen_m - max(speed_mps, 0.0) * max(estimate.t_ns - then_ns, 0) * 1e-9
         lines = [line for line in (estimate.left, estimate.right) if line is not None and len(line.points_m)]
         if lines:  # the inner line of a bend ends first
-            left_m = max(left_m, min(math.hypot(*line.points_m[-1].tolist()) for line in lines) - half_m)
+            left_m = max(left_m, min(float(np.hypot(*line.points_m.T).max()) for line in lines) - half_m)
         self._sight = (estimate.t_ns, max(left_m, 0.0))
         braking_m = max(left_m - max(speed_mps, 0.0) * control.speed_delay_s, 0.0)
         return math.sqrt(control.lateral_accel_mps2 * self._tightest_m + 2.0 * control.decel_mps2 * braking_m)

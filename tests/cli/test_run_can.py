@@ -15,6 +15,11 @@ from automodel.signals import Command, VehicleState
 RUN = ("run", "--link", "can", "--pipeline", "contour")
 
 
+def rows_of(truth: Path) -> list[dict[str, str]]:
+    with open(truth, newline="") as file:
+        return list(csv.DictReader(file))
+
+
 @pytest.mark.slow
 def test_it_drives_at_15_mps_through_a_bend(cli, tmp_path: Path) -> None:
     truth, recording = tmp_path / "truth.csv", tmp_path / "run.mcap"
@@ -23,8 +28,7 @@ def test_it_drives_at_15_mps_through_a_bend(cli, tmp_path: Path) -> None:
     (row,) = said.rows
     assert (row["left_lane"], row["stops"]) == (0, 0)
     assert row["max_abs_offset_m"] <= 0.5
-    with open(truth, newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(truth)
     assert max(abs(float(line["curvature_per_m"])) for line in rows) == pytest.approx(1 / 150, rel=0.02)
     values = [message.value for message in Recording(recording)]
     states = [value for value in values if isinstance(value, VehicleState)]
@@ -65,8 +69,7 @@ def test_it_is_slow_enough_for_a_tight_bend_that_comes_into_view_late(cli, tmp_p
     (row,) = said.rows
     assert (row["left_lane"], row["stops"]) == (0, 0)
     assert row["max_abs_offset_m"] <= 0.3
-    with open(truth, newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(truth)
     assert max(abs(float(line["curvature_per_m"])) for line in rows) == pytest.approx(1 / 12, rel=0.02)
     assert float(rows[-1]["y_m"]) < -20.0  # through the bend
     moved = np.diff([(float(line["x_m"]), float(line["y_m"])) for line in rows], axis=0)

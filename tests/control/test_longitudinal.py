@@ -106,7 +106,7 @@ def sighted(left_m: float | None, right_m: float | None, t_ns: int = 0) -> LaneE
     """A straight lane whose lines are seen to so far ahead of the rear axle; None: not at all."""
     lines = []
     for end_m, y_m in ((left_m, 0.2), (right_m, -0.2)):
-        points = np.empty((0, 2)) if end_m is None else np.array([[0.3, y_m], [end_m, y_m]])
+        points = np.empty((0, 2)) if end_m is None else np.array([[end_m, y_m], [0.5 * end_m, y_m]])
         lines.append(LaneLine(curve=line(0.0, y_m, 0.0, 5.0), points_m=points, seen=end_m is not None))
     return replace(seen(t_ns=t_ns), left=lines[0], right=lines[1])
 
