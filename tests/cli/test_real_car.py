@@ -144,7 +144,7 @@ def test_a_camera_that_is_lost_is_opened_again_and_the_car_stays_disarmed(
         opened.append(StillCamera(image, dies_at=400 if not opened else None))
         return opened[-1]
 
-    tries, again, wait = every(3), every(40), every(60)
+    tries, again, wait = every(3), every(40), every(45)  # 0.75 s: a fault that lasts is told again after 1 s
     back: list[int] = []
 
     def script(kinds: list[str]) -> bool:
