@@ -218,9 +218,10 @@ def _focal_error(found: CameraCalibration) -> Check:
 
 
 def _square_pixels(found: CameraCalibration) -> Check:
-    share = abs(found.intrinsics.fx_px / found.intrinsics.fy_px - 1.0)
-    text = f"fx / fy = {found.intrinsics.fx_px / found.intrinsics.fy_px:.4f}"
-    return _graded("square pixels", share, (0.02, 0.2), text, "are the images stretched, or too few views tilted?")
+    """Some cameras squeeze their images: 16:9 stored as 4:3 has fx / fy = 0.75, as 720x576 it has 0.70."""
+    ratio = found.intrinsics.fx_px / found.intrinsics.fy_px
+    advice = "right only where the camera squeezes its images; else tilt more views to all sides"
+    return _graded("square pixels", max(ratio, 1.0 / ratio) - 1.0, (0.02, 0.5), f"fx / fy = {ratio:.4f}", advice)
 
 
 def _centre(found: CameraCalibration) -> Check:

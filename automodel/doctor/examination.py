@@ -120,7 +120,8 @@ def judge_lens(car: CarConfig) -> Finding:
     if not NARROW_RAD < view < WIDE_RAD:
         return warn(name, f"field of view {math.degrees(view):.0f} deg: calibrated at another image size?", do)
     if not 0.9 < lens.fx_px / lens.fy_px < 1.1:
-        return warn(name, f"fx {lens.fx_px:.0f} and fy {lens.fy_px:.0f} px differ: pixels are square", do)
+        differ = f"fx {lens.fx_px:.0f} and fy {lens.fy_px:.0f} px differ"
+        return warn(name, f"{differ}: right only where the camera squeezes its images", do)
     return okay(name, f"field of view {math.degrees(view):.0f} deg, centre {lens.cx_px:.0f}, {lens.cy_px:.0f}")
 
 

@@ -90,6 +90,16 @@ def test_k3_is_taken_only_where_it_helps() -> None:
     )
 
 
+def test_squeezed_pixels_are_found_and_pass_with_a_warning() -> None:
+    """A camera that stores its 16:9 images as 4:3."""
+    found = calibrate_camera(projected_views(0.2, dataclasses.replace(LENS, fx_px=0.756 * LENS.fy_px)), BOARD)
+    assert found.intrinsics.fx_px / found.intrinsics.fy_px == pytest.approx(0.756, abs=0.005)
+    checks = {check.name: check for check in check_camera(found)}
+    assert checks["square pixels"].status == "WARN"
+    assert "squeezes" in checks["square pixels"].text
+    assert "FAIL" not in {check.status for check in checks.values()}
+
+
 def test_a_view_that_does_not_fit_is_dropped_and_named(views: list[View]) -> None:
     bad = views[3].found.corners_px + np.random.default_rng(0).normal(0.0, 4.0, (54, 2))
     spoilt = dataclasses.replace(views[3], found=dataclasses.replace(views[3].found, corners_px=bad))
@@ -122,7 +132,9 @@ def test_views_from_one_side_do_not_pass(views: list[View]) -> None:
     ("lens", "name", "status"),
     [
         ({"fy_px": 420.0}, "square pixels", "WARN"),
-        ({"fy_px": 300.0}, "square pixels", "FAIL"),
+        ({"fy_px": LENS.fx_px / 0.756}, "square pixels", "WARN"),
+        ({"fy_px": LENS.fx_px / 0.6}, "square pixels", "FAIL"),
+        ({"fy_px": LENS.fx_px / 1.6}, "square pixels", "FAIL"),
         ({"cx_px": 400.0}, "principal point", "WARN"),
         ({"cx_px": 500.0}, "principal point", "FAIL"),
         ({"distortion": (-0.9, 0.0, 0.0, 0.0, 0.0)}, "distortion", "FAIL"),
