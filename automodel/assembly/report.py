@@ -1,4 +1,7 @@
-"""Runs gathered for a report: what was recorded, and any pipelines on the same frames, in one pass over each source."""
+"""Runs gathered for a report: what was recorded, and any pipelines on the same frames, in one pass over each source.
+
+Beside them the results of benches, which are files of JSON.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from automodel import __version__
+from automodel.assembly.bench_results import SUFFIX, bench_tables
 from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
 from automodel.assembly.replay import AnyFrame, check_frame_size, frames_between
 from automodel.config import CarConfig, ConfigError, parse_car
@@ -41,8 +45,8 @@ HELD = frozenset({"stop", "hold"})  # kinds of events that make a frame worth lo
 class ReportOptions:
     """What a report is asked for.
 
-    `truth_file` is the truth.csv of the one source, `motion_file` its motion.csv; `from_s` and `to_s` count from the
-    first frame of each.
+    Of `sources` files of JSON are results of benches, all others runs. `truth_file` is the truth.csv of the one run,
+    `motion_file` its motion.csv; `from_s` and `to_s` count from the first frame of each.
     """
 
     sources: tuple[Path, ...]
@@ -67,10 +71,16 @@ class Seen:
 
 def report(options: ReportOptions) -> list[ReportedRun]:
     """Read all sources, write the page; raises ConfigError and SourceError for what is wrong, with nothing written."""
-    runs = [_gather(options, source) for source in options.sources]
+    results = [table for source in options.sources if is_bench(source) for table in bench_tables(source)]
+    runs = [_gather(options, source) for source in options.sources if not is_bench(source)]
     with output_text(options.html_file) as file:
-        file.write(page(runs, __version__))
+        file.write(page(runs, __version__, results))
     return runs
+
+
+def is_bench(source: Path) -> bool:
+    """Whether a source of a report is what a bench printed."""
+    return source.suffix.lower() == SUFFIX
 
 
 class Eye:

@@ -327,6 +327,42 @@ def contour_paper(
     return 0
 
 
+@command.command("guess")
+@click.option("--lens", type=click.Choice(["given", "unknown"]), default="given", show_default=True,
+              help="Whether the camera's field of view is given, as by replay --view-deg.")  # fmt: skip
+@click.option("--seeds", type=click.IntRange(1), default=20, show_default=True, help="How many worlds and cameras.")
+@FIRST_SEED
+@click.option(
+    "--kind", "kinds", multiple=True, type=click.Choice(list(KINDS)), help="Of these kinds.  [each seed's own]"
+)
+@SWEEP
+@CSV
+@JSON
+def guess(
+    lens: str,
+    seeds: int,
+    first_seed: int,
+    kinds: tuple[str, ...],
+    sweep: Sweep,
+    csv_file: Path | None,
+    as_json: bool,
+) -> int:
+    """What replay --guess finds of random cameras on drawn drives: errors of pitch and height, refusals.
+
+    Example:
+
+    automodel bench guess --seeds 20 --lens unknown
+    """
+    from automodel.bench.guess import COLUMNS, SUMMARY, GuessChoice, measure
+
+    check_outputs({"--csv": csv_file}, {})
+    choice = GuessChoice(seeds=range(first_seed, first_seed + seeds), kinds=kinds, lens=lens)
+    tables = measure(CarConfig(), choice, sweep)
+    _write(csv_file, tables["worlds"], first_seed)
+    show_tables("bench guess", tables, as_json, {"worlds": COLUMNS, "all": SUMMARY})
+    return 0
+
+
 @command.command("faults")
 @click.option("--only", "names", multiple=True, metavar="FAULT", help="This one; may be given several times.  [all]")
 @click.option("--runs", type=click.IntRange(1), default=300, show_default=True, help="In all, shared out evenly.")

@@ -26,7 +26,8 @@ COLUMNS = (
 @TO
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 def command(as_json: bool, to_s: float | None, **given: Any) -> int:
-    """One page (HTML, nothing else needed) about each RUN: a recording, video, folder of images or tub.
+    """One page (HTML, nothing else needed) about each RUN: a recording, video, folder of images or tub, or the JSON of
+    a bench.
 
     Map, offset with its bound, heading, speed, status, time a frame, events, the worst moments with pictures; several
     pipelines on the same frames side by side. Example:
@@ -35,13 +36,13 @@ def command(as_json: bool, to_s: float | None, **given: Any) -> int:
     """
     import math
 
-    from automodel.assembly.report import ReportOptions, report
+    from automodel.assembly.report import ReportOptions, is_bench, report
     from automodel.console.messages import say
     from automodel.console.tables import show
     from automodel.viewer.run_trace import metrics
 
     options = ReportOptions(to_s=math.inf if to_s is None else to_s, **given)
-    if len(options.sources) > 1 and (options.truth_file or options.motion_file):
+    if sum(not is_bench(source) for source in options.sources) != 1 and (options.truth_file or options.motion_file):
         raise click.UsageError("--truth and --motion belong to one RUN; give one")
     inputs: dict[str, Path | None] = {
         "--car": options.car_file, "--motion": options.motion_file, "--truth": options.truth_file

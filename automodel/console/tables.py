@@ -89,10 +89,10 @@ def wrapped(text: str, width: int, indent: int) -> str:
 
 def _fields(row: Row, names: Sequence[str], width: int) -> list[str]:
     """A line a field: name, value, unit."""
-    labels = {name: _label(name) for name in names}
+    labels = {name: label_of(name) for name in names}
     indent = max(len(words) for words, _ in labels.values()) + len(GAP)
     return [
-        wrapped(f"{words:<{indent}}{_text(row[name])} {unit if row[name] is not None else ''}", width, indent)
+        wrapped(f"{words:<{indent}}{text_of(row[name])} {unit if row[name] is not None else ''}", width, indent)
         for name, (words, unit) in labels.items()
     ]
 
@@ -101,8 +101,8 @@ class _Column:
     """Header and cells of one column: its natural width, and the least that it can be printed in."""
 
     def __init__(self, name: str, rows: Sequence[Row]) -> None:
-        words, unit = _label(name)
-        self.name, self.cells = name, [_text(row[name]) for row in rows]
+        words, unit = label_of(name)
+        self.name, self.cells = name, [text_of(row[name]) for row in rows]
         self.left = any(isinstance(row[name], str) for row in rows)
         header = [*(SHORT.get(word, word) for word in words.split()), *([f"[{unit}]"] if unit else [])]
         longest = max(map(len, self.cells))
@@ -146,7 +146,7 @@ def _joined(columns: Sequence[_Column], cells: Sequence[Sequence[str]]) -> list[
     ]
 
 
-def _label(name: str) -> tuple[str, str]:
+def label_of(name: str) -> tuple[str, str]:
     """What a person reads for a field's name, and its unit ("" without one)."""
     for suffix, unit in UNITS.items():
         if name.endswith(f"_{suffix}"):
@@ -154,7 +154,8 @@ def _label(name: str) -> tuple[str, str]:
     return name.replace("_", " "), ""
 
 
-def _text(value: object) -> str:
+def text_of(value: object) -> str:
+    """A value as people read it."""
     if value is None:
         return "-"
     if isinstance(value, bool):

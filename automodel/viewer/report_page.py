@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 
 import cv2
@@ -33,15 +34,29 @@ h3 { font-size: 1rem; margin: 0.4rem 0; overflow-wrap: anywhere; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 0.9rem; }
 th, td { text-align: right; padding: 4px 10px; border-bottom: 1px solid #ddd; vertical-align: top; }
 th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
+td.bar { background: linear-gradient(#cfe3f3, #cfe3f3) no-repeat right bottom / var(--share) 4px; }
 td.text { text-align: left; overflow-wrap: anywhere; min-width: 9rem; }
 figure { margin: 0 0 1rem; } figure img { width: 100%; height: auto; display: block; }
 figcaption, .note { color: #555; font-size: 0.9rem; }
 """
 
 
-def page(runs: Sequence[ReportedRun], version: str) -> str:
-    """The HTML of a report over runs; the first column of tables side by side names what the others compare."""
-    title = ", ".join(run.name for run in runs)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultTable:
+    """A table of measured results; a cell is its text and the share, 0 to 1, of the bar drawn below it."""
+
+    title: str
+    origin: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[tuple[str, float], ...], ...]
+
+
+def page(runs: Sequence[ReportedRun], version: str, results: Sequence[ResultTable] = ()) -> str:
+    """The HTML of a report over runs and the results of benches.
+
+    The first column of tables side by side names what the others compare.
+    """
+    title = ", ".join(dict.fromkeys([*(run.name for run in runs), *(one.title.split(":")[0] for one in results)]))
     parts = [
         "<!DOCTYPE html>",
         '<html lang="en"><head><meta charset="utf-8">',
@@ -50,9 +65,10 @@ def page(runs: Sequence[ReportedRun], version: str) -> str:
         f"<h1>{escape(title)}</h1>",
         f'<p class="note">automodel {escape(version)}. Offsets are positive to the left of the lane\'s middle. '
         "A bound is an error that 1 of 1,000 frames is meant to exceed.</p>",
-        _side_by_side([row for run in runs for row in metrics(run)]),
+        _side_by_side([row for run in runs for row in metrics(run)]) if runs else "",
         _settings(runs),
         *(_run(run) for run in runs),
+        *map(_results, results),
         "</body></html>",
     ]
     return "\n".join(parts)
@@ -116,14 +132,22 @@ def _events(run: ReportedRun) -> str:
     return "<h2>Events</h2>" + _table(["time [s]", "what", ""], rows) + note
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def _results(table: ResultTable) -> str:
+    body = [[text for text, _ in row] for row in table.rows]
+    bars = [[share for _, share in row] for row in table.rows]
+    return f'<h2>{escape(table.title)}</h2><p class="note">{escape(table.origin)}</p>{_table(table.header, body, bars)}'
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]], bars: Sequence[Sequence[float]] = ()) -> str:
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
+    shares = bars or [[0.0] * len(row) for row in rows]
+    cells = ("".join(map(_cell, row, share)) for row, share in zip(rows, shares, strict=True))
+    body = "".join(f"<tr>{row}</tr>" for row in cells)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
-def _cell(text: str) -> str:
-    kind = ' class="text"' if len(text) > 16 else ""
+def _cell(text: str, share: float) -> str:
+    kind = ' class="text"' if len(text) > 16 else f' class="bar" style="--share:{100.0 * share:.0f}%"' * (share > 0.0)
     return f"<td{kind}>{escape(text)}</td>"
 
 
