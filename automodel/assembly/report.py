@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import dataclasses
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from automodel.assembly.bench_results import SUFFIX, bench_tables
 from automodel.assembly.parts import car_of, make_loop, open_source, with_pipeline
 from automodel.assembly.replay import AnyFrame, check_frame_size, frames_between
 from automodel.config import CarConfig, ConfigError, parse_car
+from automodel.config.changes import keys_of
 from automodel.console.progress import progress
 from automodel.geometry import GroundCamera
 from automodel.output_files import output_text
@@ -139,7 +139,7 @@ def _gather(options: ReportOptions, path: Path) -> ReportedRun:
         truth_m=truth_m,
         events=tuple(events),
         moments=worst.moments(),
-        settings=dict(_settings(dataclasses.asdict(car))),
+        settings=dict(keys_of(car)),
     )
 
 
@@ -241,12 +241,3 @@ def _origin(path: Path, source: object, trace: RunTrace) -> str:
         told = ", ".join(f"{name} {value}" for name, value in sorted(origin.items()) if len(value) < 60)
         return f"{path.name}: {length}. {told}"
     return f"{path.name}: {length}"
-
-
-def _settings(values: Mapping[str, object], before: str = "") -> Iterator[tuple[str, object]]:
-    """The keys of a configuration with their sections: ("lane.width_m", 0.4)."""
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _settings(value, f"{before}{key}.")
-        else:
-            yield f"{before}{key}", value

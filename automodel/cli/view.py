@@ -25,20 +25,21 @@ from automodel.config import ConfigError
 @RATE
 @FROM
 @TO
-def command(run: Path, port: int, to_s: float | None, **given: Any) -> int:
+def command(run: Path, port: int, pipelines: tuple[str, ...], to_s: float | None, **given: Any) -> int:
     """RUN (a recording, video, folder of images or tub) in the browser: play, step, scrub, jump to the next event.
 
-    Several pipelines on the same frames are switched with a key. Only this machine can open the page, by the token in
-    its address. Example:
+    Several pipelines on the same frames are switched with a key. A key of car.toml can be changed on the page: the
+    pipeline runs again, and what differs stands beside it. Only this machine can open the page, by the token in its
+    address. Example:
 
     automodel view run.mcap --pipeline windows --pipeline contour
     """
     if importlib.util.find_spec("aiohttp") is None:
         raise ConfigError("view: needs aiohttp; pip install 'automodel[web]'")
-    from automodel.web.film import look_through
+    from automodel.web.film import Footage, look_through
     from automodel.web.view import serve
 
-    viewed = look_through(run, to_s=math.inf if to_s is None else to_s, **given)
+    viewed = look_through(Footage(path=run, to_s=math.inf if to_s is None else to_s, **given), pipelines)
     with contextlib.closing(viewed.film):
         serve(viewed, port)
     return 0

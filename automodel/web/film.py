@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
@@ -14,17 +14,18 @@ import cv2
 import numpy as np
 
 from automodel.assembly.parts import open_source
-from automodel.assembly.replay import check_frame_size, frames_between
+from automodel.assembly.replay import AnyFrame, check_frame_size, frames_between
 from automodel.assembly.report import Eye, Seen, car_of_run, eyes_of
-from automodel.config import ConfigError
+from automodel.config import CarConfig, ConfigError
 from automodel.console.progress import progress
 from automodel.recording.export import image_of
-from automodel.recording.reader import RecordingSource
+from automodel.recording.reader import RecordingSource, Step
 from automodel.signals import Event, Frame, LaneStatus, Motion
 from automodel.sources.files import read_motion_csv
 from automodel.types import Image
 from automodel.viewer.run_trace import DrivenPath, dead_reckoned
 
+Shot = tuple[float, AnyFrame, Motion, Step | None]  # time since the first frame [s], and what was recorded with it
 _JPEG_QUALITY = 92  # [%] of the frames kept for looking at
 _BLIND = (LaneStatus.COASTING, LaneStatus.LOST)
 
@@ -57,14 +58,47 @@ class Film:
         self._file.close()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Footage:
+    """The frames of a source that are looked at; `from_s` and `to_s` count from its first one."""
+
+    path: Path
+    car_file: Path | None = None
+    motion_file: Path | None = None
+    rate_hz: float | None = None
+    from_s: float = 0.0
+    to_s: float = math.inf
+
+    @contextlib.contextmanager
+    def opened(self, car: CarConfig, bar_title: str = "") -> Iterator[Iterator[Shot]]:
+        """The frames, under a progress bar where it has a title; raises ConfigError and SourceError."""
+        motion = read_motion_csv(self.motion_file) if self.motion_file is not None else None
+        with contextlib.closing(open_source(self.path, car, self.rate_hz)) as source, contextlib.ExitStack() as shown:
+            tick = None
+            if bar_title:
+                tick = shown.enter_context(progress(bar_title, getattr(source, "frame_count", None)))
+
+            def shots() -> Iterator[Shot]:
+                for t_s, frame, moved, _ in frames_between(source, motion, self.from_s, self.to_s):
+                    if tick is not None:
+                        tick()
+                    if isinstance(frame, Frame):
+                        check_frame_size(self.path, frame, car, self.car_file)
+                    yield t_s, frame, moved, source.step if isinstance(source, RecordingSource) else None
+
+            yield shots()
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class ViewedRun:
     """n frames of a run: `t_s` since the first, `frames` their numbers in the source, and for each eye n of `seen`.
 
     `events` have their time [s] on the same scale; `path` is where the car drove, None where no motion is known.
+    `trials` has the eyes that see with a changed car: the eye that each is compared with, and what was changed.
     """
 
     name: str
+    footage: Footage
     eyes: list[Eye]
     film: Film
     t_s: list[float] = field(default_factory=list)
@@ -73,12 +107,29 @@ class ViewedRun:
     seen: dict[str, list[Seen]] = field(default_factory=dict)
     events: list[tuple[float, Event]] = field(default_factory=list)
     path: DrivenPath | None = None
+    trials: dict[str, tuple[str, str]] = field(default_factory=dict)
+
+    def eye(self, name: str) -> Eye:
+        """The eye of this name; raises KeyError."""
+        found = next((eye for eye in self.eyes if eye.name == name), None)
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    def add_trial(self, base: str, change: str, car: CarConfig, seen: list[Seen]) -> str:
+        """Keep what was seen with a changed car beside the eye `base`; the name of its eye."""
+        name = f"change {len(self.trials) + 1}"
+        before = self.trials[base][1] if base in self.trials else car.pipeline.name
+        self.eyes.append(Eye(name, car, None))
+        self.seen[name] = seen
+        self.trials[name] = (base, f"{before}, {change}")
+        return name
 
     def picture(self, number: int, eye_name: str) -> Image:
         """A frame with what an eye said of it; raises IndexError and KeyError."""
-        eye = next((eye for eye in self.eyes if eye.name == eye_name), None)
-        if eye is None or not 0 <= number < len(self.frames):
-            raise KeyError(eye_name) if eye is None else IndexError(number)
+        eye = self.eye(eye_name)
+        if not 0 <= number < len(self.frames):
+            raise IndexError(number)
         note = f"{self.t_s[number]:.2f} s  frame {self.frames[number]}  {eye_name}"
         return eye.picture(self.film.image(number), self.seen[eye_name][number], note)
 
@@ -94,30 +145,16 @@ class ViewedRun:
         return sorted(marks)
 
 
-def look_through(
-    path: Path,
-    pipelines: Sequence[str] = (),
-    car_file: Path | None = None,
-    motion_file: Path | None = None,
-    rate_hz: float | None = None,
-    from_s: float = 0.0,
-    to_s: float = math.inf,
-) -> ViewedRun:
+def look_through(footage: Footage, pipelines: Sequence[str] = ()) -> ViewedRun:
     """Run the pipelines over a source and keep everything; raises ConfigError and SourceError for what is wrong."""
-    car = car_of_run(car_file, path)
-    source = open_source(path, car, rate_hz)
-    recorded = isinstance(source, RecordingSource)
-    run = ViewedRun(name=path.name, eyes=eyes_of(pipelines, car, recorded), film=Film())
+    path = footage.path
+    car = car_of_run(footage.car_file, path)
+    eyes = eyes_of(pipelines, car, path.suffix.lower() == ".mcap")
+    run = ViewedRun(name=path.name, footage=footage, eyes=eyes, film=Film())
     run.seen = {eye.name: [] for eye in run.eyes}
-    motion = read_motion_csv(motion_file) if motion_file is not None else None
-    title, count = f"view {path.name}", getattr(source, "frame_count", None)
-    with contextlib.ExitStack() as on_error, contextlib.closing(source), progress(title, count) as bar:
+    with contextlib.ExitStack() as on_error, footage.opened(car, f"view {path.name}") as shots:
         on_error.callback(run.film.close)
-        for t_s, frame, moved, _ in frames_between(source, motion, from_s, to_s):
-            bar()
-            if isinstance(frame, Frame):
-                check_frame_size(path, frame, car, car_file)
-            step = source.step if isinstance(source, RecordingSource) else None
+        for t_s, frame, moved, step in shots:
             for eye in run.eyes:
                 run.seen[eye.name].append(eye.see(frame, moved, step))
             run.film.add(image_of(frame))
@@ -127,7 +164,7 @@ def look_through(
             happened = () if step is None else step.events
             run.events += [(t_s + (event.t_ns - frame.t_ns) * 1e-9, event) for event in happened]
         if not run.frames:
-            raise ConfigError(f"{path}: no frames between --from {from_s:g} and --to {to_s:g} s")
+            raise ConfigError(f"{path}: no frames between --from {footage.from_s:g} and --to {footage.to_s:g} s")
         on_error.pop_all()
     if any(one.known for one in run.motions):
         run.path = dead_reckoned(np.array(run.t_s), run.motions)

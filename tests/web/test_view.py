@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-import math
+import multiprocessing
 import os
 import re
 import signal
@@ -15,6 +15,7 @@ import urllib.request
 from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,16 +28,17 @@ from automodel.config import ConfigError
 from automodel.recording.reader import Recording
 from automodel.signals import Event
 from automodel.web.access import CSP, Access
-from automodel.web.film import Film, ViewedRun, look_through
+from automodel.web.film import Film, Footage, ViewedRun, look_through
 from automodel.web.guard import MESSAGE_BYTES
-from automodel.web.view import ViewPage, summary
+from automodel.web.trial import Trial, changeable
+from automodel.web.view import MOST_TRIALS, ViewPage, summary
 
-WAIT_S = 20.0
+WAIT_S = 100.0  # for what only ever comes late on a busy machine
 
 
 @pytest.fixture(scope="module")
 def run(driven: Path) -> Iterator[ViewedRun]:
-    viewed = look_through(driven / "run.mcap", ["contour"], to_s=0.5)
+    viewed = look_through(Footage(path=driven / "run.mcap", to_s=0.5), ["contour"])
     yield viewed
     viewed.film.close()
 
@@ -63,8 +65,8 @@ def test_the_summary_is_what_was_recorded_and_what_the_pipeline_says(run: Viewed
     steps = list(Recording(driven / "run.mcap").steps())[: len(run.frames)]
     assert told["frames"] == [step.frame.index for step in steps]
     assert list(told["eyes"]) == ["recorded", "contour"]
-    for column in told["eyes"]["contour"].values():
-        assert isinstance(column, list)
+    for name in ("status", "offset", "bound", "heading", "steering", "ms"):
+        assert len(told["eyes"]["contour"][name]) == len(run.frames)
     track = told["eyes"]["recorded"]
     for number, step in enumerate(steps):
         assert step.estimate is not None
@@ -111,10 +113,107 @@ def test_a_frame_that_is_asked_for_comes_as_it_is_drawn(run: ViewedRun) -> None:
     opened(run, test)
 
 
+def own(run: ViewedRun) -> ViewedRun:
+    """The same run, to which a test may add changes."""
+    return replace(run, eyes=list(run.eyes), seen=dict(run.seen), trials=dict(run.trials))
+
+
+async def results(socket: ClientWebSocketResponse) -> dict[str, Any]:
+    """What comes of a change, after the words about how far it is."""
+    while "done" in (word := (await socket.receive_json(timeout=WAIT_S))["trial"]):
+        assert 0 < word["done"] <= word["of"]
+    return dict(word)
+
+
+def test_a_changed_key_is_seen_with_by_a_pipeline_that_runs_again(run: ViewedRun) -> None:
+    run = own(run)
+    height_m = run.eye("contour").car.camera.extrinsics.z_m
+
+    async def test(socket: ClientWebSocketResponse) -> None:
+        told = (await socket.receive_json(timeout=WAIT_S))["eyes"]["contour"]
+        assert told["settings"]["camera.extrinsics.z_m"] == height_m
+        await socket.send_str(f"try camera.extrinsics.z_m {1.1 * height_m} contour")
+        first = await results(socket)
+        assert (first["eye"], first["track"]["base"]) == ("change 1", "contour")
+        assert first["track"]["words"] == f"contour, camera.extrinsics.z_m = {1.1 * height_m}"
+        widths = [
+            [word.estimate.pose.width_m for word in run.seen[eye] if word.estimate and word.estimate.pose]
+            for eye in ("contour", "change 1")
+        ]
+        assert np.median(widths[1]) / np.median(widths[0]) == pytest.approx(1.1, rel=0.02)
+        await socket.send_str("3 change 1")  # its frames are drawn like all others
+        assert (await socket.receive_json(timeout=WAIT_S))["eye"] == "change 1"
+        await socket.receive_bytes(timeout=WAIT_S)
+        await socket.send_str("try pipeline.contour.coast_s 1.5 change 1")  # and it can be changed further
+        second = await results(socket)
+        assert second["track"]["words"].endswith(f"z_m = {1.1 * height_m}, pipeline.contour.coast_s = 1.5")
+        assert second["track"]["settings"]["camera.extrinsics.z_m"] == pytest.approx(1.1 * height_m)
+
+    opened(run, test)
+    again = summary(run)["eyes"]  # for a page that is opened later
+    assert list(again) == ["recorded", "contour", "change 1", "change 2"]
+    assert again["change 2"]["base"] == "change 1"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("lane.width_m x", "lane.width_m: expected a finite number"),
+        ("lane.width_m nan", "lane.width_m: expected a finite number"),
+        ("lane.width_m 1e300", "lane.width_m: expected at most 20"),
+        ("lane.width_m 0", "width_m: expected a positive number, got 0.0"),
+        ("lane.markings green", "markings: expected one of light, dark, both, got 'green'"),
+        ("pipeline.contour.nodes 3.5", "pipeline.contour.nodes: expected a whole number"),
+    ],
+)
+def test_a_value_that_cannot_be_is_told_and_nothing_runs(run: ViewedRun, change: str, said: str) -> None:
+    async def test(socket: ClientWebSocketResponse) -> None:
+        await socket.receive_json(timeout=WAIT_S)
+        await socket.send_str(f"try {change} contour")
+        assert (await results(socket))["wrong"].startswith(said)
+        await socket.send_str("0 contour")  # the socket is still open
+        assert (await socket.receive_json(timeout=WAIT_S))["number"] == 0
+
+    opened(run, test)
+
+
+def test_a_page_names_no_files_and_not_more_changes_than_are_kept(run: ViewedRun) -> None:
+    full = own(run)
+    for _ in range(MOST_TRIALS):
+        full.add_trial("contour", "nothing", full.eye("contour").car, full.seen["contour"])
+    keys = {key for eye in run.eyes for key in changeable(eye)}
+    assert {"lane.width_m", "lane.markings", "pipeline.contour.nodes", "camera.extrinsics.pitch_rad"} <= keys
+    assert not [key for key in keys if "model" in key or "provider" in key or "source" in key or "link" in key]
+
+    async def test(socket: ClientWebSocketResponse) -> None:
+        await socket.receive_json(timeout=WAIT_S)
+        await socket.send_str("try lane.width_m 0.5 contour")
+        assert (await results(socket))["wrong"].startswith(f"{MOST_TRIALS} changes are kept")
+
+    opened(full, test)
+
+
+def test_a_trial_that_is_ended_says_so_and_leaves_no_process(run: ViewedRun) -> None:
+    trial = Trial(run.footage, run.eye("contour").car)
+    trial.close()
+    assert "the process ended" in str(trial.next_word())
+    assert not [child for child in multiprocessing.active_children() if child.name == "automodel view"]
+
+
+def test_what_a_source_has_become_is_told(run: ViewedRun, tmp_path: Path) -> None:
+    trial = Trial(replace(run.footage, path=tmp_path / "gone.mcap"), run.eye("contour").car)
+    try:
+        assert "gone.mcap: no such file" in str(trial.next_word())
+    finally:
+        trial.close()
+
+
 @pytest.mark.parametrize(
     "message",
-    ["", "7", "-1 recorded", "99999 recorded", "7 nobody", "x recorded", "1" * (MESSAGE_BYTES + 1), b"7 x"],
-)
+    ["", "7", "-1 recorded", "99999 recorded", "7 nobody", "x recorded", "1" * (MESSAGE_BYTES + 1), b"7 x",
+     "try", "try lane.width_m 1", "try lane.width_m 1 nobody", "try link.kind x contour", "try a b contour",
+     "try pipeline.contour.__class__ 1 contour", "try lane 1 contour"],
+)  # fmt: skip
 def test_what_is_no_frame_closes_the_socket(run: ViewedRun, message: str | bytes) -> None:
     async def test(socket: ClientWebSocketResponse) -> None:
         await socket.receive_json(timeout=WAIT_S)
@@ -169,7 +268,7 @@ def test_a_film_gives_its_images_back_in_any_order() -> None:
 
 def test_no_frames_is_one_line(driven: Path) -> None:
     with pytest.raises(ConfigError, match=r"no frames between --from 99 and --to inf s"):
-        look_through(driven / "run.mcap", from_s=99.0, to_s=math.inf)
+        look_through(Footage(path=driven / "run.mcap", from_s=99.0))
 
 
 def test_the_command_serves_on_this_machine_alone_until_ctrl_c(driven: Path) -> None:

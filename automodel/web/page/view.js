@@ -13,12 +13,11 @@ const at = (id) => document.getElementById(id);
 let run = null;
 let eye = ""; // the pipeline that is shown
 let now = 0; // number of the frame
-let asked = null; // what the server is drawing
+let asked = null; // the image that the server is drawing for, and the frame and pipeline asked for
 let playing = false;
 let since = 0; // wall time [ms] and run's time [s] at which playing began
 let from = 0;
 let socket = null;
-let pictureUrl = "";
 let drawn = ""; // what the plots show
 
 const canvases = PLOTS.map(([title]) => {
@@ -49,20 +48,24 @@ function tell(reason) {
 }
 
 function told(news) {
+  if (news.trial) return tried(news.trial);
   if (!news.eyes) return; // whose picture comes next: it is the one that was asked for
   run = news;
   at("name").textContent = run.name;
   tell(run.t.length + " frames, " + duration().toFixed(1) + " s");
-  eye = Object.keys(run.eyes)[0];
+  showEyes();
+  choose(Object.keys(run.eyes)[0]);
+}
+
+function showEyes() {
   at("eyes").replaceChildren(...Object.keys(run.eyes).map((name, i) => {
     const button = document.createElement("button");
     button.type = "button";
     button.textContent = name;
-    button.title = String(i + 1);
+    button.title = i + 1 + ": " + run.eyes[name].words;
     button.addEventListener("click", () => choose(name));
     return button;
   }));
-  choose(eye);
 }
 
 function duration() { return run.t[run.t.length - 1]; }
@@ -83,6 +86,12 @@ function choose(name) {
     item.addEventListener("keydown", (event) => { if (event.key === "Enter") jump(t); });
     return item;
   }));
+  showSettings();
+  const base = run.eyes[eye].base;
+  at("before").hidden = base === null;
+  at("caption").textContent = run.eyes[eye].words;
+  at("before-caption").textContent = base === null ? "" : "before: " + run.eyes[base].words;
+  compare();
   go(now);
 }
 
@@ -93,20 +102,89 @@ function go(number) { // show this frame as soon as the server has drawn the las
 }
 
 function request() {
-  const wanted = now + " " + eye;
-  if (asked !== null || at("picture").dataset.shown === wanted || socket.readyState !== WebSocket.OPEN) return;
-  asked = wanted;
-  socket.send(wanted);
+  if (asked !== null || socket.readyState !== WebSocket.OPEN) return;
+  const base = run.eyes[eye].base;
+  const wanted = [[at("picture"), now + " " + eye]];
+  if (base !== null) wanted.push([at("original"), now + " " + base]);
+  const next = wanted.find(([image, text]) => image.dataset.shown !== text);
+  if (!next) return;
+  asked = next;
+  socket.send(asked[1]);
 }
 
 function show(picture) {
-  const before = pictureUrl;
-  pictureUrl = URL.createObjectURL(picture);
-  at("picture").src = pictureUrl;
-  at("picture").dataset.shown = asked;
+  const [image, text] = asked;
+  const before = image.src;
+  image.src = URL.createObjectURL(picture);
+  image.dataset.shown = text;
   if (before) URL.revokeObjectURL(before);
   asked = null;
   request(); // the time line has moved on meanwhile
+}
+
+// --- a key of car.toml that is changed
+
+function showSettings() {
+  const [settings, chosen] = [run.eyes[eye].settings, at("key").value];
+  at("key").replaceChildren(...Object.keys(settings).map((name) => new Option(name, name)));
+  at("key").value = chosen in settings ? chosen : "lane.width_m";
+  showValue();
+}
+
+function showValue() { at("value").value = String(run.eyes[eye].settings[at("key").value]); }
+
+function outcome(text, bad) {
+  at("outcome").textContent = text;
+  at("outcome").className = bad ? "bad" : "";
+}
+
+function tryChange() {
+  const value = at("value").value.trim();
+  if (!run || socket.readyState !== WebSocket.OPEN) return;
+  if (!/^\S{1,40}$/.test(value)) return outcome("expected a number or a word", true);
+  outcome("running " + run.eyes[eye].words + " again");
+  socket.send(["try", at("key").value, value, eye].join(" "));
+}
+
+function tried(news) {
+  if (news.wrong) return outcome(news.wrong, true);
+  if (news.done) return outcome(news.done + " of " + news.of + " frames");
+  run.eyes[news.eye] = news.track;
+  outcome(news.track.words);
+  showEyes();
+  choose(news.eye);
+}
+
+function compare() { // the shown pipeline beside the one that it was changed from
+  const changed = run.eyes[eye];
+  const base = run.eyes[changed.base];
+  at("difference").hidden = !base;
+  if (!base) return;
+  const share = (track, names) => (100 * track.status.filter((name) => names.includes(name)).length) / track.status.length;
+  const middle = (values) => {
+    const known = values.filter((value) => value !== null && !Number.isNaN(value)).sort((a, b) => a - b);
+    return known.length ? known[known.length >> 1] : NaN;
+  };
+  const apart = changed.offset.map((value, i) => (value === null || base.offset[i] === null ? null : 100 * Math.abs(value - base.offset[i])));
+  const rows = [
+    ["lane known [%]", (track) => 100 - share(track, ["LOST"])],
+    ["two lines [%]", (track) => share(track, ["TRACKING"])],
+    ["bound, median [cm]", (track) => 100 * middle(track.bound)],
+    ["time, median [ms]", (track) => middle(track.ms)],
+  ].map(([name, of]) => [name, of(base), of(changed)]);
+  if (changed.base === "recorded") rows[3][1] = NaN; // from the camera to the command, on another machine
+  rows.push(["offset apart, median [cm]", NaN, middle(apart)], ["offset apart, most [cm]", NaN, extent(apart)[1]]);
+  const written = (value) => (Number.isNaN(value) ? "" : value.toFixed(1));
+  const cells = [["", "before", "changed"], ...rows.map(([name, before, after]) => [name, written(before), written(after)])];
+  at("difference").replaceChildren(...cells.map((texts, row) => {
+    const line = document.createElement("tr");
+    line.append(...texts.map((text) => {
+      const cell = document.createElement(row ? "td" : "th");
+      cell.textContent = text;
+      return cell;
+    }));
+    return line;
+  }));
 }
 
 function numberAt(t) { // the last frame that is not after t [s]
@@ -236,7 +314,7 @@ function drawMap() {
 
 function facts() {
   const track = run.eyes[eye];
-  const texts = [["Time", run.t[now].toFixed(2) + " s"], ["Frame", String(run.frames[now])], ["Lane", track.status[now]], ["Pipeline", eye]];
+  const texts = [["Time", run.t[now].toFixed(2) + " s"], ["Frame", String(run.frames[now])], ["Lane", track.status[now]], ["Pipeline", run.eyes[eye].words]];
   at("values").replaceChildren(...texts.map(([name, text]) => {
     const box = document.createElement("div");
     const [head, value] = [document.createElement("dt"), document.createElement("dd")];
@@ -269,9 +347,12 @@ for (const [id, act] of [["play", toggle], ["back", () => step(-1)], ["on", () =
   at(id).addEventListener("click", act);
 }
 at("rate").addEventListener("change", restart);
+at("key").addEventListener("change", showValue);
+at("try").addEventListener("click", tryChange);
+at("value").addEventListener("keydown", (event) => { if (event.key === "Enter") tryChange(); });
 document.addEventListener("keydown", (event) => {
   const act = { " ": toggle, n: () => mark(1), p: () => mark(-1) }[event.key.toLowerCase()];
-  if (event.target.tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (["SELECT", "INPUT"].includes(event.target.tagName) || event.ctrlKey || event.metaKey || event.altKey) return;
   if (act) act();
   else if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
     const side = event.key === "ArrowRight" ? 1 : -1;
