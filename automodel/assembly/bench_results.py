@@ -88,7 +88,8 @@ def _cell(value: Any, largest: float) -> tuple[str, float]:
 def _largest(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> float:
     """The largest value of a measured column and its paper's; 0 where bars would say nothing, as for a seed."""
     values = [number for key in keys for row in rows if (number := _number(row.get(key))) is not None]
-    return max(map(abs, values), default=0.0) if any(not value.is_integer() for value in values) else 0.0
+    measured = len(values) > 1 and any(not value.is_integer() for value in values)
+    return max(map(abs, values)) if measured else 0.0
 
 
 def _number(value: Any) -> float | None:

@@ -24,20 +24,27 @@ HEADINGS = {
     "p99_ms": "time, 99 % [ms]",
 }  # fmt: skip
 STYLE = """
-:root { color-scheme: light; }
-body { font: 16px/1.45 system-ui, sans-serif; margin: 0 auto; padding: 0 12px 40px; max-width: 1200px; color: #1a1a1a; }
-h1 { font-size: 1.4rem; } h2 { font-size: 1.2rem; border-top: 2px solid #ddd; padding-top: 1rem; margin-top: 2rem; }
+:root { color-scheme: light dark; --page: #fff; --ink: #1a1a1a; --faint: #555; --rule: #ddd; --bar: #cfe3f3; }
+body { font: 16px/1.45 system-ui, sans-serif; margin: 0 auto; padding: 0 12px 40px; max-width: 1200px; }
+body { color: var(--ink); background: var(--page); }
+h1 { font-size: 1.4rem; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; border-top: 2px solid var(--rule); padding-top: 1rem; margin-top: 2rem; overflow-wrap: anywhere; }
 h3 { font-size: 1rem; margin: 0.4rem 0; overflow-wrap: anywhere; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)); gap: 12px 24px; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 340px), 1fr)); gap: 0 16px; }
 .plots svg { width: 100%; height: auto; display: block; }
-.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 0.9rem; }
-th, td { text-align: right; padding: 4px 10px; border-bottom: 1px solid #ddd; vertical-align: top; }
-th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: #fff; }
-td.bar { background: linear-gradient(#cfe3f3, #cfe3f3) no-repeat right bottom / var(--share) 4px; }
+.wide { overflow-x: auto; } table { border-collapse: collapse; font-size: 0.9rem; font-variant-numeric: tabular-nums; }
+th, td { text-align: right; padding: 4px 10px; border-bottom: 1px solid var(--rule); vertical-align: top; }
+th:first-child, td:first-child { text-align: left; position: sticky; left: 0; background: var(--page); }
+td.bar { background: linear-gradient(var(--bar), var(--bar)) no-repeat right bottom / var(--share) 4px; }
 td.text { text-align: left; overflow-wrap: anywhere; min-width: 9rem; }
 figure { margin: 0 0 1rem; } figure img { width: 100%; height: auto; display: block; }
-figcaption, .note { color: #555; font-size: 0.9rem; }
+figcaption, .note { color: var(--faint); font-size: 0.9rem; }
+@media (max-width: 600px) { table { font-size: 0.8rem; } th, td { padding: 4px 6px; } }
+@media screen and (prefers-color-scheme: dark) {
+  :root { --page: #1a1a1a; --ink: #e8e8e8; --faint: #a8a8a8; --rule: #444; --bar: #2b5876; }
+  .plots svg { filter: invert(0.9) hue-rotate(180deg); }
+}
 """
 
 
@@ -155,6 +162,8 @@ def _value(value: object) -> str:
     if value is None:
         return "-"
     if isinstance(value, float):
+        if 0.0 < abs(value) < 0.001:
+            return f"{value:.4f}"
         return f"{value:.3g}" if abs(value) < 100.0 else f"{value:.0f}"
     return str(value)
 

@@ -13,6 +13,7 @@ const at = (id) => document.getElementById(id);
 let run = null;
 let eye = ""; // the pipeline that is shown
 let now = 0; // number of the frame
+let shown = 0; // number of the frame whose pictures are shown, or being drawn
 let asked = null; // the image that the server is drawing for, and the frame and pipeline asked for
 let playing = false;
 let since = 0; // wall time [ms] and run's time [s] at which playing began
@@ -89,6 +90,7 @@ function choose(name) {
   showSettings();
   const base = run.eyes[eye].base;
   at("before").hidden = base === null;
+  at("live").className = base === null ? "" : "pair";
   at("caption").textContent = run.eyes[eye].words;
   at("before-caption").textContent = base === null ? "" : "before: " + run.eyes[base].words;
   compare();
@@ -103,13 +105,21 @@ function go(number) { // show this frame as soon as the server has drawn the las
 
 function request() {
   if (asked !== null || socket.readyState !== WebSocket.OPEN) return;
-  const base = run.eyes[eye].base;
-  const wanted = [[at("picture"), now + " " + eye]];
-  if (base !== null) wanted.push([at("original"), now + " " + base]);
-  const next = wanted.find(([image, text]) => image.dataset.shown !== text);
+  let next = missing();
+  if (!next && shown !== now) { // both pictures of a frame, then those of the next one
+    shown = now;
+    next = missing();
+  }
   if (!next) return;
   asked = next;
   socket.send(asked[1]);
+}
+
+function missing() { // the image, and the frame and pipeline, that is shown next
+  const base = run.eyes[eye].base;
+  const wanted = [[at("picture"), shown + " " + eye]];
+  if (base !== null) wanted.push([at("original"), shown + " " + base]);
+  return wanted.find(([image, text]) => image.dataset.shown !== text);
 }
 
 function show(picture) {
