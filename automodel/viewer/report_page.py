@@ -28,8 +28,8 @@ STYLE = """
 body { font: 16px/1.45 system-ui, sans-serif; margin: 0 auto; padding: 0 12px 40px; max-width: 1200px; }
 body { color: var(--ink); background: var(--page); }
 h1 { font-size: 1.4rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.2rem; border-top: 2px solid var(--rule); padding-top: 1rem; margin-top: 2rem; overflow-wrap: anywhere; }
-h3 { font-size: 1rem; margin: 0.4rem 0; overflow-wrap: anywhere; }
+h2 { font-size: 1.2rem; border-top: 2px solid var(--rule); padding-top: 1rem; margin-top: 2rem; }
+h3 { font-size: 1rem; margin: 0.4rem 0; } h2, h3 { overflow-wrap: anywhere; }
 .plots { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)); gap: 12px 24px; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 340px), 1fr)); gap: 0 16px; }
 .plots svg { width: 100%; height: auto; display: block; }
