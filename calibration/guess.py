@@ -33,7 +33,11 @@ from calibration.from_lanes import (
 # sigmas); a wrong one makes pitch and heading wrong in proportion, offsets hardly.
 USUAL_VIEW_RAD, VIEW_SIGMA_RAD = math.radians(64.0), math.radians(8.0)
 DISTORTIONS = (-0.45, -0.35, -0.25, -0.15, -0.08, 0.0, 0.08, 0.15)  # k1 that are tried
-MOUNTED_RAD = math.radians(2.0)  # one sigma of the yaw of a camera that was mounted to look ahead, by eye
+# One sigma of the k1 of usual cameras where the lines do not tell it from the next one of `DISTORTIONS`: it makes a
+# pitch of 20 deg wrong by a degree, and a height by some percent, of which the images themselves show nothing.
+K1_SIGMA = 0.1
+SIGMA_IMAGES = 24  # in which it is looked for what another lens would make of them
+MOUNTED_RAD = math.radians(2.0)  # one sigma of yaw and roll of a camera that was mounted level, to look ahead, by eye
 SIGNIFICANT = 3.0  # sigmas by which lines must be straighter with a distortion than without one
 LENS_IMAGES = 12  # of those given, in which the lens is looked for
 SEARCH_WIDTH_PX = 640  # larger images are made smaller for the search: a marking is still some pixels wide
@@ -183,18 +187,29 @@ def _sigmas(
 ) -> dict[str, float]:
     """One sigma of each angle [rad], of z_m [lane widths] and of fx_px [px]: the images' own and that of the lens."""
     sigma = {name: found.std[name] for name in STATED} | {"fx_px": 0.0}
-    if view_sigma_rad == 0.0:
-        return sigma
-    size = lens.width_px, lens.height_px
-    others: list[FloatArray] = []
-    k1 = float(lens.distortion[0])
-    for view in (view_rad - view_sigma_rad, view_rad + view_sigma_rad):
-        ratio = math.tan(0.5 * view_rad) / math.tan(0.5 * view)  # of the focal lengths: the same bend in pixels
-        other = _camera(size, view, k1 * ratio**2)
-        extrinsics = camera_from_lanes(images, other, 1.0, Extrinsics(x_m=0.0), markings=found.markings).extrinsics
-        others.append(np.array([*(getattr(extrinsics, name) for name in STATED), other.matrix[0, 0]]))
-    half = 0.5 * np.abs(others[0] - others[1])
-    return {name: math.hypot(sigma[name], own) for name, own in zip((*STATED, "fx_px"), half.tolist(), strict=True)}
+    if not found.roll_known:
+        sigma["roll_rad"] = MOUNTED_RAD
+    size, k1 = (lens.width_px, lens.height_px), float(lens.distortion[0])
+    pairs = [[_camera(size, view_rad, k1 + step) for step in (-K1_SIGMA, K1_SIGMA)]]
+    if view_sigma_rad:
+        views = (view_rad - view_sigma_rad, view_rad + view_sigma_rad)
+        # the same bend in pixels
+        pairs.append([_camera(size, v, k1 * (math.tan(0.5 * view_rad) / math.tan(0.5 * v)) ** 2) for v in views])
+    some = images[:: max(1, len(images) // SIGMA_IMAGES)]
+    for pair in pairs:
+        for name, own in _half_difference(some, pair, found.markings).items():
+            sigma[name] = math.hypot(sigma[name], own)
+    return sigma
+
+
+def _half_difference(images: Sequence[Image], lenses: Sequence[CameraModel], markings: str) -> dict[str, float]:
+    """Half of what is found in the images with one of two lenses more than with the other one."""
+    found: list[FloatArray] = []
+    for lens in lenses:
+        place = camera_from_lanes(images, lens, 1.0, Extrinsics(x_m=0.0), markings=markings).extrinsics
+        found.append(np.array([*(getattr(place, name) for name in STATED), lens.matrix[0, 0]]))
+    half = 0.5 * np.abs(found[0] - found[1])
+    return dict(zip((*STATED, "fx_px"), half.tolist(), strict=True))
 
 
 def _scaled(camera: CameraConfig, lane: LaneConfig) -> CarConfig:

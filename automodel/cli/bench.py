@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from automodel.console.workers import Sweep
 
 CIRCUITS = ("monza", "lights", "odometries", "stretches", "full")  # options for --table centerline-paper alone
+ROADS = ["street" if kind == "circuit" else kind for kind in KINDS]  # of bench guess
 WORLDS = ("kinds", "frames", "worst")  # options for --world random alone
 REFUSED = {  # by --table: the options that would choose other drives
     None: (),
@@ -332,9 +333,7 @@ def contour_paper(
               help="Whether the camera's field of view is given, as by replay --view-deg.")  # fmt: skip
 @click.option("--seeds", type=click.IntRange(1), default=20, show_default=True, help="How many worlds and cameras.")
 @FIRST_SEED
-@click.option(
-    "--kind", "kinds", multiple=True, type=click.Choice(list(KINDS)), help="Of these kinds.  [each seed's own]"
-)
+@click.option("--kind", "kinds", multiple=True, type=click.Choice(ROADS), help="Of these kinds.  [each seed's own]")
 @SWEEP
 @CSV
 @JSON
