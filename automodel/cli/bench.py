@@ -328,6 +328,24 @@ def contour_paper(
     return 0
 
 
+@command.command("cluster")
+@click.option("--cases", type=click.IntRange(4), default=200, show_default=True, help="Drives, of a seed each.")
+@click.option("--frames", type=click.IntRange(2), default=10, show_default=True, help="Of each drive.")
+@JSON
+def cluster(cases: int, frames: int, as_json: bool) -> int:
+    """A sweep in one process, in two, and on two Dask workers one of which is killed: equal results, overhead a case.
+
+    Exit code 1 where the results differ. Example:
+
+    automodel bench cluster --cases 200
+    """
+    from automodel.bench.cluster import COLUMNS, ClusterChoice, measure
+
+    rows = measure(ClusterChoice(cases=cases, frames=frames))
+    show("bench cluster", rows, as_json, COLUMNS)
+    return 0 if all(row["equal"] and not row["lost"] for row in rows) else 1
+
+
 @command.command("guess")
 @click.option("--lens", type=click.Choice(["given", "unknown"]), default="given", show_default=True,
               help="Whether the camera's field of view is given, as by replay --view-deg.")  # fmt: skip
