@@ -10,7 +10,7 @@ from typing import Any
 
 from mcap.records import Channel, Message
 
-from automodel.config import CarConfig
+from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera
 from automodel.output_files import output_path, output_text
 from automodel.recording.codec import CAMERA, LEFT, TOPICS, decode
@@ -106,16 +106,40 @@ def _seen(line: LaneLine | None) -> str:
 
 
 Progress = Callable[[int], None]
+WHOLE_S = (0.0, math.inf)  # of a run
 
 
-def export_csv(recording: Recording, path: str | Path, progress: Progress | None = None) -> int:
-    """Write the estimates and commands of a run as poses.csv; the number of rows.
+def steps_between(recording: Recording, span_s: tuple[float, float]) -> Iterator[Step]:
+    """The steps whose frames were taken from the first to the second time [s] after the first frame.
+
+    Raises ConfigError where there is none in a part of a run.
+    """
+    first_ns, there = None, span_s == WHOLE_S
+    for step in recording.steps():
+        first_ns = step.frame.t_ns if first_ns is None else first_ns
+        t_s = (step.frame.t_ns - first_ns) * 1e-9
+        if t_s > span_s[1]:
+            break
+        if t_s >= span_s[0]:
+            there = True
+            yield step
+    if not there:
+        raise ConfigError(f"{recording.path}: no frames between --from {span_s[0]:g} and --to {span_s[1]:g} s")
+
+
+def export_csv(
+    recording: Recording,
+    path: str | Path,
+    progress: Progress | None = None,
+    span_s: tuple[float, float] = WHOLE_S,
+) -> int:
+    """Write the estimates and commands of a run, or of a span of it, as poses.csv; the number of rows.
 
     `latency_ms` is from the frame's capture to its first command. Raises ConfigError and SourceError.
     """
     rows = 0
     with PosesCsv(path) as table:
-        for step in recording.steps():
+        for step in steps_between(recording, span_s):
             command = step.commands[0] if step.commands else None
             table.row(step.frame, step.estimate, command, latency_ms(step))
             rows += 1
@@ -124,15 +148,23 @@ def export_csv(recording: Recording, path: str | Path, progress: Progress | None
     return rows
 
 
-def export_video(recording: Recording, path: str | Path, car: CarConfig, progress: Progress | None = None) -> int:
-    """Write a video of the frames of a run with their estimates, at the frames' mean rate; the number of frames.
+def export_video(
+    recording: Recording,
+    path: str | Path,
+    car: CarConfig,
+    progress: Progress | None = None,
+    span_s: tuple[float, float] = WHOLE_S,
+) -> int:
+    """Write a video of the frames of a run, or of a span of it, with their estimates, at the frames' mean rate.
+
+    Returns the number of frames.
 
     `car` is the configuration of the run (`Recording.car_text`). Raises ConfigError and SourceError.
     """
     camera, rate_hz = GroundCamera.from_config(car.camera), mean_rate_hz(recording)
     frames = 0
     with VideoWriter(path, rate_hz) as video:
-        for step in recording.steps():
+        for step in steps_between(recording, span_s):
             image = image_of(step.frame)
             check_size(Frame(t_ns=step.frame.t_ns, index=step.frame.index, image=image), car.camera)
             command = step.commands[0] if step.commands else None

@@ -121,6 +121,16 @@ def test_a_recording_exports_to_csv(recorded_run: Callable[[int], Path], tmp_pat
     assert table[1]["t_s"] == "1.016666667"
 
 
+def test_a_part_of_a_recording_exports_its_own_frames(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
+    run, path, video = Recording(recorded_run(5)), tmp_path / "poses.csv", tmp_path / "run.mp4"
+    assert export_csv(run, path, span_s=(0.02, 0.06)) == 2  # frames are 1/60 s apart
+    assert [row["frame"] for row in rows(path)] == ["2", "3"]
+    assert export_video(run, video, parse_car(CAR_TEXT, "car.toml"), span_s=(0.0, 0.02)) == 2
+    with pytest.raises(ConfigError, match=r"run.*\.mcap: no frames between --from 9 and --to inf s"):
+        export_csv(run, path, span_s=(9.0, math.inf))
+    assert len(rows(path)) == 2  # the older file is still there
+
+
 def test_a_recording_exports_to_video(recorded_run: Callable[[int], Path], tmp_path: Path) -> None:
     path = tmp_path / "run.mp4"
     assert export_video(Recording(recorded_run(5)), path, parse_car(CAR_TEXT, "car.toml")) == 5

@@ -154,6 +154,16 @@ def test_csv_and_video_of_a_replay_and_of_an_export(driven: Path, tmp_path: Path
         assert {k: v for k, v in a.items() if k not in own} == {k: v for k, v in b.items() if k not in own}
 
 
+def test_a_part_of_a_run_is_exported_but_for_foxglove(driven: Path, tmp_path: Path, cli) -> None:
+    part, foxglove = tmp_path / "part.csv", tmp_path / "foxglove.mcap"
+    said = cli("export", driven / "run.mcap", "--csv", part, "--from", 0.5, "--to", 1.0)
+    assert said.code == 0, said.err
+    assert len(rows_of(part)) == pytest.approx(31, abs=1)
+    refused = cli("export", driven / "run.mcap", "--foxglove", foxglove, "--to", 1.0)
+    assert (refused.code, foxglove.exists()) == (2, False)
+    assert "--from and --to are for --csv and --video" in refused.line()
+
+
 def test_pictures_with_motion_replay_as_the_recording_did(driven: Path, tmp_path: Path, cli) -> None:
     """The way of a user's own data: a folder of pictures, motion.csv beside it, --rate."""
     folder = tmp_path / "pictures"
