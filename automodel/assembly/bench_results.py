@@ -25,12 +25,13 @@ def bench_tables(path: Path) -> list[ResultTable]:
     machine = results.get("machine")
     if isinstance(machine, dict) and machine.get("model"):
         origin += f", on {machine['model']}"
-    names = list(dict.fromkeys(row.get("table") for row in rows))
+    rows = [{**row, "table": None if row.get("table") is None else str(row["table"])} for row in rows]
+    names = list(dict.fromkeys(row["table"] for row in rows))
     return [
         _table(
             path.name if name is None else f"{path.name}: {name}",
             origin,
-            [{key: value for key, value in row.items() if key != "table"} for row in rows if row.get("table") == name],
+            [{key: value for key, value in row.items() if key != "table"} for row in rows if row["table"] == name],
         )
         for name in names
     ]
@@ -93,6 +94,10 @@ def _largest(rows: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> float:
 
 
 def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
-    return float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # a whole number of hundreds of digits
+        return None
+    return number if math.isfinite(number) else None

@@ -74,7 +74,8 @@ def report(options: ReportOptions) -> list[ReportedRun]:
     results = [table for source in options.sources if is_bench(source) for table in bench_tables(source)]
     runs = [_gather(options, source) for source in options.sources if not is_bench(source)]
     with output_text(options.html_file) as file:
-        file.write(page(runs, __version__, results))
+        # half of a surrogate pair, in JSON or in the name of a file, is no text
+        file.write(page(runs, __version__, results).encode("utf-8", "replace").decode())
     return runs
 
 

@@ -32,6 +32,15 @@ def test_each_table_of_a_file_is_one_with_the_papers_figure_behind_ours(tmp_path
     assert (rates.header, rates.rows) == (("frames",), ((("7", 0.0),),))
 
 
+def test_values_of_any_kind_are_shown(tmp_path: Path) -> None:
+    huge = int("9" * 400)
+    rows = [{"table": ["a"], "x_m": huge, "y": [1], "z": True}, {"table": ["a"], "x_m": 0.5, "y": None, "z": "word"}]
+    (table,) = bench_tables(written(tmp_path, {"rows": rows}))
+    assert table.title == "bench.json: ['a']"
+    assert [[share for _, share in row] for row in table.rows] == [[0.0] * 3] * 2  # one number alone has no bar
+    assert table.rows[0][0][0] == str(huge)
+
+
 @pytest.mark.parametrize(
     ("results", "said"),
     [

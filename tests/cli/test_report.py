@@ -32,7 +32,7 @@ def test_a_recorded_run_with_its_truth_and_another_pipeline(driven: Path, tmp_pa
 def test_the_results_of_a_bench_stand_beside_a_run(driven: Path, tmp_path: Path, cli) -> None:
     bench, page = tmp_path / "speed.json", tmp_path / "report.html"
     bench.write_text(
-        json.dumps({"version": "0", "command": "bench speed", "rows": [{"stage": "<all>", "p50_ms": 1.25}]})
+        json.dumps({"version": "0", "command": "bench speed", "rows": [{"stage": "<all>\ud800", "p50_ms": 1.25}]})
     )
     truth = ["--truth", driven / "truth.csv"]
     said = cli("report", bench, driven / "run.mcap", *truth, "--to", 0.3, "--html", page, "--json")

@@ -119,6 +119,15 @@ def _bus(folder: Path) -> None:
     candump(folder / "bus.log", 0.5)
 
 
+def _bench(folder: Path) -> None:
+    rows = [
+        {"table": "lines", "section": "curve", "mae_px": 0.5 * index, "paper_mae_px": 1.5, "frames": 3 + index}
+        for index in range(2)
+    ]
+    results = {"version": "0.1.0", "command": "bench accuracy", "rows": rows, "machine": {"model": "a board"}}
+    (folder / "bench.json").write_text(json.dumps(results))
+
+
 _REPLAY = ("--car", "{}/car.toml", "--csv", "{}/out.csv", "--json")
 _BUS = (
     "replay",
@@ -149,5 +158,7 @@ TARGETS = (
            arguments=("recover", "{}/run.mcap", "-o", "{}/whole.mcap")),
     Target(name="video", build=_video, damaged=("drive.mp4",), arguments=("replay", "{}/drive.mp4", *_REPLAY)),
     Target(name="onnx", build=_network, damaged=("net.onnx",), arguments=("replay", "{}/images", *_REPLAY)),
+    Target(name="bench", build=_bench, damaged=("bench.json",), out="out.html",
+           arguments=("report", "{}/bench.json", "--html", "{}/out.html", "--json")),
     Target(name="can", build=_bus, damaged=("bus.log", "bus.dbc"), arguments=_BUS),
 )  # fmt: skip
