@@ -22,7 +22,7 @@ GRAVITY_MPS2 = 9.81
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FullSizeConfig:
-    """The true parameters; those of a compact SUV (Rajamani 2012, table 2-1 and section 13, has the same order).
+    """The true parameters; of the order of those of a compact SUV.
 
     The understeer gradient m / L (b / C_f - a / C_r) is 0.0022 rad s^2/m per unit of lateral acceleration.
     """
