@@ -228,6 +228,7 @@ class MessageWatch:
         self._recent: deque[bool] = deque(maxlen=WINDOW_FRAMES)  # whether the last frames were bad
         self._fault = ""  # the verdict that made the message faulty
         self._counter: int | None = None
+        self._unread = 0  # frames since, whose counter could not be trusted
         self._missing = False
 
     def take(self, data: bytes, t_ns: int) -> Verdict:
@@ -242,7 +243,9 @@ class MessageWatch:
         if counter is not None:
             if verdict is Verdict.GOOD and not self._counted(counter):
                 verdict = Verdict.COUNTER
-            self._counter = counter
+            self._counter, self._unread = counter, 0
+        else:
+            self._unread += 1
         count.verdicts[verdict] += 1
         if verdict is Verdict.GOOD:
             self.values = {**self.values, **values}
@@ -266,7 +269,12 @@ class MessageWatch:
         return "unseen" if self.good_ns is None else None
 
     def _counted(self, counter: int) -> bool:
-        return self._counter is None or counter == self._reader.counted_on(self._counter)
+        """Whether the counter follows the last one; frames that were damaged since may have counted, or been extra."""
+        expected = self._counter
+        for _ in range(1 + min(self._unread, BAD_MAX)):
+            if expected is None or counter == (expected := self._reader.counted_on(expected)):
+                return True
+        return False
 
     def _judge(self, verdict: Verdict) -> None:
         self._recent.append(verdict is not Verdict.GOOD)

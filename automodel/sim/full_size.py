@@ -129,10 +129,21 @@ def stepped(now: Moving, demand: Demand, config: FullSizeConfig, dt_s: float = S
 class FullSizePlant:
     """The car on a grid of 1 ms: demands in, states out; what is demanded acts after the dead times."""
 
-    def __init__(self, config: FullSizeConfig, start_pose: SE2 | None = None, start_mps: float = 0.0) -> None:
+    def __init__(
+        self,
+        config: FullSizeConfig,
+        start_pose: SE2 | None = None,
+        start_mps: float = 0.0,
+        start_curvature_per_m: float = 0.0,
+    ) -> None:
+        """At the start the car drives a steady bend of this curvature, with tyres that are linear."""
         self.config = config
         pose = SE2() if start_pose is None else start_pose
-        self._state = Moving(pose.x_m, pose.y_m, pose.yaw_rad, start_mps, 0.0, 0.0, 0.0, 0.0, 0.0)
+        rate = start_mps * start_curvature_per_m
+        steering = (config.wheelbase_m + config.understeer_s2pm * start_mps**2) * start_curvature_per_m
+        rear_load = config.mass_kg * config.cg_to_front_m / config.wheelbase_m
+        left = config.cg_to_rear_m * rate - start_mps * rear_load * start_mps * rate / config.rear_stiffness_npr
+        self._state = Moving(pose.x_m, pose.y_m, pose.yaw_rad, start_mps, left, rate, steering, 0.0, 0.0)
         self._step = 0
         self._start_ns: int | None = None
         self._now_ns = 0

@@ -14,6 +14,7 @@ from automodel.assembly.can_parts import can_functions
 from automodel.config import CanConfig, ConfigError, VehicleConfig
 from automodel.signals import Command, VehicleState
 from firmware_link.can_limits import (
+    ACCEL_JERK_MAX_MPS3,
     BANK_TOLERANCE_MPS2,
     LATERAL_ACCEL_MAX_MPS2,
     LATERAL_JERK_MAX_MPS3,
@@ -22,7 +23,7 @@ from firmware_link.can_limits import (
 from firmware_link.can_link import CanLink
 from firmware_link.can_port import BusTrouble, PythonCanPort, WhitelistedPort, trouble_of
 from firmware_link.can_receiver import CanFrame, Verdict, load_dbc
-from firmware_link.emulator.can_vehicle import EmulatedCanVehicle, MemoryCanPort
+from firmware_link.emulator.can_vehicle import FULL_LOAD_FRAMES, EmulatedCanVehicle, MemoryCanPort
 from firmware_link.errors import HandshakeError, LinkError, PortLost, PortNotFound
 
 MS = 1_000_000
@@ -190,6 +191,33 @@ def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
     assert max(map(abs, accels)) > 1.0
 
 
+def test_no_asked_acceleration_jumps() -> None:
+    """Not at a step of the wanted speed, at the start of a ramp, nor where the wanted speed is noisy."""
+    rig = Rig().driving()
+    start = len(rig.vehicle.accepted)
+    wanted = 15.0
+    for index in range(300):
+        wanted = max(wanted - 0.05, 5.0) if index % 100 > 50 else 15.0 + 0.2 * (-1) ** index
+        rig.cycle(0.0, wanted)
+    accels = [told["accel_mps2"] for _, told in rig.vehicle.accepted[start:]]
+    assert max(abs(b - a) for a, b in itertools.pairwise(accels)) <= ACCEL_JERK_MAX_MPS3 * 0.02 + 0.001
+    assert -CONFIG.decel_max_mps2 <= min(accels) < -2.0
+    assert 1.0 < max(accels) <= CONFIG.accel_max_mps2
+
+
+def test_a_new_arming_starts_without_acceleration() -> None:
+    rig = Rig().driving(0.0, 0.0)
+    for _ in range(50):
+        rig.cycle(0.0, 0.0)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] < -2.0
+    rig.link.disarm(rig.t_ns)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] == 0.0
+    rig.cycle(0.0, 0.0)
+    rig.link.arm(rig.t_ns)
+    rig.cycle(0.0, 0.0)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] >= -ACCEL_JERK_MAX_MPS3 * 0.04
+
+
 FAULTS: dict[str, tuple[Callable[[Rig], None], str]] = {
     "state missing": (lambda rig: rig.vehicle.wrong.missing.add("AM_STATE"), "can_timeout:AM_STATE"),
     "driver missing": (lambda rig: rig.vehicle.wrong.missing.add("AM_DRIVER"), "can_timeout:AM_DRIVER"),
@@ -211,7 +239,7 @@ FAULTS: dict[str, tuple[Callable[[Rig], None], str]] = {
     "brake": (lambda rig: setattr(rig.vehicle.driver, "brake", True), "driver_override"),
     "accelerator": (lambda rig: setattr(rig.vehicle.driver, "accelerator", 0.1), "driver_override"),
     "gear": (lambda rig: setattr(rig.vehicle.driver, "gear", "N"), "driver_override"),
-    "vehicle disengages": (lambda rig: setattr(rig.vehicle, "_refused", True), "disengaged"),
+    "vehicle disengages": (lambda rig: rig.vehicle.refuse(), "disengaged"),
 }  # fmt: skip
 
 
@@ -220,8 +248,6 @@ def test_every_fault_disarms_within_100_ms_for_good(name: str) -> None:
     cause, fault = FAULTS[name]
     rig = Rig().driving()
     cause(rig)
-    if name == "vehicle disengages":
-        rig.vehicle.engaged = False
     took_ns, state = rig.until_disarmed()
     assert took_ns <= 100 * MS
     assert fault in state.faults
@@ -300,7 +326,7 @@ def test_a_vehicle_that_does_not_engage_is_given_up() -> None:
     rig.link.open()
     for _ in range(5):
         rig.cycle()
-    rig.vehicle._refused = True
+    rig.vehicle.refuse()
     rig.vehicle.driver.accelerator = 0.01  # below our threshold, above the vehicle's
     rig.link.arm(rig.t_ns)
     for _ in range(20):
@@ -338,11 +364,36 @@ def test_a_full_queue_is_a_lost_port() -> None:
 
 def test_a_full_bus_changes_nothing() -> None:
     rig = Rig().driving()
-    rig.vehicle.wrong.flood_frames = 10
+    rig.vehicle.wrong.load_frames = FULL_LOAD_FRAMES
     for _ in range(50):
         state = rig.cycle()
     assert state is not None
     assert state.armed
+
+
+def test_stale_commands_that_a_flooded_bus_lets_through_at_last_engage_nothing() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.flooded = True
+    took_ns, state = rig.until_disarmed()
+    assert took_ns <= 100 * MS
+    assert any(fault.startswith("can_timeout") for fault in state.faults)
+    for _ in range(5):
+        rig.cycle()
+    assert not rig.vehicle.engaged
+    changes, taken = len(rig.vehicle.engagements), len(rig.vehicle.accepted)
+    rig.vehicle.wrong.flooded = False
+    rig.cycle()
+    assert any(told["enable"] for _, told in rig.vehicle.accepted[taken:]), "some of those that waited are not yet 0"
+    assert len(rig.vehicle.engagements) == changes
+
+
+def test_a_bus_that_stays_flooded_fills_the_queue() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.flooded = True
+    for _ in range(10):
+        rig.cycle()
+    with pytest.raises(PortLost, match="queue is full"):
+        rig.cycle()
 
 
 def test_a_loop_that_gives_no_command_is_disarmed_and_one_that_hangs_sends_nothing() -> None:
@@ -366,8 +417,10 @@ def test_what_is_no_number_is_never_sent(angle: float) -> None:
         rig.cycle(angle, angle)
     for _, told in rig.vehicle.accepted[-5:]:
         assert told["steering_rad"] == pytest.approx(0.01, abs=1e-4)
-        assert told["accel_mps2"] < 0
         assert told["speed_mps"] == 0.0
+    accels = [told["accel_mps2"] for _, told in rig.vehicle.accepted[-6:]]
+    steps = [b - a for a, b in itertools.pairwise(accels)]
+    assert steps == pytest.approx([-ACCEL_JERK_MAX_MPS3 * 0.02] * 5, abs=0.002), "it brakes, more and more"
 
 
 def test_closing_lets_the_vehicle_go() -> None:
@@ -478,7 +531,7 @@ def test_a_falling_speed_is_followed_without_trailing_it() -> None:
     for _ in range(75):
         wanted -= 2.5 * PERIOD_NS * 1e-9
         rig.cycle(0.0, wanted)
-    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.2)  # by the gain alone 2.5 / 0.8 m/s more
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.3)  # by the gain alone 2.5 / 0.8 m/s more
     for _ in range(150):
         rig.cycle(0.0, wanted)
-    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.05)
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.1)

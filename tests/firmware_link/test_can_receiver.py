@@ -80,6 +80,22 @@ def test_a_message_may_be_away_for_three_periods_and_no_longer(period_s: float, 
     assert (watch.count.timeouts, watch.count.alarms) == (1, 1)
 
 
+@pytest.mark.parametrize("after", [20, 21, 22])
+def test_the_counter_after_damaged_frames_is_the_next_one_whether_they_counted_or_not(after: int) -> None:
+    made = running()
+    assert made.take(at(200, payload(20)[:-1])) is Verdict.LENGTH
+    assert made.take(at(210, bytes(8))) is Verdict.CHECKSUM
+    assert made.take(at(220, payload(after))) is Verdict.GOOD
+    assert made.take(at(230, payload(after + 1))) is Verdict.GOOD
+
+
+def test_the_counter_after_damaged_frames_is_no_other_one() -> None:
+    made = running()
+    assert made.take(at(200, payload(20)[:-1])) is Verdict.LENGTH
+    assert made.take(at(210, payload(22))) is Verdict.COUNTER
+    assert made.take(at(220, payload(24))) is Verdict.COUNTER
+
+
 def test_frames_of_others_are_none_of_ours() -> None:
     made = running(1)
     assert made.take(at(1, payload(1), frame_id=0x7FF)) is None
