@@ -38,6 +38,7 @@ class _Session:
     heard_ns: int = 0  # the newest time of a valid state
     errors_ns: deque[int] = field(default_factory=deque)
     intruded_ns: int | None = None  # when somebody else sent our messages last
+    boot_id: float | None = None  # as it was told last
     overridden_ns: int | None = None  # when the driver did something last
     wants_armed: bool = False
     armed: bool = False
@@ -286,7 +287,8 @@ class CanLink:
 
     def _state(self, session: _Session, now_ns: int) -> VehicleState:
         values = session.snapshot.values
-        engaged, boot_id = values.get("engaged"), values.get("boot_id")
+        engaged, boot_id = values.get("engaged"), values.get("boot_id", session.boot_id)
+        session.boot_id = boot_id  # a heartbeat that is missing is no restart
         return VehicleState(
             t_ns=session.heard_ns,
             speed_mps=values.get("speed_mps"),

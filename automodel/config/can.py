@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -33,7 +34,8 @@ class CanMessage:
 
     `checksum` and `counter` name functions (empty: it has none). `checksum_signal` empty: the place that is usual for
     that checksum. `data_id` is that of AUTOSAR's profiles, -1: the frame's identifier. `quality_signal` must have the
-    raw value `quality_ok`, otherwise what the message says is invalid.
+    raw value `quality_ok`, otherwise what the message says is invalid. `reserved_zero`: bits that no signal of the DBC
+    file has must be 0.
     """
 
     name: str
@@ -45,6 +47,7 @@ class CanMessage:
     counter_signal: str = ""
     quality_signal: str = ""
     quality_ok: int = 1
+    reserved_zero: bool = False
 
     def __post_init__(self) -> None:
         positive(self, "period_s")
@@ -89,11 +92,16 @@ class CanValue(CanSignal):
     """A signal that tells a value of the vehicle.
 
     Several entries of the same `value` add up; they must be in one message. A frame whose value lies outside of
-    `minimum` .. `maximum` is rejected. (The ranges of DBC files are often wrong, and are not used.)
+    `minimum` .. `maximum` is rejected, and one whose value is further from the last good one than `rate_max` [1/s]
+    allows for the time since. (The ranges of DBC files are often wrong, and are not used.)
     """
+
+    rate_max: float = math.inf
 
     def __post_init__(self) -> None:
         CanSignal.__post_init__(self)
+        if not self.rate_max > 0:
+            raise ValueError(f"rate_max: expected a number above 0, got {self.rate_max}")
         one_of("value", self.value, STATE_VALUES)
 
 
@@ -135,6 +143,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="STATE_COUNTER",
+            reserved_zero=True,
             quality_signal="STATE_VALID",
         ),
         CanMessage(
@@ -143,6 +152,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="DRIVER_COUNTER",
+            reserved_zero=True,
         ),
         CanMessage(
             name="AM_HEARTBEAT",
@@ -150,6 +160,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="HEARTBEAT_COUNTER",
+            reserved_zero=True,
         ),
     )
     send: tuple[CanMessage, ...] = (
@@ -159,6 +170,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="COMMAND_COUNTER",
+            reserved_zero=True,
         ),
     )
     command: tuple[CanCommand, ...] = (
@@ -168,11 +180,13 @@ class CanConfig:
         CanCommand(value="accel_mps2", message="AM_COMMAND", signal="ACCELERATION_REQUEST"),
     )
     state: tuple[CanValue, ...] = (
-        CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0),
-        CanValue(value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0),
-        CanValue(value="steering_rad", message="AM_STATE", signal="STEERING", minimum=-1.0, maximum=1.0),
+        CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0, rate_max=30.0),
+        CanValue(
+            value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0, rate_max=20.0
+        ),
+        CanValue(value="steering_rad", message="AM_STATE", signal="STEERING", minimum=-1.0, maximum=1.0, rate_max=3.0),
         CanValue(value="engaged", message="AM_STATE", signal="ENGAGED"),
-        CanValue(value="driver_torque_nm", message="AM_DRIVER", signal="DRIVER_TORQUE"),
+        CanValue(value="driver_torque_nm", message="AM_DRIVER", signal="DRIVER_TORQUE", minimum=-100.0, maximum=100.0),
         CanValue(value="brake", message="AM_DRIVER", signal="BRAKE_PRESSED"),
         CanValue(value="accelerator", message="AM_DRIVER", signal="ACCELERATOR", minimum=0.0, maximum=1.0),
         CanValue(value="gear", message="AM_DRIVER", signal="GEAR", minimum=0.0, maximum=3.0),

@@ -177,7 +177,9 @@ def test_it_drives_once_armed_and_sends_at_50_hz() -> None:
 
 @pytest.mark.parametrize("speed_mps", [5.0, 15.0, 30.0])
 def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
-    rig = Rig().driving()
+    rig = Rig()
+    rig.body.speed_mps = speed_mps
+    rig.driving(0.0, speed_mps)
     start = len(rig.vehicle.accepted)
     for index in range(200):
         rig.body.speed_mps, rig.body.accel_mps2 = speed_mps, 0.0
@@ -523,6 +525,13 @@ def heard(port: PythonCanPort) -> list[tuple[int, bytes]]:
             return [(frame.frame_id, frame.data) for frame in frames]
         time.sleep(0.005)
     return []
+
+
+def test_a_missing_heartbeat_is_no_restart() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.missing.add("AM_HEARTBEAT")
+    _, state = rig.until_disarmed()
+    assert (state.boot_id, state.faults) == (1, ("can_timeout:AM_HEARTBEAT",))
 
 
 def test_a_falling_speed_is_followed_without_trailing_it() -> None:
