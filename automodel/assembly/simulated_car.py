@@ -214,7 +214,7 @@ class PacedCanPort:
 
     def jitter_ms(self) -> tuple[float | None, float | None]:
         """Median and 99th percentile of how far the intervals are from the period."""
-        off_ms = np.abs(np.diff(np.array(self._times_ns, dtype=np.int64)) * 1e-6 - self._period_s * 1e3)
+        off_ms = np.abs(np.diff(np.array(self._times_ns, dtype=np.float64)) * 1e-6 - self._period_s * 1e3)
         return (float(np.percentile(off_ms, 50)), float(np.percentile(off_ms, 99))) if len(off_ms) else (None, None)
 
 
