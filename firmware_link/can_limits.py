@@ -81,5 +81,15 @@ def limited_acceleration_mps2(requested_mps2: float, before_mps2: float, dt_s: f
     return _clipped(requested_mps2, before_mps2 - step, before_mps2 + step)
 
 
+def limited_torque_nm(
+    requested_nm: float, before_nm: float, dt_s: float, torque_max_nm: float, rate_max_nmps: float
+) -> float:
+    """The steering torque [Nm] nearest to the request that may follow `before_nm`; one that is not finite goes to 0."""
+    if not math.isfinite(requested_nm):
+        requested_nm = 0.0
+    step = rate_max_nmps * min(max(dt_s, 0.0), DT_MAX_S)
+    return _clipped(_clipped(requested_nm, before_nm - step, before_nm + step), -torque_max_nm, torque_max_nm)
+
+
 def _clipped(value: float, lowest: float, highest: float) -> float:
     return min(max(value, lowest), highest)

@@ -14,6 +14,7 @@ from automodel.signals import Command, VehicleState
 from firmware_link.can_limits import acceleration_mps2, limited_acceleration_mps2, limited_steering_rad
 from firmware_link.can_port import BusTrouble, CanPort, WhitelistedPort
 from firmware_link.can_receiver import CanReceiver, Functions, MessageWriter, Snapshot
+from firmware_link.can_torque import TorqueSteering
 from firmware_link.errors import HandshakeError, LinkError, PortLost
 
 _MS = 1_000_000
@@ -63,7 +64,8 @@ class CanLink:
     - Armed means that a person asked for it, the vehicle says that it is engaged (where it can), and nothing is wrong:
       every supervised message valid, no error on the bus, no hand or foot of the driver, gear D. Whatever of this ends
       also ends the arming, in the same `poll`, until `arm` is called again. `VehicleState.faults` tells the cause.
-    - Steering obeys `can_limits` by the measured speed, the speed is reached by a limited acceleration.
+    - Steering obeys `can_limits` by the measured speed, as an angle or by a torque that is limited itself; the speed is
+      reached by a limited acceleration.
 
     After a LinkError (bus-off, full queue) call `close`, then `open` until it succeeds; the car stays disarmed.
     """
@@ -77,8 +79,10 @@ class CanLink:
         missing = [name for name in NEEDED if name not in told]
         if missing:
             raise ConfigError(f"[link.can] state: {missing[0]} is missing; no command can be limited without it")
-        if not {"enable", "steering_rad"} <= {value.value for value in config.command}:
-            raise ConfigError("[link.can] command: expected at least enable and steering_rad")
+        commanded = {value.value for value in config.command}
+        if "enable" not in commanded or not commanded & {"steering_rad", "torque_nm"}:
+            raise ConfigError("[link.can] command: expected at least enable, and steering_rad or torque_nm")
+        self._torque = TorqueSteering(config, vehicle.wheelbase_m)
         self._writers = [self._writer(message) for message in config.send]
         self._own = {(writer.frame_id, writer.extended) for writer in self._writers}
         if self._own & self._receiver().watches.keys():
@@ -263,6 +267,7 @@ class CanLink:
         measured_rad, measured_mps = values.get("steering_rad"), values.get("speed_mps")
         if not session.wants_armed or measured_rad is None or measured_mps is None:
             following_rad = session.steering_rad if measured_rad is None else measured_rad
+            self._torque.reset()
             return {"enable": 0.0, "steering_rad": following_rad, "speed_mps": max(measured_mps or 0.0, 0.0)}
         command, config = session.command, self._config
         dt_s = 0.0 if session.sent_ns is None else (now_ns - session.sent_ns) * 1e-9
@@ -276,11 +281,11 @@ class CanLink:
             config.decel_max_mps2,
             0.0 if command is None else session.ramp_mps2,
         )
+        steering_rad = limited_steering_rad(wanted_rad, session.steering_rad, measured_mps, dt_s, self._wheelbase_m)
         return {
             "enable": 1.0,
-            "steering_rad": limited_steering_rad(
-                wanted_rad, session.steering_rad, measured_mps, dt_s, self._wheelbase_m
-            ),
+            "steering_rad": steering_rad,
+            "torque_nm": self._torque.step(steering_rad, measured_rad, measured_mps, dt_s),
             "speed_mps": max(wanted_mps, 0.0) if math.isfinite(wanted_mps) else 0.0,
             "accel_mps2": limited_acceleration_mps2(wanted_mps2, session.accel_mps2, dt_s),
         }

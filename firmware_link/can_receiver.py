@@ -234,7 +234,7 @@ class MessageWatch:
         self.name = message.name
         self._timeout_ns = round(message.timeout_s * 1e9)
         self._period_ns = round(message.period_s * 1e9)
-        self._rates = {v.value: v.rate_max for v in values if isinstance(v, CanValue) and math.isfinite(v.rate_max)}
+        self._rates = {v.value: v.rate_max for v in values if isinstance(v, CanValue)}
         self.count = MessageCount()
         self.values: dict[str, float] = {}
         self.good_ns: int | None = None  # when the last good frame came

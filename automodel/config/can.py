@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from automodel.config.parts import CAN_CHECKSUMS, CAN_COUNTERS
-from automodel.config.toml_reader import one_of, positive
+from automodel.config.toml_reader import not_negative, one_of, positive
 
 TIMEOUT_PERIODS = 3.0  # a message that stayed away for so many of its periods is missing
 TIMEOUT_MAX_S = 0.1  # and at the latest after this: the budget from a fault to a stop is 150 ms
@@ -17,7 +16,7 @@ STATE_VALUES = (  # what signals may tell
     "driver_torque_nm", "brake", "accelerator", "gear", "boot_id",
 )  # fmt: skip
 
-COMMAND_VALUES = ("enable", "steering_rad", "speed_mps", "accel_mps2")  # what a command may be told as
+COMMAND_VALUES = ("enable", "steering_rad", "torque_nm", "speed_mps", "accel_mps2")  # what a command may be told as
 
 
 def _distinct(name: str, names: Iterable[str]) -> None:
@@ -96,7 +95,7 @@ class CanValue(CanSignal):
     allows for the time since. (The ranges of DBC files are often wrong, and are not used.)
     """
 
-    rate_max: float = math.inf
+    rate_max: float = 1e9
 
     def __post_init__(self) -> None:
         CanSignal.__post_init__(self)
@@ -109,7 +108,8 @@ class CanValue(CanSignal):
 class CanCommand(CanSignal):
     """A signal that carries a part of the command, clipped to `minimum` .. `maximum`.
 
-    `enable` is 1 while the vehicle shall follow. `accel_mps2` is what brings the car to the wanted speed.
+    `enable` is 1 while the vehicle shall follow. `torque_nm` is the steering torque that brings the wheels to the
+    wanted angle, `accel_mps2` what brings the car to the wanted speed.
     """
 
     def __post_init__(self) -> None:
@@ -136,6 +136,14 @@ class CanConfig:
     accel_gain_per_s: float = 0.8  # acceleration per speed that is missing; the vehicle's own lag is about 0.3 s
     accel_max_mps2: float = 2.0  # ISO 15622:2018: adaptive cruise control above 20 m/s
     decel_max_mps2: float = 3.5  # likewise
+    # steering by torque at the steering column, left positive; the gains are those of the emulated vehicle
+    torque_max_nm: float = 3.0  # what a driver's hand holds against
+    torque_rate_max_nmps: float = 6.0  # from nothing to all in half a second
+    torque_gain_nmprad: float = (
+        40.0  # per error of the road wheels' angle: a quarter of what swings at 5 m/s (measured)
+    )
+    torque_integral_nmprads: float = 60.0
+    torque_per_accel_nms2pm: float = 1.0  # what turns the wheels back, per m/s^2 sideways; measured in a steady bend
     receive: tuple[CanMessage, ...] = (
         CanMessage(
             name="AM_STATE",
@@ -195,7 +203,9 @@ class CanConfig:
 
     def __post_init__(self) -> None:
         positive(self, "steering_ratio", "bitrate", "override_torque_nm", "override_accelerator")
-        positive(self, "accel_gain_per_s", "accel_max_mps2", "decel_max_mps2")
+        positive(self, "accel_gain_per_s", "accel_max_mps2", "decel_max_mps2", "torque_max_nm", "torque_rate_max_nmps")
+        positive(self, "torque_gain_nmprad")
+        not_negative(self, "torque_integral_nmprads", "torque_per_accel_nms2pm")
         _distinct("receive", (message.name for message in self.receive))
         _distinct("send", (message.name for message in (*self.receive, *self.send)))
         supervised = {message.name for message in self.receive}

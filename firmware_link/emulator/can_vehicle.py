@@ -87,6 +87,25 @@ class Misbehaviour:
     ignores_driver: bool = False  # it does not let go by itself
 
 
+@dataclass(slots=True)
+class Column:
+    """A steering column that is turned by torque, against damping and what the tyres turn it back with.
+
+    b d(delta)/dt = T - (k + c v^2 / L) delta: the tyres' part is in proportion to the lateral acceleration.
+    """
+
+    damping_nmsprad: float = 10.0
+    centring_nmprad: float = 5.0
+    per_accel_nms2pm: float = 1.0
+    wheelbase_m: float = 2.7
+
+    def turned_rad(self, steering_rad: float, torque_nm: float, speed_mps: float, dt_s: float) -> float:
+        """The road-wheel angle after `dt_s`; exact for a torque and a speed that stay."""
+        stiffness = self.centring_nmprad + self.per_accel_nms2pm * speed_mps * speed_mps / self.wheelbase_m
+        rest_rad = torque_nm / stiffness
+        return rest_rad + (steering_rad - rest_rad) * math.exp(-dt_s * stiffness / self.damping_nmsprad)
+
+
 class EmulatedCanVehicle:
     """The vehicle's side of the bus; `advance` sends what is due, `take` judges what came."""
 
@@ -100,7 +119,9 @@ class EmulatedCanVehicle:
     ) -> None:
         """`phases_ns`: how long after the start each message is sent first."""
         self._body, self._config, self._phases_ns = body, config, phases_ns or {}
-        self.driver, self.wrong = Driver(), Misbehaviour()
+        self.driver, self.wrong, self.column = Driver(), Misbehaviour(), Column()
+        self._turned_rad: float | None = None  # by torque, since it was engaged
+        self._turned_ns = 0
         self.boot_id = 1
         self.engaged = False
         self.engagements: list[tuple[int, bool]] = []  # each change of `engaged` with its time
@@ -183,9 +204,21 @@ class EmulatedCanVehicle:
         if engaged != self.engaged:
             self._engage(engaged, t_ns)
         if self.engaged:
-            self._body.drive(t_ns, told["steering_rad"] / self._config.steering_ratio, told.get("accel_mps2", 0.0))
+            self._body.drive(t_ns, self._steering_rad(told, t_ns), told.get("accel_mps2", 0.0))
         else:
+            self._turned_rad = None
             self._body.drive(t_ns, None, -self._config.decel_max_mps2)
+
+    def _steering_rad(self, told: Mapping[str, float], t_ns: int) -> float:
+        """The angle that was asked for, or that to which a torque has turned the column by now."""
+        if "torque_nm" not in told:
+            return told["steering_rad"] / self._config.steering_ratio
+        state = self._body.measure(t_ns)
+        if self._turned_rad is None:
+            self._turned_rad, self._turned_ns = state.steering_rad, t_ns
+        dt_s, self._turned_ns = max(t_ns - self._turned_ns, 0) * 1e-9, max(t_ns, self._turned_ns)
+        self._turned_rad = self.column.turned_rad(self._turned_rad, told["torque_nm"], state.speed_mps, dt_s)
+        return self._turned_rad
 
     def _engage(self, engaged: bool, t_ns: int) -> None:
         self.engaged = engaged

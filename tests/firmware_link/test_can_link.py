@@ -461,7 +461,7 @@ def test_a_mapping_without_speed_or_with_our_own_identifier_is_refused() -> None
     state = tuple(value for value in CONFIG.state if value.value != "speed_mps")
     with pytest.raises(ConfigError, match="speed_mps is missing"):
         Rig(dataclasses.replace(CONFIG, state=state))
-    with pytest.raises(ConfigError, match="at least enable and steering_rad"):
+    with pytest.raises(ConfigError, match="at least enable, and steering_rad or torque_nm"):
         Rig(dataclasses.replace(CONFIG, command=CONFIG.command[1:]))
 
 
