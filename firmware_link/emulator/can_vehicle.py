@@ -83,6 +83,7 @@ class Misbehaviour:
     flooded: bool = False  # frames of the highest priority fill the bus: no others get through
     load_frames: int = 0  # frames of the lowest priority a millisecond, which all others overtake
     trouble: BusTrouble | None = None
+    error_frames: int = 0  # between good ones, each time that the port is asked
     queue_full: bool = False
     ignores_driver: bool = False  # it does not let go by itself
 
@@ -302,8 +303,8 @@ class MemoryCanPort:
         self._vehicle.advance(now_ns)
         frames = self._vehicle.collect()
         if trouble is not None:  # nothing gets through
-            return Received(troubles=(trouble,) * 3)
-        return Received(frames=tuple(frames))
+            return Received(troubles=(trouble,) * (3 if trouble is BusTrouble.ERROR else 1))
+        return Received(frames=tuple(frames), troubles=(BusTrouble.ERROR,) * self._vehicle.wrong.error_frames)
 
     def send(self, frame_id: int, data: bytes, extended: bool) -> None:
         """Send a frame, which arrives at once unless others fill the bus."""

@@ -12,7 +12,8 @@ import pytest
 
 from automodel.assembly.can_parts import can_functions
 from automodel.config import CanConfig, ConfigError, VehicleConfig
-from automodel.signals import Command, VehicleState
+from automodel.runtime.supervised_link import SupervisedLink
+from automodel.signals import Command, Event, VehicleState
 from firmware_link.can_limits import (
     ACCEL_JERK_MAX_MPS3,
     BANK_TOLERANCE_MPS2,
@@ -355,6 +356,70 @@ def test_bus_off_loses_the_port_and_comes_back_disarmed() -> None:
     assert state is not None
     assert not state.armed
     assert not rig.vehicle.engaged
+
+
+def test_the_bus_is_joined_again_within_200_ms_and_the_car_stays_disarmed() -> None:
+    rig, events = Rig().driving(), list[Event]()
+    link = SupervisedLink(rig.link, events.append)
+    link._up = link._hello = link._met = True  # it was opened by the rig
+    rig.vehicle.wrong.trouble = BusTrouble.OFF
+    for _ in range(30):
+        rig.t_ns += PERIOD_NS
+        assert link.poll(rig.t_ns) is None
+        rig.vehicle.advance(rig.t_ns)
+    assert not rig.vehicle.engaged
+    rig.vehicle.wrong.trouble = None
+    back_ns = rig.t_ns
+    state = None
+    while state is None:
+        rig.t_ns += PERIOD_NS
+        state = link.poll(rig.t_ns)
+    assert rig.t_ns - back_ns <= 200 * MS + 3 * PERIOD_NS, "joined, and every message heard once"
+    for _ in range(30):
+        rig.t_ns += PERIOD_NS
+        until_ns = rig.t_ns + 100 * MS
+        link.send(Command(t_ns=rig.t_ns, steering_rad=0.1, speed_mps=15.0, valid_until_ns=until_ns), rig.t_ns)
+        state = link.poll(rig.t_ns)
+        assert state is not None
+        assert not state.armed
+    assert not rig.vehicle.engaged
+    assert [event.kind for event in events] == ["link-lost", "link-back"]
+
+
+def test_error_passive_for_a_moment_disarms() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.trouble = BusTrouble.PASSIVE
+    state = rig.cycle()
+    rig.vehicle.wrong.trouble = None
+    assert state is not None
+    assert not state.armed
+    assert "can_bus_errors" in state.faults
+
+
+def test_one_error_frame_in_100_ms_is_none() -> None:
+    rig = Rig().driving()
+    for index in range(40):
+        rig.vehicle.wrong.error_frames = int(index % 6 == 0)
+        state = rig.cycle()
+    assert state is not None
+    assert state.armed
+
+
+def test_the_link_itself_sends_only_what_is_on_the_list() -> None:
+    rig = Rig().driving()
+    rig.link._writers[0].frame_id = 0x7FF
+    with pytest.raises(LinkError, match="0x7ff of 8 bytes is not one that may be sent"):
+        rig.cycle()
+
+
+def test_a_command_that_is_over_is_not_taken() -> None:
+    rig = Rig().driving(0.0)
+    for _ in range(4):
+        rig.t_ns += PERIOD_NS
+        rig.link.poll(rig.t_ns)
+        stale = Command(t_ns=rig.t_ns - 1, steering_rad=0.3, speed_mps=1.0, valid_until_ns=rig.t_ns - 1)
+        rig.link.send(stale, rig.t_ns)
+    assert rig.vehicle.accepted[-1][1]["steering_rad"] == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_full_queue_is_a_lost_port() -> None:
