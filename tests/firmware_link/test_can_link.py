@@ -324,6 +324,22 @@ def test_it_does_not_arm_while_something_is_wrong(gone: str) -> None:
     assert not any(told["enable"] for _, told in rig.vehicle.accepted)
 
 
+def test_a_request_while_something_is_wrong_is_forgotten() -> None:
+    rig = Rig()
+    rig.link.open()
+    for _ in range(5):
+        rig.cycle()
+    rig.vehicle.wrong.missing.add("AM_STATE")
+    for _ in range(5):
+        rig.cycle()
+    rig.link.arm(rig.t_ns)
+    rig.vehicle.wrong.missing.clear()
+    for _ in range(20):
+        state = rig.cycle()
+        assert state is not None
+        assert not state.armed
+
+
 def test_a_vehicle_that_does_not_engage_is_given_up() -> None:
     rig = Rig()
     rig.link.open()

@@ -16,15 +16,12 @@ from automodel.assembly.links import can_link
 from automodel.assembly.parts import build_run, make_loop, run_config
 from automodel.assembly.simulated_car import LATENCY_NS
 from automodel.bench.faults.fault import Fault, Hooks
-from automodel.bench.faults.faulty_parts import Person, approach_images, outside_m
+from automodel.bench.faults.faulty_parts import Person, approach_images, driven, outside_m
 from automodel.bench.faults.judge import Observed, Pin, Plan, Verdict, judge
 from automodel.config import CarConfig, parse_car
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
 from automodel.sim.full_size import FullSizeConfig, FullSizePlant
 from automodel.sim.sources import LockStepSource
 from automodel.sim.track import Lane
@@ -121,8 +118,6 @@ class CanRig:
     def run(self) -> Observed:
         """Drive; raises Interrupted when a signal came."""
         car = self._car
-        error: str | None = None
-        events: tuple[Event, ...] = ()
         parts = build_run(
             car,
             source=self._source,
@@ -131,13 +126,7 @@ class CanRig:
             loop=make_loop(car, pipeline=self._truth, checks=InputChecks(car)),
         )
         runner = Runner(parts, run_config(car, collector_off=False), arm_requested=self._person.pressed)
-        try:
-            result = runner.run(stop=lambda: self._clock.now_ns() >= self._plan.until_ns)
-            events = result.events
-            if result.end is RunEnd.SIGNAL:
-                raise Interrupted
-        except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
-            error = f"{type(e).__name__}: {e}"
+        events, error = driven(runner, lambda: self._clock.now_ns() >= self._plan.until_ns)
         self._clock.sleep(_AFTER_S)
         outside = [outside_m(scene) for scene in self._scenes if scene.t_ns >= self._plan.start_ns]
         return Observed(

@@ -22,7 +22,10 @@ from automodel.interfaces import Pipeline, Recorder, Source
 from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import BoardSensors, Frame, LaneEstimate, Motion, StereoFrame
+from automodel.runtime.os_signals import Interrupted
+from automodel.runtime.run_types import RunEnd
+from automodel.runtime.runner import Runner
+from automodel.signals import BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
 from automodel.sim.world import Scene
 from automodel.types import Image
 from firmware_link.emulator.board import Peripherals
@@ -249,3 +252,14 @@ def faulty_recorder(disk: Disk | None, plan: Plan, clock: VirtualClock) -> Itera
 def outside_m(scene: Scene) -> float:
     """How far the car's body is outside its lane [m], 0 where it is inside."""
     return max(scene.reach_m - 0.5 * scene.truth.width_m, 0.0)
+
+
+def driven(runner: Runner, stop: Callable[[], bool]) -> tuple[tuple[Event, ...], str | None]:
+    """The events of a run until `stop`; none where an exception left it, and that one. Raises Interrupted."""
+    try:
+        result = runner.run(stop=stop)
+    except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        return (), f"{type(error).__name__}: {error}"
+    if result.end is RunEnd.SIGNAL:
+        raise Interrupted
+    return result.events, None

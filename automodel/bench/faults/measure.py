@@ -31,6 +31,7 @@ from automodel.bench.faults.faulty_parts import (
     Person,
     Staller,
     approach_images,
+    driven,
     faulty_recorder,
     outside_m,
 )
@@ -41,10 +42,8 @@ from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd, TickRecord
+from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
@@ -150,17 +149,9 @@ class FaultRig:
                 self._simulated.close()
 
     def _observed(self) -> Observed:
-        error: str | None = None
-        events: tuple[Event, ...] = ()
         with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
             runner = self._runner(recorder)
-            try:
-                result = runner.run(stop=self._is_over)
-                events = result.events
-                if result.end is RunEnd.SIGNAL:
-                    raise Interrupted
-            except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
-                error = f"{type(e).__name__}: {e}"
+            events, error = driven(runner, self._is_over)
         self._clock.sleep(AFTER_S)
         rolled_m = self._roll_out()
         link = self._car.link
