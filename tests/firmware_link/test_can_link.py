@@ -608,6 +608,23 @@ def heard(port: PythonCanPort) -> list[tuple[int, bytes]]:
     return []
 
 
+def test_while_somebody_else_sends_our_messages_the_state_grows_old() -> None:
+    """So that the loop does not take the input for well, and arms only half a second after the end."""
+    rig = Rig().driving()
+    rig.vehicle.wrong.second_sender = True
+    rig.cycle()
+    start_ns = rig.t_ns
+    for _ in range(10):
+        state = rig.cycle()
+        assert state is not None
+        assert state.t_ns <= start_ns
+    rig.vehicle.wrong.second_sender = False
+    for _ in range(7):
+        state = rig.cycle()
+    assert state is not None
+    assert rig.t_ns - state.t_ns <= PERIOD_NS
+
+
 def test_a_missing_heartbeat_is_no_restart() -> None:
     rig = Rig().driving()
     rig.vehicle.wrong.missing.add("AM_HEARTBEAT")
