@@ -59,13 +59,17 @@ def honda(frame_id: int, data_id: int, data: bytes) -> int:
 
 
 def hyundai(frame_id: int, data_id: int, data: bytes) -> int:
-    """Hyundai and Kia, most models: the sum of all other bytes."""
+    """Hyundai and Kia, LKAS11 of about 2018: the sum of all bytes but byte 6, which holds it (commaai/opendbc)."""
     return sum(data) & 0xFF
 
 
 def hyundai_crc8(frame_id: int, data_id: int, data: bytes) -> int:
-    """Hyundai and Kia, newer steering commands (LKAS11): CRC-8, polynomial 0x1D, over all bytes but byte 6."""
-    return _crc8(data[:6] + data[7:], 0x1D, 0xFD, 0xDF)
+    """Hyundai and Kia, LKAS11 since about 2019: CRC-8, polynomial 0x1D, over all bytes but byte 6, which holds it.
+
+    commaai/opendbc gives it in the notation of crcmod, initial value 0xFD and final XOR 0xDF: there the register starts
+    with the exclusive or of both.
+    """
+    return _crc8(data[:6] + data[7:], 0x1D, 0xFD ^ 0xDF, 0xDF)
 
 
 def chrysler(frame_id: int, data_id: int, data: bytes) -> int:
@@ -89,7 +93,7 @@ def xor8(frame_id: int, data_id: int, data: bytes) -> int:
 # where a checksum is that the DBC file does not show; all others: the last byte
 FIRST_BYTE = frozenset({"autosar_e2e_1", "autosar_e2e_2"})
 LAST_NIBBLE = frozenset({"honda"})
-BYTE_6 = frozenset({"hyundai_crc8"})
+BYTE_6 = frozenset({"hyundai", "hyundai_crc8"})
 
 
 def usual_mask(checksum: str, length: int) -> tuple[int, int]:

@@ -16,6 +16,9 @@ LATERAL_JERK_MAX_MPS3 = 5.0  # likewise
 BANK_TOLERANCE_MPS2 = 0.59
 STEERING_RATE_MAX_RADPS = 0.6  # of the road wheels: half a turn of a steering wheel in 0.3 s; above 10 m/s jerk binds
 STEERING_MAX_RAD = 0.6  # a passenger car's lock
+# Of the asked acceleration, up and down: full braking is there after 0.7 s, 0.5 s for the planner's 2.5 m/s^2, which
+# `[control] speed_delay_s` allows for. A smaller one brakes later, a larger one passes the noise of the wanted speed on
+ACCEL_JERK_MAX_MPS3 = 5.0
 DT_MAX_S = 0.04  # two periods: a loop that was late does not jump by what it missed
 
 
@@ -70,6 +73,22 @@ def acceleration_mps2(
     if not (math.isfinite(wanted_mps) and math.isfinite(wanted_mps2)):
         return -decel_max_mps2
     return _clipped(wanted_mps2 + gain_per_s * (wanted_mps - measured_mps), -decel_max_mps2, accel_max_mps2)
+
+
+def limited_acceleration_mps2(requested_mps2: float, before_mps2: float, dt_s: float) -> float:
+    """The acceleration [m/s^2] nearest to the request that may follow `before_mps2` after `dt_s`; it must be finite."""
+    step = ACCEL_JERK_MAX_MPS3 * min(max(dt_s, 0.0), DT_MAX_S)
+    return _clipped(requested_mps2, before_mps2 - step, before_mps2 + step)
+
+
+def limited_torque_nm(
+    requested_nm: float, before_nm: float, dt_s: float, torque_max_nm: float, rate_max_nmps: float
+) -> float:
+    """The steering torque [Nm] nearest to the request that may follow `before_nm`; one that is not finite goes to 0."""
+    if not math.isfinite(requested_nm):
+        requested_nm = 0.0
+    step = rate_max_nmps * min(max(dt_s, 0.0), DT_MAX_S)
+    return _clipped(_clipped(requested_nm, before_nm - step, before_nm + step), -torque_max_nm, torque_max_nm)
 
 
 def _clipped(value: float, lowest: float, highest: float) -> float:

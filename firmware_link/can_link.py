@@ -11,9 +11,10 @@ from typing import Any
 
 from automodel.config import CanConfig, CanMessage, ConfigError, VehicleConfig
 from automodel.signals import Command, VehicleState
-from firmware_link.can_limits import acceleration_mps2, limited_steering_rad
+from firmware_link.can_limits import acceleration_mps2, limited_acceleration_mps2, limited_steering_rad
 from firmware_link.can_port import BusTrouble, CanPort, WhitelistedPort
 from firmware_link.can_receiver import CanReceiver, Functions, MessageWriter, Snapshot
+from firmware_link.can_torque import TorqueSteering
 from firmware_link.errors import HandshakeError, LinkError, PortLost
 
 _MS = 1_000_000
@@ -22,6 +23,7 @@ ARM_NS = 300 * _MS  # the vehicle's time to engage
 VALID_NS = 100 * _MS  # no command is valid for longer
 ERRORS_MAX = 3  # error frames in `ERRORS_NS` that are a fault: a disturbance is one or two, a wrong bit rate many
 ERRORS_NS = 100 * _MS
+LASTING_NS = 100 * _MS  # what one frame shows lasts so long: a second sender, a touch of the brake
 EARLY_SHARE = 0.25  # of a period: a loop of the same rate that comes a little early sends, and keeps the rate
 OVERDUE_SHARE = -0.25  # without a new command the last one is repeated that much after its time
 NEEDED = ("speed_mps", "steering_rad")  # without these no command can be limited
@@ -36,6 +38,9 @@ class _Session:
     snapshot: Snapshot = field(default_factory=lambda: Snapshot(t_ns=None, values={}, faults=()))
     heard_ns: int = 0  # the newest time of a valid state
     errors_ns: deque[int] = field(default_factory=deque)
+    intruded_ns: int | None = None  # when somebody else sent our messages last
+    boot_id: float | None = None  # as it was told last
+    overridden_ns: int | None = None  # when the driver did something last
     wants_armed: bool = False
     armed: bool = False
     arm_ns: int = 0
@@ -44,6 +49,7 @@ class _Session:
     command_ns: int = 0  # when it was given
     ramp_mps2: float = 0.0  # by which its speed is below that of the command before
     steering_rad: float = 0.0  # as it was sent last
+    accel_mps2: float = 0.0  # likewise; 0 while nothing is asked for
     sent_ns: int | None = None
     due_ns: dict[str, int] = field(default_factory=dict)  # message: when it is to be sent next
 
@@ -58,7 +64,8 @@ class CanLink:
     - Armed means that a person asked for it, the vehicle says that it is engaged (where it can), and nothing is wrong:
       every supervised message valid, no error on the bus, no hand or foot of the driver, gear D. Whatever of this ends
       also ends the arming, in the same `poll`, until `arm` is called again. `VehicleState.faults` tells the cause.
-    - Steering obeys `can_limits` by the measured speed, the speed is reached by a limited acceleration.
+    - Steering obeys `can_limits` by the measured speed, as an angle or by a torque that is limited itself; the speed is
+      reached by a limited acceleration.
 
     After a LinkError (bus-off, full queue) call `close`, then `open` until it succeeds; the car stays disarmed.
     """
@@ -72,8 +79,10 @@ class CanLink:
         missing = [name for name in NEEDED if name not in told]
         if missing:
             raise ConfigError(f"[link.can] state: {missing[0]} is missing; no command can be limited without it")
-        if not {"enable", "steering_rad"} <= {value.value for value in config.command}:
-            raise ConfigError("[link.can] command: expected at least enable and steering_rad")
+        commanded = {value.value for value in config.command}
+        if "enable" not in commanded or not commanded & {"steering_rad", "torque_nm"}:
+            raise ConfigError("[link.can] command: expected at least enable, and steering_rad or torque_nm")
+        self._torque = TorqueSteering(config, vehicle.wheelbase_m)
         self._writers = [self._writer(message) for message in config.send]
         self._own = {(writer.frame_id, writer.extended) for writer in self._writers}
         if self._own & self._receiver().watches.keys():
@@ -107,7 +116,7 @@ class CanLink:
             return None
         self._judge(session, now_ns)
         self._transmit(session, now_ns, OVERDUE_SHARE)
-        return self._state(session)
+        return self._state(session, now_ns)
 
     def send(self, command: Command, now_ns: int) -> None:
         """Take over a command and send it when its message is due; ignored while `poll` still gives None."""
@@ -162,14 +171,15 @@ class CanLink:
             session.errors_ns.popleft()
         for frame in received.frames:
             if (frame.frame_id, frame.extended) in self._own:
-                self._end(session, "can_second_sender")
+                session.intruded_ns = frame.t_ns
             self._supervision.take(frame)
-            if session.wants_armed and self._overridden(self._supervision.snapshot(frame.t_ns).values):
-                self._end(session, "driver_override")  # also where the driver has let go before the loop looked
+            if self._overridden(self._supervision.snapshot(frame.t_ns).values):
+                session.overridden_ns = frame.t_ns  # also where the driver has let go before the loop looks
         session.snapshot = self._supervision.snapshot(now_ns)
         if session.snapshot.t_ns is not None and not session.snapshot.faults:
             session.ready = True
-            session.heard_ns = max(session.heard_ns, session.snapshot.t_ns)
+            if self._bus_fault(session, now_ns) is None:  # otherwise the state grows old, and the loop stops
+                session.heard_ns = max(session.heard_ns, session.snapshot.t_ns)
         elif not session.ready and now_ns - (session.opened_ns or 0) > HELLO_TIMEOUT_NS:
             missing = ", ".join(fault.partition(":")[2] for fault in session.snapshot.faults)
             raise HandshakeError(
@@ -199,9 +209,15 @@ class CanLink:
         """Why the vehicle must not be commanded now."""
         if session.snapshot.faults:
             return session.snapshot.faults[0]
+        fault = self._bus_fault(session, now_ns)
+        if fault is None and _lasts(session.overridden_ns, now_ns):
+            return "driver_override"
+        return fault
+
+    def _bus_fault(self, session: _Session, now_ns: int) -> str | None:
         if len(session.errors_ns) >= ERRORS_MAX:
             return "can_bus_errors"
-        return "driver_override" if self._overridden(session.snapshot.values) else None
+        return "can_second_sender" if _lasts(session.intruded_ns, now_ns) else None
 
     def _overridden(self, values: Mapping[str, float]) -> bool:
         config = self._config
@@ -242,7 +258,8 @@ class CanLink:
             due_ns = session.due_ns.get(writer.name, now_ns)
             late = abs(now_ns - due_ns) > writer.period_ns
             session.due_ns[writer.name] = (now_ns if late else due_ns) + writer.period_ns
-        session.steering_rad, session.sent_ns = intent["steering_rad"], now_ns
+        session.steering_rad, session.accel_mps2 = intent["steering_rad"], intent.get("accel_mps2", 0.0)
+        session.sent_ns = now_ns
 
     def _intent(self, session: _Session, now_ns: int) -> dict[str, float]:
         """What is asked of the vehicle now."""
@@ -250,30 +267,33 @@ class CanLink:
         measured_rad, measured_mps = values.get("steering_rad"), values.get("speed_mps")
         if not session.wants_armed or measured_rad is None or measured_mps is None:
             following_rad = session.steering_rad if measured_rad is None else measured_rad
+            self._torque.reset()
             return {"enable": 0.0, "steering_rad": following_rad, "speed_mps": max(measured_mps or 0.0, 0.0)}
         command, config = session.command, self._config
         dt_s = 0.0 if session.sent_ns is None else (now_ns - session.sent_ns) * 1e-9
         wanted_rad = session.steering_rad if command is None else command.steering_rad
         wanted_mps = measured_mps if command is None else command.speed_mps
+        wanted_mps2 = acceleration_mps2(
+            wanted_mps,
+            measured_mps,
+            config.accel_gain_per_s,
+            config.accel_max_mps2,
+            config.decel_max_mps2,
+            0.0 if command is None else session.ramp_mps2,
+        )
+        steering_rad = limited_steering_rad(wanted_rad, session.steering_rad, measured_mps, dt_s, self._wheelbase_m)
         return {
             "enable": 1.0,
-            "steering_rad": limited_steering_rad(
-                wanted_rad, session.steering_rad, measured_mps, dt_s, self._wheelbase_m
-            ),
+            "steering_rad": steering_rad,
+            "torque_nm": self._torque.step(steering_rad, measured_rad, measured_mps, dt_s),
             "speed_mps": max(wanted_mps, 0.0) if math.isfinite(wanted_mps) else 0.0,
-            "accel_mps2": acceleration_mps2(
-                wanted_mps,
-                measured_mps,
-                config.accel_gain_per_s,
-                config.accel_max_mps2,
-                config.decel_max_mps2,
-                0.0 if command is None else session.ramp_mps2,
-            ),
+            "accel_mps2": limited_acceleration_mps2(wanted_mps2, session.accel_mps2, dt_s),
         }
 
-    def _state(self, session: _Session) -> VehicleState:
+    def _state(self, session: _Session, now_ns: int) -> VehicleState:
         values = session.snapshot.values
-        engaged, boot_id = values.get("engaged"), values.get("boot_id")
+        engaged, boot_id = values.get("engaged"), values.get("boot_id", session.boot_id)
+        session.boot_id = boot_id  # a heartbeat that is missing is no restart
         return VehicleState(
             t_ns=session.heard_ns,
             speed_mps=values.get("speed_mps"),
@@ -284,9 +304,14 @@ class CanLink:
             faults=tuple(dict.fromkeys((*session.latched, *session.snapshot.faults))),
             boot_id=None if boot_id is None else round(boot_id),
             engaged=None if engaged is None else engaged != 0,
-            driver_override=self._overridden(values),
+            driver_override=_lasts(session.overridden_ns, now_ns),
             gear=self._gear(values),
         )
+
+
+def _lasts(seen_ns: int | None, now_ns: int) -> bool:
+    """Whether what was seen at that time counts now."""
+    return seen_ns is not None and now_ns - seen_ns <= LASTING_NS
 
 
 def _ramp_mps2(before: Command | None, command: Command) -> float:

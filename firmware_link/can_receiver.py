@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from automodel.config import CanConfig, CanMessage, CanSignal, ConfigError
+from automodel.config import CanConfig, CanMessage, CanSignal, CanValue, ConfigError
 from automodel.config.toml_reader import MOST_TEXT_BYTES, check_file
 from firmware_link.can_checks import ChecksumFunction, CounterFunction, usual_mask
 
@@ -36,7 +36,8 @@ class Verdict(enum.Enum):
     LENGTH = "length"
     CHECKSUM = "checksum"
     COUNTER = "counter"
-    RANGE = "range"
+    RANGE = "range"  # a value is outside of its range, or a reserved bit is not 0
+    JUMP = "jump"  # a value is too far from the one before
     QUALITY = "quality"  # the sender itself says that its values are invalid
 
 
@@ -107,9 +108,18 @@ class ProtectedMessage:
         self._checksum = functions.checksums[message.checksum] if message.checksum else None
         if self._checksum is not None:
             self._mask, self._shift = self._checksum_place()
+        self._reserved = self._reserved_bits() if message.reserved_zero else 0
         self._count_on = functions.counters[message.counter] if message.counter else None
         if message.counter_signal:
             self._counter_bits: int = self._definition.get_signal_by_name(message.counter_signal).length
+
+    def _reserved_bits(self) -> int:
+        """The bits that no signal has, of the payload as a big-endian number."""
+        if self._definition.is_multiplexed():
+            raise ConfigError(f"[link.can] {self._message.name}: reserved_zero: not of a multiplexed message")
+        ones = {s.name: -1 if s.is_signed else (1 << s.length) - 1 for s in self._definition.signals}
+        used = int.from_bytes(self._definition.encode(ones, scaling=False, strict=False), "big")
+        return used ^ ((1 << 8 * self.length) - 1)
 
     def checksum_in(self, data: bytes) -> int:
         """The checksum that a payload carries."""
@@ -161,6 +171,8 @@ class MessageReader(ProtectedMessage):
         if self._checksum is not None and self.checksum_in(data) != self.checksum_for(data):
             return Verdict.CHECKSUM, {}, None
         raw = self._definition.decode(data, decode_choices=False, scaling=False)
+        if int.from_bytes(data, "big") & self._reserved:
+            return Verdict.RANGE, {}, None
         counter = raw[self._message.counter_signal] if self._message.counter_signal else None
         quality = self._message.quality_signal
         if quality and raw[quality] != self._message.quality_ok:
@@ -217,10 +229,12 @@ class MessageWriter(ProtectedMessage):
 class MessageWatch:
     """The supervision of one message: what its frames are worth over time."""
 
-    def __init__(self, reader: MessageReader, message: CanMessage) -> None:
+    def __init__(self, reader: MessageReader, message: CanMessage, values: Sequence[CanSignal] = ()) -> None:
         self._reader = reader
         self.name = message.name
         self._timeout_ns = round(message.timeout_s * 1e9)
+        self._period_ns = round(message.period_s * 1e9)
+        self._rates = {v.value: v.rate_max for v in values if isinstance(v, CanValue)}
         self.count = MessageCount()
         self.values: dict[str, float] = {}
         self.good_ns: int | None = None  # when the last good frame came
@@ -228,6 +242,7 @@ class MessageWatch:
         self._recent: deque[bool] = deque(maxlen=WINDOW_FRAMES)  # whether the last frames were bad
         self._fault = ""  # the verdict that made the message faulty
         self._counter: int | None = None
+        self._unread = 0  # frames since, whose counter could not be trusted
         self._missing = False
 
     def take(self, data: bytes, t_ns: int) -> Verdict:
@@ -242,7 +257,11 @@ class MessageWatch:
         if counter is not None:
             if verdict is Verdict.GOOD and not self._counted(counter):
                 verdict = Verdict.COUNTER
-            self._counter = counter
+            elif verdict is Verdict.GOOD and self._jumps(values, t_ns):
+                verdict = Verdict.JUMP
+            self._counter, self._unread = counter, 0
+        else:
+            self._unread += 1
         count.verdicts[verdict] += 1
         if verdict is Verdict.GOOD:
             self.values = {**self.values, **values}
@@ -266,7 +285,23 @@ class MessageWatch:
         return "unseen" if self.good_ns is None else None
 
     def _counted(self, counter: int) -> bool:
-        return self._counter is None or counter == self._reader.counted_on(self._counter)
+        """Whether the counter follows the last one; frames that were damaged since may have counted, or been extra."""
+        expected = self._counter
+        for _ in range(1 + min(self._unread, BAD_MAX)):
+            if expected is None or counter == (expected := self._reader.counted_on(expected)):
+                return True
+        return False
+
+    def _jumps(self, values: Mapping[str, float], t_ns: int) -> bool:
+        """Whether a value is further from the last good one than it may get; frames that come together are not late."""
+        if self.good_ns is None:
+            return False
+        dt_s = max(t_ns - self.good_ns, self._period_ns) * 1e-9
+        return any(
+            abs(values[name] - self.values[name]) > rate * dt_s
+            for name, rate in self._rates.items()
+            if name in values and name in self.values
+        )
 
     def _judge(self, verdict: Verdict) -> None:
         self._recent.append(verdict is not Verdict.GOOD)
@@ -293,7 +328,7 @@ class CanReceiver:
             key = (reader.frame_id, reader.extended)
             if key in self.watches:
                 raise ConfigError(f"[link.can] receive: {message.name} has the identifier of another message")
-            self.watches[key] = MessageWatch(reader, message)
+            self.watches[key] = MessageWatch(reader, message, values)
 
     def take(self, frame: CanFrame) -> Verdict | None:
         """Judge and decode a frame; None for one of another message."""

@@ -169,6 +169,8 @@ def drive_simulated(
         watcher.write_truth(options.truth)
     latencies_ms = (result.latency_ms(50), result.latency_ms(99)) if options.realtime else watch.percentiles_ms()
     row = watcher.row(result, latencies_ms)
+    if simulated.jitter_ms is not None:
+        row |= dict(zip(("jitter_p50_ms", "jitter_p99_ms"), simulated.jitter_ms(), strict=True))
     missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
     return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
 

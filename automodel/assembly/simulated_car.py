@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,15 +23,17 @@ from automodel.sim.appearance import Appearance
 from automodel.sim.full_size import FullSizeConfig, FullSizePlant
 from automodel.sim.plant import CarState, Plant, PlantConfig
 from automodel.sim.renderer import Renderer
-from automodel.sim.sources import LockStepSource, RealTimeWorld
+from automodel.sim.sources import LockStepSource, RealTimeWorld, WorldFactory
 from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
 from automodel.sim.world import EyePair, FullSizeWorld, Scene, UltrasonicRanges, World
+from firmware_link.can_port import PythonCanPort
 from firmware_link.can_receiver import load_dbc
 from firmware_link.emulator.autonomos import EmulatedAutonomos
 from firmware_link.emulator.avr import AvrBoard, AvrProgram, build_avr
 from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.can_bus import ServedCanVehicle, own_group
 from firmware_link.emulator.can_vehicle import EmulatedCanVehicle, MemoryCanPort
 from firmware_link.emulator.pty import PtyBoard
 from firmware_link.transport import MemoryTransport, SerialTransport, Transport
@@ -38,6 +41,7 @@ from firmware_link.transport import MemoryTransport, SerialTransport, Transport
 STYLES = ("clean", "competition", "varied")
 # simulated board -> its [link] kind
 BOARDS = {"emulated": "arduino", "avr": "arduino", "autonomos": "autonomos", "can": "can"}
+BUS = "udp_multicast"  # of the full-size car in real time: it needs no CAN interface
 LATENCY_NS = 3_000_000  # of the loop in lock-step: capture to the byte on the wire
 
 
@@ -64,6 +68,7 @@ class SimulatedCar:
     link: VehicleLink
     clock: VirtualClock | MonotonicClock
     close: Callable[[], None]
+    jitter_ms: Callable[[], tuple[float | None, float | None]] | None = None  # of commands on a bus, median and p99
 
 
 def board_of(car: CarConfig) -> str:
@@ -182,18 +187,59 @@ def served_world(car: CarConfig, simulation: Simulation, program: AvrProgram | N
     return world, PtyBoard(_board(car, simulation, world, program))
 
 
+def served_full_size_world(
+    car: CarConfig, simulation: Simulation, group: str
+) -> tuple[FullSizeWorld, ServedCanVehicle]:
+    """World and vehicle for a process of their own; the vehicle answers on a bus of UDP multicast."""
+    world, config = build_full_size_world(car, simulation), car.link.can
+    vehicle = EmulatedCanVehicle(world, load_dbc(config.dbc), config, can_functions(config))
+    return world, ServedCanVehicle(vehicle, PythonCanPort(BUS, group, config.bitrate), group)
+
+
+class PacedCanPort:
+    """A port that notes how evenly its first message leaves."""
+
+    def __init__(self, port: PythonCanPort, period_s: float) -> None:
+        self.place, self.open, self.receive, self.close = port.place, port.open, port.receive, port.close
+        self._port, self._period_s = port, period_s
+        self._frame_id: int | None = None
+        self._times_ns: list[int] = []
+
+    def send(self, frame_id: int, data: bytes, extended: bool) -> None:
+        """Send a frame."""
+        self._port.send(frame_id, data, extended)
+        if self._frame_id in (None, frame_id):
+            self._frame_id = frame_id
+            self._times_ns.append(time.monotonic_ns())
+
+    def jitter_ms(self) -> tuple[float | None, float | None]:
+        """Median and 99th percentile of how far the intervals are from the period."""
+        off_ms = np.abs(np.diff(np.array(self._times_ns, dtype=np.float64)) * 1e-6 - self._period_s * 1e3)
+        return (float(np.percentile(off_ms, 50)), float(np.percentile(off_ms, 99))) if len(off_ms) else (None, None)
+
+
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Real time: camera and board live in another process, behind shared memory and a serial port."""
-    if simulation.link == "can":
-        raise ConfigError("--realtime: the full-size car on its CAN bus is simulated in lock-step only")
     shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
     pair = car.camera.right is not None
     shape = (2, *shape) if pair else shape
     with contextlib.ExitStack() as leaving:
-        program = _program(car, simulation, leaving)
-        arguments = (car, simulation, program)
-        source = RealTimeWorld(served_world, arguments, shape, car.camera.rate_hz, on_scene, pair=pair)
+        serve: WorldFactory = served_full_size_world
+        arguments: tuple[object, ...] = (car, simulation, own_group())
+        if simulation.link != "can":
+            serve, arguments = served_world, (car, simulation, _program(car, simulation, leaving))
+        source = RealTimeWorld(serve, arguments, shape, car.camera.rate_hz, on_scene, pair=pair)
         leaving.callback(source.close)
+        if simulation.link == "can":
+            port = PacedCanPort(PythonCanPort(BUS, source.port, car.link.can.bitrate), car.link.can.send[0].period_s)
+            link = make_part(LINKS, "can", car, port)
+            return SimulatedCar(
+                source=source,
+                link=link,
+                clock=MonotonicClock(),
+                close=leaving.pop_all().close,
+                jitter_ms=port.jitter_ms,
+            )
         link = _link(car, simulation, SerialTransport(source.port, car.link.baud))
         return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)
 

@@ -386,8 +386,8 @@ def guess(
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, "truth"]), default="windows", show_default=True,
               help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
-@click.option("--link", type=click.Choice(["arduino", "avr"]), default="arduino", show_default=True,
-              help="The emulated board; or the firmware on a simulated chip: wire and board.")  # fmt: skip
+@click.option("--link", type=click.Choice(["arduino", "avr", "can"]), default="arduino", show_default=True,
+              help="The emulated board; the firmware on a simulated chip; the full-size car's CAN bus.")  # fmt: skip
 @SWEEP
 @CSV
 @click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")

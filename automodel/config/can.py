@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from automodel.config.parts import CAN_CHECKSUMS, CAN_COUNTERS
-from automodel.config.toml_reader import one_of, positive
+from automodel.config.toml_reader import not_negative, one_of, positive
 
 TIMEOUT_PERIODS = 3.0  # a message that stayed away for so many of its periods is missing
 TIMEOUT_MAX_S = 0.1  # and at the latest after this: the budget from a fault to a stop is 150 ms
@@ -16,7 +16,7 @@ STATE_VALUES = (  # what signals may tell
     "driver_torque_nm", "brake", "accelerator", "gear", "boot_id",
 )  # fmt: skip
 
-COMMAND_VALUES = ("enable", "steering_rad", "speed_mps", "accel_mps2")  # what a command may be told as
+COMMAND_VALUES = ("enable", "steering_rad", "torque_nm", "speed_mps", "accel_mps2")  # what a command may be told as
 
 
 def _distinct(name: str, names: Iterable[str]) -> None:
@@ -33,7 +33,8 @@ class CanMessage:
 
     `checksum` and `counter` name functions (empty: it has none). `checksum_signal` empty: the place that is usual for
     that checksum. `data_id` is that of AUTOSAR's profiles, -1: the frame's identifier. `quality_signal` must have the
-    raw value `quality_ok`, otherwise what the message says is invalid.
+    raw value `quality_ok`, otherwise what the message says is invalid. `reserved_zero`: bits that no signal of the DBC
+    file has must be 0.
     """
 
     name: str
@@ -45,6 +46,7 @@ class CanMessage:
     counter_signal: str = ""
     quality_signal: str = ""
     quality_ok: int = 1
+    reserved_zero: bool = False
 
     def __post_init__(self) -> None:
         positive(self, "period_s")
@@ -89,11 +91,16 @@ class CanValue(CanSignal):
     """A signal that tells a value of the vehicle.
 
     Several entries of the same `value` add up; they must be in one message. A frame whose value lies outside of
-    `minimum` .. `maximum` is rejected. (The ranges of DBC files are often wrong, and are not used.)
+    `minimum` .. `maximum` is rejected, and one whose value is further from the last good one than `rate_max` [1/s]
+    allows for the time since. (The ranges of DBC files are often wrong, and are not used.)
     """
+
+    rate_max: float = 1e9
 
     def __post_init__(self) -> None:
         CanSignal.__post_init__(self)
+        if not self.rate_max > 0:
+            raise ValueError(f"rate_max: expected a number above 0, got {self.rate_max}")
         one_of("value", self.value, STATE_VALUES)
 
 
@@ -101,7 +108,8 @@ class CanValue(CanSignal):
 class CanCommand(CanSignal):
     """A signal that carries a part of the command, clipped to `minimum` .. `maximum`.
 
-    `enable` is 1 while the vehicle shall follow. `accel_mps2` is what brings the car to the wanted speed.
+    `enable` is 1 while the vehicle shall follow. `torque_nm` is the steering torque that brings the wheels to the
+    wanted angle, `accel_mps2` what brings the car to the wanted speed.
     """
 
     def __post_init__(self) -> None:
@@ -128,6 +136,14 @@ class CanConfig:
     accel_gain_per_s: float = 0.8  # acceleration per speed that is missing; the vehicle's own lag is about 0.3 s
     accel_max_mps2: float = 2.0  # ISO 15622:2018: adaptive cruise control above 20 m/s
     decel_max_mps2: float = 3.5  # likewise
+    # steering by torque at the steering column, left positive; the gains are those of the emulated vehicle
+    torque_max_nm: float = 3.0  # what a driver's hand holds against
+    torque_rate_max_nmps: float = 6.0  # from nothing to all in half a second
+    torque_gain_nmprad: float = (
+        40.0  # per error of the road wheels' angle: a quarter of what swings at 5 m/s (measured)
+    )
+    torque_integral_nmprads: float = 60.0
+    torque_per_accel_nms2pm: float = 1.0  # what turns the wheels back, per m/s^2 sideways; measured in a steady bend
     receive: tuple[CanMessage, ...] = (
         CanMessage(
             name="AM_STATE",
@@ -135,6 +151,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="STATE_COUNTER",
+            reserved_zero=True,
             quality_signal="STATE_VALID",
         ),
         CanMessage(
@@ -143,6 +160,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="DRIVER_COUNTER",
+            reserved_zero=True,
         ),
         CanMessage(
             name="AM_HEARTBEAT",
@@ -150,6 +168,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="HEARTBEAT_COUNTER",
+            reserved_zero=True,
         ),
     )
     send: tuple[CanMessage, ...] = (
@@ -159,6 +178,7 @@ class CanConfig:
             checksum="autosar_e2e_2",
             counter="autosar_e2e_2",
             counter_signal="COMMAND_COUNTER",
+            reserved_zero=True,
         ),
     )
     command: tuple[CanCommand, ...] = (
@@ -168,11 +188,13 @@ class CanConfig:
         CanCommand(value="accel_mps2", message="AM_COMMAND", signal="ACCELERATION_REQUEST"),
     )
     state: tuple[CanValue, ...] = (
-        CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0),
-        CanValue(value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0),
-        CanValue(value="steering_rad", message="AM_STATE", signal="STEERING", minimum=-1.0, maximum=1.0),
+        CanValue(value="speed_mps", message="AM_STATE", signal="SPEED", minimum=-10.0, maximum=90.0, rate_max=30.0),
+        CanValue(
+            value="yaw_rate_radps", message="AM_STATE", signal="YAW_RATE", minimum=-3.0, maximum=3.0, rate_max=20.0
+        ),
+        CanValue(value="steering_rad", message="AM_STATE", signal="STEERING", minimum=-1.0, maximum=1.0, rate_max=3.0),
         CanValue(value="engaged", message="AM_STATE", signal="ENGAGED"),
-        CanValue(value="driver_torque_nm", message="AM_DRIVER", signal="DRIVER_TORQUE"),
+        CanValue(value="driver_torque_nm", message="AM_DRIVER", signal="DRIVER_TORQUE", minimum=-100.0, maximum=100.0),
         CanValue(value="brake", message="AM_DRIVER", signal="BRAKE_PRESSED"),
         CanValue(value="accelerator", message="AM_DRIVER", signal="ACCELERATOR", minimum=0.0, maximum=1.0),
         CanValue(value="gear", message="AM_DRIVER", signal="GEAR", minimum=0.0, maximum=3.0),
@@ -181,7 +203,9 @@ class CanConfig:
 
     def __post_init__(self) -> None:
         positive(self, "steering_ratio", "bitrate", "override_torque_nm", "override_accelerator")
-        positive(self, "accel_gain_per_s", "accel_max_mps2", "decel_max_mps2")
+        positive(self, "accel_gain_per_s", "accel_max_mps2", "decel_max_mps2", "torque_max_nm", "torque_rate_max_nmps")
+        positive(self, "torque_gain_nmprad")
+        not_negative(self, "torque_integral_nmprads", "torque_per_accel_nms2pm")
         _distinct("receive", (message.name for message in self.receive))
         _distinct("send", (message.name for message in (*self.receive, *self.send)))
         supervised = {message.name for message in self.receive}

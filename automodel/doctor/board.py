@@ -198,7 +198,7 @@ def can_finding(networks: Path = Path("/sys/class/net")) -> Finding:
         except OSError:  # it was removed meanwhile
             continue
     here = f"here are: {', '.join(found)}" if found else "this machine has no CAN interface"
-    return skip("can", f"the bus is not examined here: record it, and see automodel replay --can; {here}")
+    return skip("can", f'a bus is examined where car.toml has [link] kind = "can"; {here}')
 
 
 def _listen(link: Board, clock: SleepingClock) -> tuple[Hello | None, Listened]:

@@ -12,11 +12,13 @@ from automodel.assembly.simulated_car import Simulation, board_of, lock_step
 from automodel.config import CalibrationRecord, CarConfig, Intrinsics
 from automodel.doctor.board import Board, Consent, board_findings, can_finding, servo_finding
 from automodel.doctor.camera import camera_findings, lane_finding
+from automodel.doctor.can_bus import can_bus_findings
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
 from automodel.doctor.machine import disk_finding, machine_findings
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, SleepingClock
 from automodel.signals import Frame
+from firmware_link.can_port import PythonCanPort
 
 FRESH_DAYS = 180
 COMMANDS = {  # calibration record -> (the command that makes it, what is wrong without it)
@@ -63,13 +65,24 @@ def _device_findings(car: CarConfig, consent: Consent | None, frames: list[Frame
                 yield servo_finding(car, link, clock, consent)
             else:
                 yield skip("servo", "not moved: the board does not answer")
+        elif car.link.kind == "can":
+            yield from _bus_findings(car, clock)
         else:
             yield skip("board", f'not checked: no checks are known for [link] kind = "{car.link.kind}"')
-        yield can_finding()
+        if car.link.kind != "can":
+            yield can_finding()
         link.close()
         yield from camera_findings(car, open_camera, frames)
         if frames:
             yield lane_finding(car, frames)
+
+
+def _bus_findings(car: CarConfig, clock: SleepingClock) -> Iterator[Finding]:
+    if car.link.port == "sim":
+        yield skip("CAN bus", "the simulated one; automodel bench faults --link can tries its faults")
+        return
+    port = PythonCanPort(car.link.can.interface, car.link.port, car.link.can.bitrate)
+    yield from can_bus_findings(car, port, clock)
 
 
 def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> tuple[Callable[[], Source], VehicleLink, SleepingClock]:

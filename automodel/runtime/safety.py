@@ -319,6 +319,8 @@ class Safety:
             return f"the vehicle has said nothing for {_s(now_ns - state.t_ns)} s"
         if self._boot_id is not None and state.boot_id != self._boot_id:
             return "the vehicle's controller has restarted"
+        if state.driver_override:
+            return "the driver has the car"
         if self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED) and state.armed:
             return "the vehicle is still armed"
         return None

@@ -22,7 +22,7 @@ GRAVITY_MPS2 = 9.81
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FullSizeConfig:
-    """The true parameters; those of a compact SUV (Rajamani 2012, table 2-1 and section 13, has the same order).
+    """The true parameters; of the order of those of a compact SUV.
 
     The understeer gradient m / L (b / C_f - a / C_r) is 0.0022 rad s^2/m per unit of lateral acceleration.
     """
@@ -129,10 +129,21 @@ def stepped(now: Moving, demand: Demand, config: FullSizeConfig, dt_s: float = S
 class FullSizePlant:
     """The car on a grid of 1 ms: demands in, states out; what is demanded acts after the dead times."""
 
-    def __init__(self, config: FullSizeConfig, start_pose: SE2 | None = None, start_mps: float = 0.0) -> None:
+    def __init__(
+        self,
+        config: FullSizeConfig,
+        start_pose: SE2 | None = None,
+        start_mps: float = 0.0,
+        start_curvature_per_m: float = 0.0,
+    ) -> None:
+        """At the start the car drives a steady bend of this curvature, with tyres that are linear."""
         self.config = config
         pose = SE2() if start_pose is None else start_pose
-        self._state = Moving(pose.x_m, pose.y_m, pose.yaw_rad, start_mps, 0.0, 0.0, 0.0, 0.0, 0.0)
+        rate = start_mps * start_curvature_per_m
+        steering = (config.wheelbase_m + config.understeer_s2pm * start_mps**2) * start_curvature_per_m
+        rear_load = config.mass_kg * config.cg_to_front_m / config.wheelbase_m
+        left = config.cg_to_rear_m * rate - start_mps * rear_load * start_mps * rate / config.rear_stiffness_npr
+        self._state = Moving(pose.x_m, pose.y_m, pose.yaw_rad, start_mps, left, rate, steering, 0.0, 0.0)
         self._step = 0
         self._start_ns: int | None = None
         self._now_ns = 0

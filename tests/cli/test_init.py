@@ -56,7 +56,7 @@ DIFFERENCES = {
         "control.lookahead_s": 0.8,
         "control.lookahead_min_m": 5.0,
         "control.actuator_delay_s": 0.13,
-        "control.speed_delay_s": 0.4,
+        "control.speed_delay_s": 0.65,
         "pipeline.contour.radius_lanes": 40.0,
         "link.kind": "can",
         "safety.steering_rate_max_radps": 0.5,

@@ -11,7 +11,9 @@ import pytest
 
 from automodel.recording.reader import Recording
 from automodel.signals import Command, VehicleState
+from tests.cli.test_realtime import LATE
 
+TRIES = 5
 RUN = ("run", "--link", "can", "--pipeline", "contour")
 
 
@@ -90,10 +92,23 @@ def test_its_kit_drives(cli, tmp_path: Path) -> None:
     assert (said.code, said.rows[0]["stops"]) == (0, 0)
 
 
-def test_real_time_is_refused_in_one_line(cli) -> None:
-    said = cli(*RUN, "--realtime", "--duration", "1")
-    assert said.code == 2
-    assert said.err == "automodel: --realtime: the full-size car on its CAN bus is simulated in lock-step only\n"
+@pytest.mark.realtime
+def test_it_drives_in_real_time_on_a_bus_of_another_process(cli, tmp_path: Path) -> None:
+    """The loop may be held up by whatever else this machine does: a stop is then right, and tried again."""
+    for _ in range(TRIES):
+        truth = tmp_path / "truth.csv"
+        said = cli(*RUN, "--realtime", "--style", "clean", "--duration", "8", "--truth", truth, "--json")
+        (row,) = said.rows
+        if said.code == 0:
+            break
+        assert any(text in said.err for text in LATE), said.err
+    else:
+        pytest.skip("this machine was too busy")
+    rows = rows_of(truth)
+    moved_m = math.hypot(*(float(rows[-1][key]) - float(rows[0][key]) for key in ("x_m", "y_m")))
+    assert moved_m > 5.0
+    assert row["jitter_p50_ms"] is not None
+    assert 0.0 <= row["jitter_p50_ms"] <= row["jitter_p99_ms"]
 
 
 def test_a_bus_that_is_not_there_is_one_line(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,6 +190,10 @@ def test_units_are_in_every_name() -> None:
         "_per_s",
         "_lanes",
         "_nm",
+        "_nmps",
+        "_nmprad",
+        "_nmprads",
+        "_nms2pm",
     )
     plain = {
         "device",

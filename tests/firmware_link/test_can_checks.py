@@ -43,9 +43,38 @@ def test_honda_adds_digits() -> None:
     assert can_checks.honda(0x10000E4, 0, data) == (8 - 25 + 3) % 16
 
 
+@pytest.mark.parametrize(("frame_id", "checksums"), [(829, (11, 10, 9, 8)), (13274, (4, 3, 2, 1))])
+def test_honda_gives_the_checksums_that_opendbc_tests(frame_id: int, checksums: tuple[int, ...]) -> None:
+    """commaai/opendbc, test_checksums.py: LKAS_HUD and LKAS_HUD_A (extended), counters 0 .. 3 in byte 4."""
+    for counter, checksum in enumerate(checksums):
+        assert can_checks.honda(frame_id, 0, bytes((0x41, 0x05, 0, 0, counter << 4))) == checksum
+
+
+@pytest.mark.parametrize(
+    "data", ["6B00BD0000000000", "EE010A0000000000", "D802A90000000000", "0303BEA212000000", "600F62C000000000"]
+)
+def test_autosar_profile_2_fits_frames_of_a_real_car(data: str) -> None:
+    """Volkswagen's LWI_01, whose data id is 0x86 for every counter; the frames are in opendbc's test_checksums.py."""
+    payload = bytes.fromhex(data)
+    assert can_checks.autosar_e2e_2(0x86, 0x86, b"\x00" + payload[1:]) == payload[0]
+
+
+@pytest.mark.parametrize(
+    ("data", "crc"), [("0000000400000000", 0x44), ("2A00640440010009", 0x71), ("FFFFFFFFFFFF00FF", 0x34)]
+)
+def test_hyundai_crc_is_crcmod_s(data: str, crc: int) -> None:
+    """As by crcmod 1.7 with opendbc's parameters: mkCrcFun(0x11D, initCrc=0xFD, rev=False, xorOut=0xDF)."""
+    assert can_checks.hyundai_crc8(0x340, 0, bytes.fromhex(data)) == crc
+
+
+def test_hyundai_sum_is_in_byte_6() -> None:
+    assert can_checks.hyundai(0x340, 0, bytes((1, 2, 3, 4, 5, 6, 0, 250))) == 271 % 256
+    assert can_checks.usual_mask("hyundai", 8) == (0xFF00, 8)
+
+
 def test_sums_and_xor() -> None:
     data = bytes((200, 100, 0, 3))
-    assert can_checks.sum8(0, 0, data) == can_checks.hyundai(0, 0, data) == 303 % 256
+    assert can_checks.sum8(0, 0, data) == 303 % 256
     assert can_checks.xor8(0, 0, data) == 200 ^ 100 ^ 3
 
 

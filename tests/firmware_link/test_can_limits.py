@@ -8,6 +8,7 @@ import math
 import pytest
 
 from firmware_link.can_limits import (
+    ACCEL_JERK_MAX_MPS3,
     BANK_TOLERANCE_MPS2,
     DT_MAX_S,
     LATERAL_ACCEL_MAX_MPS2,
@@ -16,6 +17,7 @@ from firmware_link.can_limits import (
     STEERING_RATE_MAX_RADPS,
     acceleration_mps2,
     lateral_accel_mps2,
+    limited_acceleration_mps2,
     limited_steering_rad,
     steering_max_rad,
 )
@@ -89,3 +91,13 @@ def test_acceleration_towards_the_wanted_speed() -> None:
     assert acceleration_mps2(10.0, 10.0, 0.8, 2.0, 3.5, -2.5) == -2.5
     assert acceleration_mps2(10.0, 9.0, 0.8, 2.0, 3.5, -2.5) == pytest.approx(-1.7)
     assert acceleration_mps2(10.0, 10.0, 0.8, 2.0, 3.5, math.inf) == -3.5
+
+
+@pytest.mark.parametrize("dt_s", [-1.0, 0.0, 0.001, 0.01, 0.02, DT_MAX_S, 3.0])
+@pytest.mark.parametrize("before_mps2", [-3.5, -1.0, 0.0, 2.0])
+def test_the_asked_acceleration_s_jerk_is_reached_and_never_exceeded(dt_s: float, before_mps2: float) -> None:
+    most = ACCEL_JERK_MAX_MPS3 * min(max(dt_s, 0.0), DT_MAX_S)
+    for request in (-3.5, -0.5, 0.0, 0.01, 2.0):
+        after = limited_acceleration_mps2(request, before_mps2, dt_s)
+        assert abs(after - before_mps2) <= most + TINY
+        assert after == request or abs(after - before_mps2) == pytest.approx(most, abs=TINY)

@@ -12,8 +12,10 @@ import pytest
 
 from automodel.assembly.can_parts import can_functions
 from automodel.config import CanConfig, ConfigError, VehicleConfig
-from automodel.signals import Command, VehicleState
+from automodel.runtime.supervised_link import SupervisedLink
+from automodel.signals import Command, Event, VehicleState
 from firmware_link.can_limits import (
+    ACCEL_JERK_MAX_MPS3,
     BANK_TOLERANCE_MPS2,
     LATERAL_ACCEL_MAX_MPS2,
     LATERAL_JERK_MAX_MPS3,
@@ -22,7 +24,7 @@ from firmware_link.can_limits import (
 from firmware_link.can_link import CanLink
 from firmware_link.can_port import BusTrouble, PythonCanPort, WhitelistedPort, trouble_of
 from firmware_link.can_receiver import CanFrame, Verdict, load_dbc
-from firmware_link.emulator.can_vehicle import EmulatedCanVehicle, MemoryCanPort
+from firmware_link.emulator.can_vehicle import FULL_LOAD_FRAMES, EmulatedCanVehicle, MemoryCanPort
 from firmware_link.errors import HandshakeError, LinkError, PortLost, PortNotFound
 
 MS = 1_000_000
@@ -176,7 +178,9 @@ def test_it_drives_once_armed_and_sends_at_50_hz() -> None:
 
 @pytest.mark.parametrize("speed_mps", [5.0, 15.0, 30.0])
 def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
-    rig = Rig().driving()
+    rig = Rig()
+    rig.body.speed_mps = speed_mps
+    rig.driving(0.0, speed_mps)
     start = len(rig.vehicle.accepted)
     for index in range(200):
         rig.body.speed_mps, rig.body.accel_mps2 = speed_mps, 0.0
@@ -188,6 +192,33 @@ def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
     steps = [abs(b - a) for a, b in itertools.pairwise(accels)]
     assert max(steps) <= LATERAL_JERK_MAX_MPS3 * 0.02 + 2 * resolution
     assert max(map(abs, accels)) > 1.0
+
+
+def test_no_asked_acceleration_jumps() -> None:
+    """Not at a step of the wanted speed, at the start of a ramp, nor where the wanted speed is noisy."""
+    rig = Rig().driving()
+    start = len(rig.vehicle.accepted)
+    wanted = 15.0
+    for index in range(300):
+        wanted = max(wanted - 0.05, 5.0) if index % 100 > 50 else 15.0 + 0.2 * (-1) ** index
+        rig.cycle(0.0, wanted)
+    accels = [told["accel_mps2"] for _, told in rig.vehicle.accepted[start:]]
+    assert max(abs(b - a) for a, b in itertools.pairwise(accels)) <= ACCEL_JERK_MAX_MPS3 * 0.02 + 0.001
+    assert -CONFIG.decel_max_mps2 <= min(accels) < -2.0
+    assert 1.0 < max(accels) <= CONFIG.accel_max_mps2
+
+
+def test_a_new_arming_starts_without_acceleration() -> None:
+    rig = Rig().driving(0.0, 0.0)
+    for _ in range(50):
+        rig.cycle(0.0, 0.0)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] < -2.0
+    rig.link.disarm(rig.t_ns)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] == 0.0
+    rig.cycle(0.0, 0.0)
+    rig.link.arm(rig.t_ns)
+    rig.cycle(0.0, 0.0)
+    assert rig.vehicle.accepted[-1][1]["accel_mps2"] >= -ACCEL_JERK_MAX_MPS3 * 0.04
 
 
 FAULTS: dict[str, tuple[Callable[[Rig], None], str]] = {
@@ -211,7 +242,7 @@ FAULTS: dict[str, tuple[Callable[[Rig], None], str]] = {
     "brake": (lambda rig: setattr(rig.vehicle.driver, "brake", True), "driver_override"),
     "accelerator": (lambda rig: setattr(rig.vehicle.driver, "accelerator", 0.1), "driver_override"),
     "gear": (lambda rig: setattr(rig.vehicle.driver, "gear", "N"), "driver_override"),
-    "vehicle disengages": (lambda rig: setattr(rig.vehicle, "_refused", True), "disengaged"),
+    "vehicle disengages": (lambda rig: rig.vehicle.refuse(), "disengaged"),
 }  # fmt: skip
 
 
@@ -220,8 +251,6 @@ def test_every_fault_disarms_within_100_ms_for_good(name: str) -> None:
     cause, fault = FAULTS[name]
     rig = Rig().driving()
     cause(rig)
-    if name == "vehicle disengages":
-        rig.vehicle.engaged = False
     took_ns, state = rig.until_disarmed()
     assert took_ns <= 100 * MS
     assert fault in state.faults
@@ -295,12 +324,28 @@ def test_it_does_not_arm_while_something_is_wrong(gone: str) -> None:
     assert not any(told["enable"] for _, told in rig.vehicle.accepted)
 
 
+def test_a_request_while_something_is_wrong_is_forgotten() -> None:
+    rig = Rig()
+    rig.link.open()
+    for _ in range(5):
+        rig.cycle()
+    rig.vehicle.wrong.missing.add("AM_STATE")
+    for _ in range(5):
+        rig.cycle()
+    rig.link.arm(rig.t_ns)
+    rig.vehicle.wrong.missing.clear()
+    for _ in range(20):
+        state = rig.cycle()
+        assert state is not None
+        assert not state.armed
+
+
 def test_a_vehicle_that_does_not_engage_is_given_up() -> None:
     rig = Rig()
     rig.link.open()
     for _ in range(5):
         rig.cycle()
-    rig.vehicle._refused = True
+    rig.vehicle.refuse()
     rig.vehicle.driver.accelerator = 0.01  # below our threshold, above the vehicle's
     rig.link.arm(rig.t_ns)
     for _ in range(20):
@@ -329,6 +374,70 @@ def test_bus_off_loses_the_port_and_comes_back_disarmed() -> None:
     assert not rig.vehicle.engaged
 
 
+def test_the_bus_is_joined_again_within_200_ms_and_the_car_stays_disarmed() -> None:
+    rig, events = Rig().driving(), list[Event]()
+    link = SupervisedLink(rig.link, events.append)
+    link._up = link._hello = link._met = True  # it was opened by the rig
+    rig.vehicle.wrong.trouble = BusTrouble.OFF
+    for _ in range(30):
+        rig.t_ns += PERIOD_NS
+        assert link.poll(rig.t_ns) is None
+        rig.vehicle.advance(rig.t_ns)
+    assert not rig.vehicle.engaged
+    rig.vehicle.wrong.trouble = None
+    back_ns = rig.t_ns
+    state = None
+    while state is None:
+        rig.t_ns += PERIOD_NS
+        state = link.poll(rig.t_ns)
+    assert rig.t_ns - back_ns <= 200 * MS + 3 * PERIOD_NS, "joined, and every message heard once"
+    for _ in range(30):
+        rig.t_ns += PERIOD_NS
+        until_ns = rig.t_ns + 100 * MS
+        link.send(Command(t_ns=rig.t_ns, steering_rad=0.1, speed_mps=15.0, valid_until_ns=until_ns), rig.t_ns)
+        state = link.poll(rig.t_ns)
+        assert state is not None
+        assert not state.armed
+    assert not rig.vehicle.engaged
+    assert [event.kind for event in events] == ["link-lost", "link-back"]
+
+
+def test_error_passive_for_a_moment_disarms() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.trouble = BusTrouble.PASSIVE
+    state = rig.cycle()
+    rig.vehicle.wrong.trouble = None
+    assert state is not None
+    assert not state.armed
+    assert "can_bus_errors" in state.faults
+
+
+def test_one_error_frame_in_100_ms_is_none() -> None:
+    rig = Rig().driving()
+    for index in range(40):
+        rig.vehicle.wrong.error_frames = int(index % 6 == 0)
+        state = rig.cycle()
+    assert state is not None
+    assert state.armed
+
+
+def test_the_link_itself_sends_only_what_is_on_the_list() -> None:
+    rig = Rig().driving()
+    rig.link._writers[0].frame_id = 0x7FF
+    with pytest.raises(LinkError, match="0x7ff of 8 bytes is not one that may be sent"):
+        rig.cycle()
+
+
+def test_a_command_that_is_over_is_not_taken() -> None:
+    rig = Rig().driving(0.0)
+    for _ in range(4):
+        rig.t_ns += PERIOD_NS
+        rig.link.poll(rig.t_ns)
+        stale = Command(t_ns=rig.t_ns - 1, steering_rad=0.3, speed_mps=1.0, valid_until_ns=rig.t_ns - 1)
+        rig.link.send(stale, rig.t_ns)
+    assert rig.vehicle.accepted[-1][1]["steering_rad"] == pytest.approx(0.0, abs=1e-3)
+
+
 def test_a_full_queue_is_a_lost_port() -> None:
     rig = Rig().driving()
     rig.vehicle.wrong.queue_full = True
@@ -338,11 +447,36 @@ def test_a_full_queue_is_a_lost_port() -> None:
 
 def test_a_full_bus_changes_nothing() -> None:
     rig = Rig().driving()
-    rig.vehicle.wrong.flood_frames = 10
+    rig.vehicle.wrong.load_frames = FULL_LOAD_FRAMES
     for _ in range(50):
         state = rig.cycle()
     assert state is not None
     assert state.armed
+
+
+def test_stale_commands_that_a_flooded_bus_lets_through_at_last_engage_nothing() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.flooded = True
+    took_ns, state = rig.until_disarmed()
+    assert took_ns <= 100 * MS
+    assert any(fault.startswith("can_timeout") for fault in state.faults)
+    for _ in range(5):
+        rig.cycle()
+    assert not rig.vehicle.engaged
+    changes, taken = len(rig.vehicle.engagements), len(rig.vehicle.accepted)
+    rig.vehicle.wrong.flooded = False
+    rig.cycle()
+    assert any(told["enable"] for _, told in rig.vehicle.accepted[taken:]), "some of those that waited are not yet 0"
+    assert len(rig.vehicle.engagements) == changes
+
+
+def test_a_bus_that_stays_flooded_fills_the_queue() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.flooded = True
+    for _ in range(10):
+        rig.cycle()
+    with pytest.raises(PortLost, match="queue is full"):
+        rig.cycle()
 
 
 def test_a_loop_that_gives_no_command_is_disarmed_and_one_that_hangs_sends_nothing() -> None:
@@ -366,8 +500,10 @@ def test_what_is_no_number_is_never_sent(angle: float) -> None:
         rig.cycle(angle, angle)
     for _, told in rig.vehicle.accepted[-5:]:
         assert told["steering_rad"] == pytest.approx(0.01, abs=1e-4)
-        assert told["accel_mps2"] < 0
         assert told["speed_mps"] == 0.0
+    accels = [told["accel_mps2"] for _, told in rig.vehicle.accepted[-6:]]
+    steps = [b - a for a, b in itertools.pairwise(accels)]
+    assert steps == pytest.approx([-ACCEL_JERK_MAX_MPS3 * 0.02] * 5, abs=0.002), "it brakes, more and more"
 
 
 def test_closing_lets_the_vehicle_go() -> None:
@@ -406,7 +542,7 @@ def test_a_mapping_without_speed_or_with_our_own_identifier_is_refused() -> None
     state = tuple(value for value in CONFIG.state if value.value != "speed_mps")
     with pytest.raises(ConfigError, match="speed_mps is missing"):
         Rig(dataclasses.replace(CONFIG, state=state))
-    with pytest.raises(ConfigError, match="at least enable and steering_rad"):
+    with pytest.raises(ConfigError, match="at least enable, and steering_rad or torque_nm"):
         Rig(dataclasses.replace(CONFIG, command=CONFIG.command[1:]))
 
 
@@ -472,13 +608,37 @@ def heard(port: PythonCanPort) -> list[tuple[int, bytes]]:
     return []
 
 
+def test_while_somebody_else_sends_our_messages_the_state_grows_old() -> None:
+    """So that the loop does not take the input for well, and arms only half a second after the end."""
+    rig = Rig().driving()
+    rig.vehicle.wrong.second_sender = True
+    rig.cycle()
+    start_ns = rig.t_ns
+    for _ in range(10):
+        state = rig.cycle()
+        assert state is not None
+        assert state.t_ns <= start_ns
+    rig.vehicle.wrong.second_sender = False
+    for _ in range(7):
+        state = rig.cycle()
+    assert state is not None
+    assert rig.t_ns - state.t_ns <= PERIOD_NS
+
+
+def test_a_missing_heartbeat_is_no_restart() -> None:
+    rig = Rig().driving()
+    rig.vehicle.wrong.missing.add("AM_HEARTBEAT")
+    _, state = rig.until_disarmed()
+    assert (state.boot_id, state.faults) == (1, ("can_timeout:AM_HEARTBEAT",))
+
+
 def test_a_falling_speed_is_followed_without_trailing_it() -> None:
     rig = Rig().driving()
     wanted = 15.0
     for _ in range(75):
         wanted -= 2.5 * PERIOD_NS * 1e-9
         rig.cycle(0.0, wanted)
-    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.2)  # by the gain alone 2.5 / 0.8 m/s more
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.3)  # by the gain alone 2.5 / 0.8 m/s more
     for _ in range(150):
         rig.cycle(0.0, wanted)
-    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.05)
+    assert rig.body.speed_mps == pytest.approx(wanted, abs=0.1)

@@ -80,6 +80,57 @@ def test_a_message_may_be_away_for_three_periods_and_no_longer(period_s: float, 
     assert (watch.count.timeouts, watch.count.alarms) == (1, 1)
 
 
+@pytest.mark.parametrize(
+    ("signals", "verdict"),
+    [
+        ({"SPEED": 15.29}, Verdict.GOOD),
+        ({"SPEED": 15.31}, Verdict.JUMP),
+        ({"SPEED": 14.69}, Verdict.JUMP),
+        ({"YAW_RATE": 0.29}, Verdict.GOOD),
+        ({"YAW_RATE": -0.11}, Verdict.JUMP),
+        ({"STEERING": 0.009}, Verdict.GOOD),
+        ({"STEERING": -0.051}, Verdict.JUMP),
+        ({"ENGAGED": 0}, Verdict.GOOD),
+    ],
+)
+def test_a_value_that_is_too_far_from_the_one_before_is_rejected(signals: dict[str, float], verdict: Verdict) -> None:
+    made = running()
+    assert made.take(at(195, payload(20, **signals))) is verdict, "5 ms after, as two frames that come together"
+    assert made.take(at(210, payload(21))) is Verdict.GOOD
+
+
+def test_a_value_that_has_really_changed_is_good_as_soon_as_it_may_be_and_faulty_until_then() -> None:
+    made = running()
+    verdicts = [made.take(at(200 + 10 * index, payload(20 + index, SPEED=16.0))) for index in range(14)]
+    assert verdicts == [Verdict.JUMP] * 3 + [Verdict.GOOD] * 11
+    assert made.snapshot(331 * MS).faults == ()
+    made = running()
+    for index in range(3):
+        made.take(at(200 + 10 * index, payload(20 + index, SPEED=16.0)))
+    assert made.snapshot(220 * MS).faults == ("can_jump:AM_STATE",)
+
+
+def test_frames_after_a_long_silence_may_say_anything() -> None:
+    made = running()
+    assert made.take(at(2_000, payload(20, SPEED=40.0))) is Verdict.GOOD
+
+
+@pytest.mark.parametrize("after", [20, 21, 22])
+def test_the_counter_after_damaged_frames_is_the_next_one_whether_they_counted_or_not(after: int) -> None:
+    made = running()
+    assert made.take(at(200, payload(20)[:-1])) is Verdict.LENGTH
+    assert made.take(at(210, bytes(8))) is Verdict.CHECKSUM
+    assert made.take(at(220, payload(after))) is Verdict.GOOD
+    assert made.take(at(230, payload(after + 1))) is Verdict.GOOD
+
+
+def test_the_counter_after_damaged_frames_is_no_other_one() -> None:
+    made = running()
+    assert made.take(at(200, payload(20)[:-1])) is Verdict.LENGTH
+    assert made.take(at(210, payload(22))) is Verdict.COUNTER
+    assert made.take(at(220, payload(24))) is Verdict.COUNTER
+
+
 def test_frames_of_others_are_none_of_ours() -> None:
     made = running(1)
     assert made.take(at(1, payload(1), frame_id=0x7FF)) is None

@@ -281,6 +281,8 @@ def test_holds_that_are_rare_stop_nothing_and_a_person_clears_the_count() -> Non
         ({"boot_id": 4}, "the vehicle's controller has restarted"),
         ({"boot_id": 4, "armed": False}, "the vehicle's controller has restarted"),
         ({"boot_id": None}, "the vehicle's controller has restarted"),
+        ({"driver_override": True}, "the driver has the car"),
+        ({"driver_override": True, "armed": False}, "the driver has the car"),
         ({"armed": False}, "the vehicle has disarmed itself"),
     ],
 )
@@ -359,6 +361,16 @@ def test_arming_is_given_up_when_anything_goes_wrong(how: dict[str, object]) -> 
     rig.turn(arm=True)
     decision = rig.turn(**how)  # type: ignore[arg-type]
     assert (decision.mode, decision.action, decision.disarm) == (SafetyMode.DISARMED, Action.NEUTRAL, True)
+
+
+def test_after_a_driver_it_is_not_armed_before_half_a_second_nor_by_itself_after_a_pause() -> None:
+    rig = Rig().drive()
+    rig.state = replace(rig.state, driver_override=True, armed=False)
+    assert rig.turn(step_ms=101.0).mode is SafetyMode.STOPPED  # such a pause would excuse a board that disarms itself
+    rig.state = replace(rig.state, driver_override=False)
+    assert rig.turn(arm=True).mode is SafetyMode.STOPPED
+    assert rig.turns(60).mode is SafetyMode.STOPPED
+    assert rig.turn(arm=True).mode is SafetyMode.ARMING
 
 
 def test_a_board_that_restarts_while_arming_does_not_drive() -> None:

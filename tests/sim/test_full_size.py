@@ -31,6 +31,17 @@ def test_a_steady_bend_has_the_yaw_rate_of_the_understeer_gradient(speed_mps: fl
     assert car.speed_mps == pytest.approx(speed_mps)
 
 
+@pytest.mark.parametrize(("speed_mps", "curvature_per_m"), [(5.0, 0.02), (15.0, 1 / 150), (25.0, -1 / 500)])
+def test_a_car_that_starts_in_a_bend_stays_on_its_circle(speed_mps: float, curvature_per_m: float) -> None:
+    plant = FullSizePlant(TRUE, SE2(), speed_mps, curvature_per_m)
+    centre_y_m = 1.0 / curvature_per_m
+    for t_ms in (500, 1000, 2000):
+        plant.advance(t_ms * MS)
+        car = plant.predicted(t_ms * MS)
+        assert math.hypot(car.x_m, car.y_m - centre_y_m) == pytest.approx(abs(centre_y_m), abs=0.4)  # its rear slips
+        assert car.yaw_rate_radps == pytest.approx(speed_mps * curvature_per_m, rel=0.02)
+
+
 def test_it_understeers() -> None:
     assert 0.001 < TRUE.understeer_s2pm / 1.0 < 0.01
 

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from random import Random
 
+from automodel.assembly.simulated_car import LATENCY_NS
 from automodel.bench.faults import hooks
 from automodel.bench.faults.fault import (
     BOUND_S,
@@ -24,6 +25,8 @@ from automodel.bench.faults.fault import (
     WireHook,
 )
 from automodel.config import CenterlineConfig, ConfigError
+from firmware_link.can_port import BusTrouble
+from firmware_link.emulator.can_vehicle import COMMAND_TIMEOUT_NS, FULL_LOAD_FRAMES, EmulatedCanVehicle
 
 HELD_S = (0.5, 1.0)  # longer than a car is held
 UNCERTAIN_S = CenterlineConfig().coast_s + BOUND_S  # what a car may drive on for without any line
@@ -334,12 +337,126 @@ SERIAL = (
               random, random.choice((hooks.one_byte(random), hooks.once(hooks.cut(random)))))),
 )  # fmt: skip
 
+
+def _wrong(**changes: object) -> Hooks:
+    """These of the bus's misbehaviours."""
+
+    def hook(vehicle: EmulatedCanVehicle) -> None:
+        for name, value in changes.items():
+            setattr(vehicle.wrong, name, value)
+
+    return Hooks(can=hook)
+
+
+def _override(random: Random) -> Hooks:
+    what, value = random.choice(
+        (("torque_nm", random.choice((-1, 1)) * random.uniform(3.1, 20.0)), ("brake", True),
+         ("accelerator", random.uniform(0.06, 1.0)), ("gear", random.choice("PRN")))
+    )  # fmt: skip
+
+    def hook(vehicle: EmulatedCanVehicle) -> None:
+        vehicle.wrong.ignores_driver = True
+        setattr(vehicle.driver, what, value)
+
+    return Hooks(can=hook)
+
+
+def _restarted(vehicle: EmulatedCanVehicle) -> None:
+    vehicle.restart()
+    vehicle.wrong.missing = set(MESSAGES)
+
+
+def _once(random: Random) -> Hooks:
+    name = random.choice(MESSAGES)
+    wrong: tuple[dict[str, object], ...] = (
+        {"missing": {name}}, {"bad_checksum": {name}}, {"longer_by": {name: -1}}, {"jumping_counter": {name}}
+    )  # fmt: skip
+    return _wrong(**random.choice(wrong))
+
+
+MESSAGES = ("AM_STATE", "AM_DRIVER", "AM_HEARTBEAT")
+STATE = MESSAGES[:1]
+CYCLE_S = 0.02  # of the loop, and of the command
+TURN_S = CYCLE_S + LATENCY_NS * 1e-9  # at most until the loop has looked, and its command has arrived
+MISSED_S = 3 * 0.01 + TURN_S  # AM_STATE stays away, or three of its frames are bad
+SLOW_S = 3 * 0.02 + TURN_S  # the same of the messages of 50 Hz
+LET_GO_S = COMMAND_TIMEOUT_NS * 1e-9  # the vehicle lets go by itself when nothing reaches it
+BUS_S = (0.2, 0.6)
+REJOINED_S = 0.7  # a bus that is joined again, and every message good; a counter's fault ends after ten good frames
+CAN = (
+    Fault(name="can-bus-off", kind=Kind.OFF, must=Must.STOP, duration_s=BUS_S, within_s=LET_GO_S, recovery_s=REJOINED_S,
+          event="link-lost", text="the controller leaves the bus (bus-off), and joins it again later",
+          hooks=lambda random, end_ns: _wrong(trouble=BusTrouble.OFF)),
+    Fault(name="can-error-passive", kind=Kind.OFF, must=Must.STOP, duration_s=BUS_S, within_s=LET_GO_S,
+          recovery_s=REJOINED_S, text="the controller is error-passive, and no frame comes through",
+          hooks=lambda random, end_ns: _wrong(trouble=BusTrouble.PASSIVE)),
+    Fault(name="can-wrong-bitrate", kind=Kind.GARBAGE, must=Must.STOP, duration_s=BUS_S, within_s=LET_GO_S,
+          recovery_s=REJOINED_S, text="nothing but error frames, as from a node of another bit rate",
+          hooks=lambda random, end_ns: _wrong(trouble=BusTrouble.ERROR)),
+    Fault(name="can-queue-full", kind=Kind.STUCK, must=Must.STOP, duration_s=BUS_S, within_s=LET_GO_S,
+          recovery_s=REJOINED_S, event="link-lost", text="no frame can be sent: the queue is full",
+          hooks=lambda random, end_ns: _wrong(queue_full=True)),
+    Fault(name="can-flooded", kind=Kind.GARBAGE, must=Must.STOP, duration_s=BUS_S, within_s=LET_GO_S,
+          recovery_s=REJOINED_S, text="frames of the highest priority fill the bus: no others come through",
+          hooks=lambda random, end_ns: _wrong(flooded=True)),
+    Fault(name="can-full-load", kind=Kind.SLOW, must=Must.NOTHING, duration_s=BUS_S,
+          text="frames of the lowest priority fill the bus",
+          hooks=lambda random, end_ns: _wrong(load_frames=FULL_LOAD_FRAMES)),
+    Fault(name="can-state-missing", kind=Kind.OFF, must=Must.STOP, duration_s=BUS_S, within_s=MISSED_S,
+          recovery_s=REJOINED_S, text="the vehicle's state does not come",
+          hooks=lambda random, end_ns: _wrong(missing=set(STATE))),
+    Fault(name="can-missing", kind=Kind.OFF, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S, recovery_s=REJOINED_S,
+          text="the driver's message or the heartbeat does not come",
+          hooks=lambda random, end_ns: _wrong(missing={random.choice(MESSAGES[1:])})),
+    Fault(name="can-counter-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S,
+          recovery_s=REJOINED_S, text="a message's counter stands still",
+          hooks=lambda random, end_ns: _wrong(stuck_counter={random.choice(MESSAGES)})),
+    Fault(name="can-counter-jumps", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S,
+          recovery_s=REJOINED_S, text="a message's counter jumps again and again",
+          hooks=lambda random, end_ns: _wrong(jumping_counter={random.choice(MESSAGES)})),
+    Fault(name="can-checksum", kind=Kind.GARBAGE, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S,
+          recovery_s=REJOINED_S, text="a message's checksum is wrong",
+          hooks=lambda random, end_ns: _wrong(bad_checksum={random.choice(MESSAGES)})),
+    Fault(name="can-short", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S, recovery_s=REJOINED_S,
+          text="a message is 1 to 8 bytes shorter",
+          hooks=lambda random, end_ns: _wrong(longer_by={random.choice(MESSAGES): -random.randint(1, 8)})),
+    Fault(name="can-long", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S, recovery_s=REJOINED_S,
+          text="a message is 1 to 56 bytes longer",
+          hooks=lambda random, end_ns: _wrong(longer_by={random.choice(MESSAGES): random.randint(1, 56)})),
+    Fault(name="can-stale", kind=Kind.STUCK, must=Must.STOP, duration_s=BUS_S, within_s=MISSED_S,
+          recovery_s=REJOINED_S, text="the vehicle's state is the same frame again and again",
+          hooks=lambda random, end_ns: _wrong(frozen=set(STATE))),
+    Fault(name="can-range", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=MISSED_S,
+          recovery_s=REJOINED_S, text="speed, yaw rate or steering angle is out of range",
+          hooks=lambda random, end_ns: _wrong(offset=random.choice(
+              ({"speed_mps": 90.0}, {"yaw_rate_radps": 3.2}, {"steering_rad": -1.2})))),
+    Fault(name="can-quality", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=0.01 + TURN_S,
+          recovery_s=REJOINED_S, text="the vehicle says that its state is invalid",
+          hooks=lambda random, end_ns: _wrong(invalid=set(STATE))),
+    Fault(name="can-second-sender", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=0.01 + TURN_S,
+          recovery_s=REJOINED_S, text="somebody else sends our command",
+          hooks=lambda random, end_ns: _wrong(second_sender=True)),
+    Fault(name="can-restart", kind=Kind.INTERMITTENT, must=Must.STOP, duration_s=BUS_S, within_s=SLOW_S,
+          recovery_s=REJOINED_S, text="the vehicle's controller restarts",
+          hooks=lambda random, end_ns: Hooks(can=_restarted)),
+    Fault(name="can-override", kind=Kind.WRONG, must=Must.STOP, duration_s=BUS_S, within_s=TURN_S,
+          recovery_s=REJOINED_S, shown_by=("AM_DRIVER",),
+          text="the driver acts, and only the host obeys: one cycle from the first frame that says so",
+          hooks=lambda random, end_ns: _override(random)),
+    Fault(name="can-disengaged", kind=Kind.OFF, must=Must.STOP, within_s=TURN_S, host_notices=False, shown_by=STATE,
+          text="the vehicle lets go by itself: one cycle from the first frame that says so",
+          hooks=lambda random, end_ns: Hooks(can=lambda vehicle: vehicle.refuse())),
+    Fault(name="can-frame", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.005, 0.015),
+          text="one or two frames are missing or wrong", hooks=lambda random, end_ns: _once(random)),
+)  # fmt: skip
+
 NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0),
                 text="nothing goes wrong for a minute (only when asked for)",
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
 # What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
 ON_CHIP = tuple(fault.name for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
 FAULTS = (*CAMERA, *PERCEPTION, *LOOP, *SERIAL, *BOARD, *RECORDING)
+BY_LINK = {"arduino": tuple(f.name for f in FAULTS), "avr": ON_CHIP, "can": tuple(f.name for f in CAN)}
 
 
 def chosen(names: Iterable[str]) -> tuple[Fault, ...]:
@@ -347,13 +464,13 @@ def chosen(names: Iterable[str]) -> tuple[Fault, ...]:
 
     Raises ConfigError for an unknown name, with similar ones.
     """
-    known = {fault.name: fault for fault in (*FAULTS, NOMINAL)}
+    known = {fault.name: fault for fault in (*FAULTS, *CAN, NOMINAL)}
     asked = set(names)
     for name in sorted(asked - set(known)):
         close = difflib.get_close_matches(name, known, 3, 0.5) or [k for k in known if name in k][:3]
         hint = f"near: {', '.join(close)}" if close else "see --list"
         raise ConfigError(f"--only {name!r}: no such fault; {hint}")
-    return tuple(fault for fault in known.values() if fault.name in asked) if asked else FAULTS
+    return tuple(fault for fault in known.values() if fault.name in asked) if asked else (*FAULTS, *CAN)
 
 
 def listing(names: Iterable[str]) -> list[dict[str, object]]:

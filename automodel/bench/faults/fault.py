@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from random import Random
 
 from automodel.signals import BoardSensors, Frame, LaneEstimate
+from firmware_link.emulator.can_vehicle import EmulatedCanVehicle
 
 BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's pin
 
@@ -16,6 +17,9 @@ LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
 WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
 PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
 SensorHook = Callable[[BoardSensors], BoardSensors]
+CanHook = Callable[
+    [EmulatedCanVehicle], None
+]  # sets what is wrong with the vehicle or its bus, or what its driver does
 
 
 class Moment(enum.Enum):
@@ -73,6 +77,7 @@ class Hooks:
     sensors: SensorHook | None = None
     servo_stuck: bool = False
     disk: Disk | None = None
+    can: CanHook | None = None
     moments: tuple[tuple[float, Moment], ...] = ()
 
 
@@ -108,8 +113,9 @@ class Fault:
 
     `event` is the kind of an event that the run must report. `same_pulses`: the pulses at the pins must be exactly
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
-    before that the car may do anything. `holds_first`: the car may be held and drive on before it is stopped; the bound
-    counts to the stop.
+    before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
+    one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
+    stopped; the bound counts to the stop.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -127,4 +133,5 @@ class Fault:
     event: str | None = None
     same_pulses: bool = False
     timed_from_motion: bool = False
+    shown_by: tuple[str, ...] = ()
     holds_first: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import math
 import os
 import tempfile
@@ -12,6 +13,8 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
+
 from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
 from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
 from automodel.config import RecordingConfig, VehicleConfig
@@ -19,9 +22,15 @@ from automodel.interfaces import Pipeline, Recorder, Source
 from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import BoardSensors, Frame, LaneEstimate, Motion, StereoFrame
+from automodel.runtime.os_signals import Interrupted
+from automodel.runtime.run_types import RunEnd
+from automodel.runtime.runner import Runner
+from automodel.signals import BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
+from automodel.sim.world import Scene
+from automodel.types import Image
 from firmware_link.emulator.board import Peripherals
 
+_APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
 Step = Callable[[Frame, Motion], LaneEstimate]
 
 
@@ -130,6 +139,28 @@ class FaultyPipeline:
             self._seen.reset()
 
 
+class Person:
+    """Asks to arm when the plan says."""
+
+    def __init__(self, plan: Plan, clock: VirtualClock) -> None:
+        self._press_ns, self._clock = plan.press_ns, clock
+        self._asked_ns = 0
+
+    def pressed(self) -> bool:
+        """Whether arming was asked for since the last call."""
+        before_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
+        return self._press_ns is not None and before_ns < self._press_ns <= self._asked_ns
+
+
+@functools.lru_cache
+def approach_images(height: int, width: int) -> tuple[Image, ...]:
+    """Images without a road, all different and none of them blank."""
+    slope = np.linspace(40.0, 200.0, width)
+    generator = np.random.default_rng(0)
+    noisy = (slope + generator.normal(0.0, 5.0, (height, width)) for _ in range(_APPROACH_IMAGES))
+    return tuple(image.astype(np.uint8) for image in noisy)
+
+
 class FaultyPeripherals:
     """Logs the pulses at the pins; a stuck servo and wrong sensors while the fault lasts."""
 
@@ -216,3 +247,19 @@ def faulty_recorder(disk: Disk | None, plan: Plan, clock: VirtualClock) -> Itera
             yield recorder
         finally:
             recorder.close()
+
+
+def outside_m(scene: Scene) -> float:
+    """How far the car's body is outside its lane [m], 0 where it is inside."""
+    return max(scene.reach_m - 0.5 * scene.truth.width_m, 0.0)
+
+
+def driven(runner: Runner, stop: Callable[[], bool]) -> tuple[tuple[Event, ...], str | None]:
+    """The events of a run until `stop`; none where an exception left it, and that one. Raises Interrupted."""
+    try:
+        result = runner.run(stop=stop)
+    except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
+        return (), f"{type(error).__name__}: {error}"
+    if result.end is RunEnd.SIGNAL:
+        raise Interrupted
+    return result.events, None

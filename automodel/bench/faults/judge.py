@@ -103,9 +103,10 @@ class Observed:
 
     `left_m` [m] is how far the car's body was outside its lane at most, from the fault's start to the run's end,
     `rolled_m` where it stands at last. `knows` is whether the pipeline was sure of its lane when the fault started.
-    `shown_ns` is when the car's motion began to show
+    `shown_ns` is when the car's motion, or its bus, began to show
     the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
-    the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest.
+    the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest. `actuator` and `rest` name
+    what is watched, and its state at rest; `also` are violations that were found while the run was observed.
     """
 
     pins: Sequence[Pin]
@@ -118,6 +119,9 @@ class Observed:
     neutral_us: float
     straight_us: float
     limits_us: tuple[float, float, float, float]
+    actuator: str = "the motor's pin"
+    rest: str = "neutral"
+    also: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +145,7 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
     if seen.error is not None:
         return Verdict(violations=(f"the run ended by {seen.error}",), reaction_s=None)
     start_ns = plan.start_ns
-    if fault.timed_from_motion:
+    if fault.timed_from_motion or fault.shown_by:
         if seen.shown_ns is None:
             return Verdict(violations=(), reaction_s=None)
         start_ns = seen.shown_ns
@@ -153,7 +157,7 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
     neutral_ns = next(
         (t for t, _, motor in seen.pins if from_ns <= t <= plan.until_ns and motor == seen.neutral_us), None
     )
-    if fault.timed_from_motion and not _drives_at(seen, start_ns):
+    if (fault.timed_from_motion or fault.shown_by) and not _drives_at(seen, start_ns):
         neutral_ns = start_ns  # it was stopped before, by a consequence of the fault
     found = _in_common(fault, plan, seen)
     if fault.must is Must.STOP:
@@ -169,7 +173,7 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
 
 
 def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
-    found = []
+    found = list(seen.also)
     servo_low, servo_high, motor_low, motor_high = seen.limits_us
     if not all(servo_low <= servo <= servo_high and motor_low <= motor <= motor_high for _, servo, motor in seen.pins):
         found.append("a pulse beyond the car's limits was at a pin")
@@ -180,11 +184,11 @@ def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
 
 def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns: int | None) -> list[str]:
     if neutral_ns is None:
-        return ["the motor's pin never went neutral"]
+        return [f"{seen.actuator} never went {seen.rest}"]
     found = []
     late_s = (neutral_ns - start_ns) * 1e-9
     if late_s > fault.within_s:
-        found.append(f"neutral after {late_s * 1e3:.0f} ms, expected at most {fault.within_s * 1e3:.0f} ms")
+        found.append(f"{seen.rest} after {late_s * 1e3:.0f} ms, expected at most {fault.within_s * 1e3:.0f} ms")
     asked_ns = plan.press_ns if plan.drives_again and plan.press_ns is not None else plan.until_ns
     again_ns = next((t for t, _, motor in seen.pins if neutral_ns < t < asked_ns and motor != seen.neutral_us), None)
     if again_ns is not None:
@@ -211,7 +215,7 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
                 found.append(f"{kind} after {(event.t_ns - plan.start_ns) * 1e-9:.2f} s: {event.text}")
                 break
     if fault.must is Must.NOTHING and neutral_ns is not None and not found:
-        found.append(f"neutral after {(neutral_ns - plan.start_ns) * 1e-9:.2f} s")
+        found.append(f"{seen.rest} after {(neutral_ns - plan.start_ns) * 1e-9:.2f} s")
     if fault.must is Must.HOLD:
         due_ns = plan.start_ns + round(fault.within_s * 1e9) if fault.within_s < 1e3 else plan.end_ns
         if plan.end_ns > due_ns and (neutral_ns is None or neutral_ns > due_ns):

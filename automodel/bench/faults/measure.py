@@ -21,14 +21,19 @@ import numpy as np
 from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
-from automodel.bench.faults.catalogue import ON_CHIP, chosen
+from automodel.bench.faults.can_rig import run_can_fault
+from automodel.bench.faults.catalogue import BY_LINK, CAN, chosen
 from automodel.bench.faults.fault import At, Fault, Hooks, Moment
 from automodel.bench.faults.faulty_parts import (
     FaultyPeripherals,
     FaultyPipeline,
     FaultySource,
+    Person,
     Staller,
+    approach_images,
+    driven,
     faulty_recorder,
+    outside_m,
 )
 from automodel.bench.faults.judge import RENDERED_NS, Observed, Plan, Verdict, at_another_place, draw_plan, judge
 from automodel.config import CameraConfig, CarConfig, Intrinsics
@@ -37,10 +42,8 @@ from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd, TickRecord
+from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig
 from automodel.sim.renderer import Renderer
@@ -76,7 +79,6 @@ COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: moto
 PLACES = 32  # on `oval` a pipeline is sure at half of them, so soon after its first image
 OTHER_BOOT_ID = 4096  # of another board
 _SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
-_APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
 _WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
 
 
@@ -98,22 +100,13 @@ def _renderer(camera: CameraConfig, look: int) -> Renderer:
     return renderer(_track(), CarConfig(camera=camera), floor)
 
 
-@functools.lru_cache
-def _approach_images(height: int, width: int) -> tuple[Image, ...]:
-    """Images without a road, all different and none of them blank."""
-    slope = np.linspace(40.0, 200.0, width)
-    generator = np.random.default_rng(0)
-    noisy = (slope + generator.normal(0.0, 5.0, (height, width)) for _ in range(_APPROACH_IMAGES))
-    return tuple(image.astype(np.uint8) for image in noisy)
-
-
 class RoadCamera:
     """A camera that shows the road from frame `first` on; never where it is None."""
 
     def __init__(self, car: CarConfig, look: int, first: int | None) -> None:
         self._renderer = None if first is None else _renderer(car.camera, look)
         self._first = first
-        self._approach = _approach_images(car.camera.height_px, car.camera.width_px)
+        self._approach = approach_images(car.camera.height_px, car.camera.width_px)
 
     def render(
         self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
@@ -134,10 +127,10 @@ class FaultRig:
         self._scenes: list[Scene] = []
         self._simulated: AvrBoard | None = None
         self._stopping = False
-        self._asked_ns = 0
         by_truth = pipeline == TRUTH
         self._build_world(None if by_truth else math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz))
         self._clock = VirtualClock(0, self._advance)
+        self._person = Person(plan, self._clock)
         self._staller = Staller(hooks.stall, plan, self._clock)
         self._transport = MemoryTransport(self._line, self._clock)
         for after_s, moment in hooks.moments:
@@ -156,17 +149,9 @@ class FaultRig:
                 self._simulated.close()
 
     def _observed(self) -> Observed:
-        error: str | None = None
-        events: tuple[Event, ...] = ()
         with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
             runner = self._runner(recorder)
-            try:
-                result = runner.run(stop=self._is_over)
-                events = result.events
-                if result.end is RunEnd.SIGNAL:
-                    raise Interrupted
-            except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
-                error = f"{type(e).__name__}: {e}"
+            events, error = driven(runner, self._is_over)
         self._clock.sleep(AFTER_S)
         rolled_m = self._roll_out()
         link = self._car.link
@@ -178,7 +163,7 @@ class FaultRig:
         return Observed(
             pins=pins,
             events=events,
-            left_m=max([0.0, *(_outside_m(scene) for scene in self._scenes if scene.t_ns >= self._plan.start_ns)]),
+            left_m=max([0.0, *(outside_m(scene) for scene in self._scenes if scene.t_ns >= self._plan.start_ns)]),
             rolled_m=rolled_m,
             shown_ns=self._shown_ns(servo),
             error=error,
@@ -225,7 +210,7 @@ class FaultRig:
         """Wait until the car stands straight; how far its body is outside its lane then [m], 0 where it is inside."""
         self._clock.sleep(STANDSTILL_S)
         _, scene = self._world.capture(self._clock.now_ns(), 0)
-        return _outside_m(scene)
+        return outside_m(scene)
 
     def _board(self) -> EmulatedArduino | AvrBoard:
         if self._program is None:
@@ -244,7 +229,7 @@ class FaultRig:
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)
-        return Runner(parts, config, observer=self, arm_requested=self._pressed, reopen=self._reopen)
+        return Runner(parts, config, observer=self, arm_requested=self._person.pressed, reopen=self._reopen)
 
     def _advance(self, t_ns: int) -> None:
         self._line.advance(t_ns)
@@ -279,11 +264,6 @@ class FaultRig:
         now_ns = self._clock.now_ns()
         in_vain = now_ns > self._plan.start_ns and not self._pipeline.knows
         return self._stopping or in_vain or now_ns >= self._plan.until_ns
-
-    def _pressed(self) -> bool:
-        before_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
-        press_ns = self._plan.press_ns
-        return press_ns is not None and before_ns < press_ns <= self._asked_ns
 
     def _reopen(self) -> FaultySource:
         if self._plan.start_ns <= self._clock.now_ns() < self._plan.end_ns:
@@ -330,11 +310,6 @@ def run_fault(
     return Verdict(violations=(f"the pipeline was sure of its lane at none of {PLACES} places",), reaction_s=None)
 
 
-def _outside_m(scene: Scene) -> float:
-    """How far the car's body is outside its lane [m], 0 where it is inside."""
-    return max(scene.reach_m - 0.5 * scene.truth.width_m, 0.0)
-
-
 def _set_wall_clock_back() -> None:
     """The wall clock's functions give an hour less from now on."""
     for name, hour in _WALL_CLOCKS.items():
@@ -369,11 +344,12 @@ def measure(
 ) -> list[Row]:
     """A row a fault, `runs` in all shared out evenly; runs with a violation are reported on stderr.
 
-    `names` are the faults (default: all; of `link` "avr" those of the wire and the board), `pipeline` may be `TRUTH`,
-    `link` "arduino" (the emulated board) or "avr" (the firmware on a simulated chip). Raises ConfigError for an unknown
-    fault, AvrMissing where the firmware cannot be built.
+    `names` are the faults (default: those of `link`), `pipeline` may be `TRUTH`, `link` "arduino" (the emulated board),
+    "avr" (the firmware on a simulated chip: wire and board) or "can" (the full-size car, which drives by the truth; so
+    it does for each of its faults that `names` has). Raises ConfigError for an unknown fault, AvrMissing where the
+    firmware cannot be built.
     """
-    faults = chosen(names or (ON_CHIP if link == "avr" else ()))
+    faults = chosen(names or BY_LINK[link])
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:
@@ -391,7 +367,10 @@ def measure(
 
 def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, tick: Tick) -> Verdict:
     (fault,) = chosen((case.name,))
-    verdict = run_fault(CAR, pipeline, fault, seed, case.index, program)
+    if fault in CAN:
+        verdict = run_can_fault(fault, draw_plan(fault, seed, case.index, LOOKS))
+    else:
+        verdict = run_fault(CAR, pipeline, fault, seed, case.index, program)
     tick(1.0)
     return verdict
 

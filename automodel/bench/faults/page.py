@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from automodel.bench.faults.catalogue import FAULTS
+from automodel.bench.faults.catalogue import CAN, FAULTS
 from automodel.bench.faults.fault import BOUND_S, Fault, Must
 from automodel.output_files import output_text
 
@@ -24,12 +24,17 @@ The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the
 leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when asked for: `nominal`, a minute
 without a fault.
 
+Those of `can-` are built into drives of the full-size car on its CAN bus (`bench faults --link can`), by the true lane
+at 5 to 15 m/s. Watched is whether the car is commanded, as its own controller sees it; neutral means disengaged. Every
+command on the bus must be within the limits of acceleration and jerk. What the driver or the vehicle ends counts from
+the first frame that says so to the host's command that lets go.
+
 """
 
 
 def text() -> str:
     """The page."""
-    rows = ["| fault | kind | must | limit [ms] | what |", "|---|---|---|---|---|", *map(_row, FAULTS)]
+    rows = ["| fault | kind | must | limit [ms] | what |", "|---|---|---|---|---|", *map(_row, (*FAULTS, *CAN))]
     return _HEAD + "\n".join(rows) + "\n"
 
 

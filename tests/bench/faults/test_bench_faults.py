@@ -8,15 +8,16 @@ from collections.abc import Callable
 import pytest
 
 from automodel.bench.faults import measure as fault_rig
-from automodel.bench.faults.catalogue import FAULTS
+from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS
 from automodel.bench.faults.fault import Must
 from automodel.config import PipelineConfig
+from automodel.config import can as can_config
 from automodel.control import longitudinal as speed_module
 from automodel.runtime import safety
 from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, OffsetBoundCheck, SteeringCheck
 from automodel.runtime.supervised_source import SupervisedSource
-from firmware_link import arduino
-from firmware_link.emulator import logic
+from firmware_link import arduino, can_link, can_receiver
+from firmware_link.emulator import can_vehicle, logic
 from firmware_link.emulator.avr import missing_tools
 from tests.support.command_line import Cli, cli
 
@@ -41,8 +42,34 @@ def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
             assert row["reaction_max_ms"] is None
 
 
-SOME = ["--only", "camera-black", "--only", "serial-random", "--only", "disk-slow", "--only", "perception-blip"]
-RUNS = ["--runs", "4", "--json"]
+def test_a_run_of_each_fault_of_the_can_bus_has_no_violation(cli: Cli) -> None:
+    said = cli(*BENCH, "--link", "can", "--runs", len(CAN), "--json")
+    assert (said.code, said.err) == (0, "")
+    rows = {row["fault"]: row for row in said.rows}
+    assert list(rows) == [fault.name for fault in CAN]
+    for fault in CAN:
+        row = rows[fault.name]
+        assert (row["runs"], row["violations"]) == (1, 0)
+        assert fault.within_s <= 0.1 or fault.must is Must.NOTHING
+        if fault.must is Must.STOP:
+            assert 0 <= row["reaction_max_ms"] <= fault.within_s * 1e3
+    assert rows["can-override"]["reaction_max_ms"] <= 1.2 * CYCLE_S * 1e3
+    assert any(fault.must is Must.NOTHING and rows[fault.name]["reaction_max_ms"] is None for fault in CAN)
+
+
+SOME = [
+    "--only",
+    "can-frame",
+    "--only",
+    "camera-black",
+    "--only",
+    "serial-random",
+    "--only",
+    "disk-slow",
+    "--only",
+    "perception-blip",
+]
+RUNS = ["--runs", "5", "--json"]
 
 
 def test_the_same_seed_gives_the_same_bytes(cli: Cli) -> None:
@@ -83,7 +110,7 @@ def test_the_firmware_on_its_chip_does_what_it_must(cli: Cli) -> None:
 def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
     lines = cli("bench", "faults", "--list").out.splitlines()
     named = [line.split()[:3] for line in lines if line[:1].isalpha()]
-    assert named[1:-1] == [[fault.name, fault.kind.value, fault.must.value] for fault in FAULTS]
+    assert named[1:-1] == [[fault.name, fault.kind.value, fault.must.value] for fault in (*FAULTS, *CAN)]
     assert max(map(len, lines)) <= 80
     (row,) = cli("bench", "faults", "--list", "--only", "servo-stuck", "--json").rows
     assert (row["fault"], row["must"], row["within_ms"]) == ("servo-stuck", "stop", 450.0)
@@ -129,6 +156,24 @@ def _newest(self: speed_module.ObstacleGuard) -> float:
 
 
 _AT_REST = safety.Safety._at_rest
+
+
+def _always(*_: object) -> bool:
+    return True
+
+
+def _as_it_is(self: can_receiver.MessageReader, data: bytes) -> int:
+    return self.checksum_in(data)
+
+
+def _as_asked(requested_rad: float, *_: float) -> float:
+    return 20.0 * requested_rad
+
+
+def _at_once(requested_mps2: float, *_: float) -> float:
+    return requested_mps2
+
+
 Break = Callable[[pytest.MonkeyPatch], None]
 BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how the product is broken, what is said
     ("camera-stuck", 1, lambda m: m.setattr(ImageCheck, "step", _nothing), "never went neutral"),
@@ -150,6 +195,15 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("perception-blip", 1, lambda m: m.setattr(SupervisedSource, "read", _raising), "the run ended by"),
     ("sonar-spikes", 3, lambda m: m.setattr(speed_module.ObstacleGuard, "range_m", property(_newest)), "neutral"),
     ("battery-low", 1, lambda m: m.setattr(arduino.BatteryMeter, "step", _nothing), "was reported"),
+    ("can-override", 1, lambda m: m.setattr(can_link.CanLink, "_overridden", _nothing), "never went disengaged"),
+    ("can-missing", 1, lambda m: m.setattr(can_config, "TIMEOUT_PERIODS", 4.5), "expected at most"),
+    ("can-counter-jumps", 1, lambda m: m.setattr(can_receiver.MessageWatch, "_counted", _always), "never went"),
+    ("can-checksum", 1, lambda m: m.setattr(can_receiver.MessageReader, "checksum_for", _as_it_is), "never went"),
+    ("can-second-sender", 1, lambda m: m.setattr(can_link.CanLink, "_bus_fault", _nothing), "never went disengaged"),
+    ("can-wrong-bitrate", 1, lambda m: m.setattr(can_vehicle, "COMMAND_TIMEOUT_NS", 150_000_000), "expected at most"),
+    ("can-frame", 6, lambda m: m.setattr(can_receiver, "BAD_MAX", 1), "stop after"),
+    ("can-state-missing", 1, lambda m: m.setattr(can_link, "limited_steering_rad", _as_asked), "beyond the limit"),
+    ("can-full-load", 1, lambda m: m.setattr(can_link, "limited_acceleration_mps2", _at_once), "limit of the jerk"),
 ]
 
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import pytest
 
 from automodel.bench.faults import page
-from automodel.bench.faults.catalogue import FAULTS, NOMINAL, chosen
+from automodel.bench.faults.catalogue import BY_LINK, CAN, FAULTS, NOMINAL, chosen
 from automodel.bench.faults.fault import Kind, Must
 from automodel.bench.faults.judge import REARM_S, START_NS, at_another_place, draw_plan
 
-PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in FAULTS for index in range(30)]
+PLANS = [(fault, draw_plan(fault, 7, index, 4)) for fault in (*FAULTS, *CAN) for index in range(30)]
 
 
 def test_the_same_seed_gives_the_same_plan_and_another_one_another() -> None:
@@ -52,7 +52,7 @@ def test_a_stopped_car_is_watched_for_longer_than_arming_takes() -> None:
 
 def test_every_way_of_failing_is_there_and_every_name_once() -> None:
     assert {fault.kind for fault in FAULTS} == set(Kind) - {Kind.NONE}
-    names = [fault.name for fault in (*FAULTS, NOMINAL)]
+    names = [fault.name for fault in (*FAULTS, *CAN, NOMINAL)]
     assert len(names) == len(set(names))
     assert len(FAULTS) <= 72  # a run of each in the fast lane
     for fault in FAULTS:
@@ -61,6 +61,7 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
 
 
 def test_the_bound_is_150_ms_but_for_what_shows_later_or_grows() -> None:
+    assert all(fault.within_s <= 0.1 for fault in CAN if fault.must is Must.STOP)
     longer = [fault.name for fault in FAULTS if fault.must is not Must.NOTHING and fault.within_s != 0.15]
     assert sorted(longer) == [
         "board-time-stuck",
@@ -74,7 +75,9 @@ def test_the_bound_is_150_ms_but_for_what_shows_later_or_grows() -> None:
 
 
 def test_faults_are_chosen_by_name() -> None:
-    assert chosen(()) == FAULTS
+    assert chosen(()) == (*FAULTS, *CAN)
+    assert chosen(BY_LINK["can"]) == CAN
+    assert chosen(BY_LINK["arduino"]) == FAULTS
     assert [fault.name for fault in chosen(("disk-full", "camera-off", "disk-full"))] == ["camera-off", "disk-full"]
     assert chosen(("nominal",)) == (NOMINAL,)
     with pytest.raises(ValueError, match=r"'camera-of': no such fault; near: camera-off"):

@@ -6,6 +6,7 @@ import csv
 import math
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
@@ -158,3 +159,60 @@ def test_a_real_steering_angle_equals_the_shipped_one(data_root: Path) -> None:
     inside = near < len(table)
     assert np.mean(inside) > 0.99
     assert table[near[inside], 1] == pytest.approx(shipped[inside, 1], abs=1e-6)
+
+
+def recorded_frames() -> list[can.Message]:
+    """Standard and extended frames of every length, an error frame and a remote frame among them."""
+    start_s = 1_700_000_000.0
+    frames = [
+        can.Message(
+            timestamp=start_s + 0.01 * index,
+            arbitration_id=0x18DAF110 + index if index % 3 == 0 else 0x100 + index,
+            is_extended_id=index % 3 == 0,
+            data=bytes((37 * index + byte) % 256 for byte in range(index % 9)),
+            channel=0,
+            is_rx=True,
+        )
+        for index in range(60)
+    ]
+    remote = can.Message(
+        timestamp=start_s + 0.601, arbitration_id=0x123, is_extended_id=False, is_remote_frame=True, dlc=4
+    )
+    last = can.Message(
+        timestamp=start_s + 0.61, arbitration_id=0x7FF, is_extended_id=False, data=b"\xff" * 8, channel=0
+    )
+    return [*frames, remote, last]
+
+
+@pytest.mark.parametrize("kind", ["log", "blf", "asc", "trc", "csv", "db", "mf4"])
+def test_a_log_of_every_kind_gives_the_frames_that_were_written(tmp_path: Path, kind: str) -> None:
+    if kind == "mf4":
+        pytest.importorskip("asammdf")
+    path, sent = tmp_path / f"bus.{kind}", recorded_frames()
+    with can.Logger(path) as logger:
+        for message in sent:
+            logger(message)
+    frames = list(read_log(path))
+    expected = [message for message in sent if not message.is_remote_frame]
+    assert [(f.frame_id, f.extended, f.data) for f in frames] == [
+        (m.arbitration_id, m.is_extended_id, bytes(m.data)) for m in expected
+    ]
+    times_s = np.array([message.timestamp for message in expected]) - sent[0].timestamp
+    assert np.array([frame.t_ns for frame in frames]) * 1e-9 == pytest.approx(times_s, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["blf", "asc", "trc"])
+def test_our_own_bus_in_a_log_of_another_kind_is_the_same_motion(cli, tmp_path: Path, mapping: Path, kind: str) -> None:
+    log = candump(tmp_path / "bus.log", 1.0)
+    other = tmp_path / f"bus.{kind}"
+    with can.LogReader(log) as reader, can.Logger(other) as logger:
+        for message in reader:
+            message.channel = 0
+            logger(message)
+    motions = []
+    for path in (log, other):
+        out = tmp_path / "motion.csv"
+        said = cli("replay", "--can", path, "--mapping", mapping, "--motion-csv", out, "--json")
+        assert (said.code, said.rows[0]["alarms"]) == (0, 0)
+        motions.append(rows_of(out))
+    assert motions[1] == pytest.approx(motions[0], abs=1e-3)
