@@ -23,7 +23,7 @@ from automodel.runtime.cores import LoopCores
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
+from automodel.signals import DriverInput, Event
 from automodel.sim.track_files import load_track
 from automodel.sources.cameras import CaptureThread
 from firmware_link.errors import LinkError, PortNotFound
@@ -40,7 +40,10 @@ _TRUTH_ONLY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """What a run is asked for beyond car.toml; `board` is the simulated one (None: that of [link] kind)."""
+    """What a run is asked for beyond car.toml; `board` is the simulated one (None: that of [link] kind).
+
+    `by_hand`: a person may drive, and a simulated car waits to be armed, too.
+    """
 
     laps: int | None = None
     duration_s: float | None = None
@@ -51,6 +54,7 @@ class RunOptions:
     board: str | None = None
     realtime: bool = False
     arm: bool = False
+    by_hand: bool = False
     record: Path | None = None
     truth: Path | None = None
 
@@ -73,7 +77,7 @@ class Viewer(RunObserver, Protocol):
 
 
 class Operator(Viewer, Protocol):
-    """A person at a distance, who is shown the run and commands it; nothing here may wait."""
+    """A person who is shown the run and commands it, by a page or a device; nothing here may wait."""
 
     def arm_requested(self) -> bool:
         """Whether arming was asked for since the last call."""
@@ -83,20 +87,24 @@ class Operator(Viewer, Protocol):
         """Why the car has to stop, None where it has not; called every cycle, before `arm_requested`."""
         ...
 
+    def wanted_by_hand(self) -> DriverInput | None:
+        """What the person wants who drives by hand, None while nobody does; called every cycle, first of all."""
+        ...
+
 
 class _People:
-    """The run's own watcher, teller and key, an operator where there is one, and who only looks."""
+    """The run's own watcher, teller and key, the operators, of whom the first goes before, and who only looks."""
 
     def __init__(
         self,
         watcher: Watcher,
         teller: EventPrinter,
         key: Callable[[], bool] | None,
-        operator: Operator | None,
+        operators: Sequence[Operator],
         viewers: Sequence[Viewer],
     ) -> None:
-        self._watcher, self._teller, self._key, self._operator = watcher, teller, key, operator
-        self._shown = viewers if operator is None else (operator, *viewers)
+        self._watcher, self._teller, self._key, self._operators = watcher, teller, key, operators
+        self._shown = (*operators, *viewers)
 
     def on_tick(self, record: TickRecord) -> None:
         self._watcher.on_tick(record)
@@ -110,19 +118,23 @@ class _People:
 
     def arm_requested(self) -> bool:
         by_key = self._key is not None and self._key()
-        by_operator = self._operator is not None and self._operator.arm_requested()
-        return by_key or by_operator
+        return any([by_key, *(operator.arm_requested() for operator in self._operators)])  # each is asked
 
     def stop_requested(self) -> str | None:
-        return self._operator.stop_requested() if self._operator is not None else None
+        reasons = [operator.stop_requested() for operator in self._operators]  # each is asked
+        return next((reason for reason in reasons if reason is not None), None)
+
+    def wanted_by_hand(self) -> DriverInput | None:
+        wanted = [operator.wanted_by_hand() for operator in self._operators]
+        return next((one for one in wanted if one is not None), None)
 
 
 def drive_simulated(
-    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+    car: CarConfig, text: str, options: RunOptions, operators: Sequence[Operator] = (), viewers: Sequence[Viewer] = ()
 ) -> RunReport:
     """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
     lane = load_track(options.track).lane(options.direction)
-    laps = 1 if options.laps is None and options.duration_s is None else options.laps
+    laps = 1 if options.laps is None and options.duration_s is None and not options.by_hand else options.laps
     if laps is not None and not lane.centerline.closed:
         raise ConfigError(f"{options.track}: the road is not closed, there are no laps; give --duration")
     width_m, told_m = float(lane.width_m(0.0)), car.lane.width_m
@@ -140,7 +152,9 @@ def drive_simulated(
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores()) if options.realtime else None
-        watcher = Watcher(laps, leaving.enter_context(progress(f"run {options.track}", total_m)))
+        watcher = Watcher(
+            laps, leaving.enter_context(progress(f"run {options.track}", total_m)), patient=options.by_hand
+        )
         simulated = (real_time if options.realtime else lock_step)(car, simulation, watcher.on_scene)
         leaving.callback(simulated.close)
         recorder = make_recorder(options.record, text, car) if options.record else None
@@ -151,8 +165,9 @@ def drive_simulated(
             clock=simulated.clock,
             loop=make_loop(car, checks=checks),
             recorder=recorder,
+            auto_arm=not options.by_hand,
         )
-        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operator, viewers)
+        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operators, viewers)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(
             parts,
@@ -160,6 +175,7 @@ def drive_simulated(
             observer=people,
             arm_requested=people.arm_requested,
             stop_requested=people.stop_requested,
+            wanted_by_hand=people.wanted_by_hand,
             on_event=people.on_event,
         )
         result = _run(runner, watcher, simulated.clock, options.duration_s, cores)
@@ -174,7 +190,7 @@ def drive_simulated(
 
 
 def drive_real(
-    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+    car: CarConfig, text: str, options: RunOptions, operators: Sequence[Operator] = (), viewers: Sequence[Viewer] = ()
 ) -> RunReport:
     """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
     with contextlib.ExitStack() as leaving:
@@ -199,13 +215,14 @@ def drive_real(
             with cores.elsewhere():
                 return CaptureThread(make_camera(car))
 
-        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operator, viewers)
+        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operators, viewers)
         runner = Runner(
             parts,
             run_config(car, collector_off=True),
             observer=people,
             arm_requested=people.arm_requested,
             stop_requested=people.stop_requested,
+            wanted_by_hand=people.wanted_by_hand,
             reopen=reopen,
             on_event=people.on_event,
         )

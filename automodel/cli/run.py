@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 from click.core import ParameterSource
 
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, finite
-from automodel.config import ConfigError
+from automodel.config import CarConfig, ConfigError
+
+if TYPE_CHECKING:
+    from automodel.assembly.drive import Operator, Viewer
 
 SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "board", "realtime", "truth")
 REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms")  # the others need the truth
@@ -56,6 +60,15 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
     "--realtime", is_flag=True, help="Simulated: against the real clock, camera and board in another process."
 )
 @click.option("--arm", is_flag=True, help="Real car: arm once without asking, as soon as all is well.")
+@click.option(
+    "--manual",
+    "device",
+    is_flag=False,
+    flag_value="gamepad",
+    metavar="[DEVICE]",
+    help="Drive by hand while a button is held: gamepad (the default), keyboard, a device in /dev/input, or none for "
+    "the page of --web alone. Simulated: with --realtime.",
+)
 @click.option("--record", type=FILE, help="Write the run here (.mcap); a real car always records.")
 @click.option(
     "--lossless", is_flag=True, help="Record every bit of the frames (PNG): a replay is the drive to the bit."
@@ -92,6 +105,7 @@ def command(
     car_file: Path | None,
     pipeline: str | None,
     speed_mps: float | None,
+    device: str | None,
     lossless: bool,
     web_address: str | None,
     web_tls: tuple[Path, Path] | None,
@@ -117,7 +131,7 @@ def command(
         if ctx.get_parameter_source("track") is not ParameterSource.COMMANDLINE:
             rest["track"] = "ring"
     car, text = read_car(car_file, pipeline, speed_mps, lossless)
-    options = RunOptions(**rest)  # type: ignore[arg-type]
+    options = RunOptions(by_hand=device is not None, **rest)  # type: ignore[arg-type]
     check_outputs({"--truth": options.truth}, {"--car": car_file, "--record": options.record})
     name = str(car_file)
     simulated = car.camera.source == "sim"
@@ -132,20 +146,18 @@ def command(
             raise ConfigError(
                 f"{name}: [camera] source {car.camera.source!r}: a car drives with csi or usb; see replay"
             )
+    if device is not None and simulated and not options.realtime:
+        raise ConfigError("--manual: the simulated car is driven by hand in real time; give --realtime, too")
+    if device == "none" and web_address is None:
+        raise ConfigError("--manual none: drives from the web page alone; give --web, too")
     drive = drive_simulated if simulated else drive_real
     if web_tls is not None and web_address is None:
         raise ConfigError("--web-tls: is for the web page; give --web too")
     with contextlib.ExitStack() as shown:
-        operator, viewers = None, []
+        operators: list[Operator] = [_device(device, shown)] if device not in (None, "none") else []
+        viewers: list[Viewer] = []
         if web_address is not None:
-            from automodel.web.access import PageOptions
-            from automodel.web.remote import WebRemote
-
-            host, port = host_and_port(web_address)
-            operator = shown.enter_context(WebRemote(car, PageOptions(host=host, port=port, tls=web_tls)))
-            say(f"web page: {operator.url}")
-            if web_tls is None and host not in ("127.0.0.1", "::1", "localhost"):
-                say("the page is not encrypted: on a network that others use, give --web-tls CERT KEY")
+            operators.append(_page(car, web_address, web_tls, device is not None, shown))
         if foxglove_port is not None:
             from automodel.recording.foxglove import layout_file
             from automodel.web.foxglove import FoxgloveLive
@@ -153,10 +165,37 @@ def command(
             live = shown.enter_context(FoxgloveLive(car, foxglove_port))
             viewers.append(live)
             say(f"foxglove: {live.url}; in Foxglove: Open connection, then import the layout {layout_file()}")
-        report = drive(car, text, options, operator, viewers)
+        report = drive(car, text, options, operators, viewers)
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
     return 1 if report.failed else 0
+
+
+def _device(name: str, shown: contextlib.ExitStack) -> Operator:
+    """The person at a gamepad or keyboard of this machine."""
+    from automodel.console.messages import say
+    from automodel.manual.device import open_device, reopen_device
+    from automodel.manual.operator import DeviceOperator
+
+    device = open_device(name)
+    say(f"by hand: {device.name}: {device.controls.how}")
+    return shown.enter_context(DeviceOperator(device, lambda: reopen_device(name)))
+
+
+def _page(
+    car: CarConfig, address: str, tls: tuple[Path, Path] | None, by_hand: bool, shown: contextlib.ExitStack
+) -> Operator:
+    """The person at the web page, which is served while `shown` is open."""
+    from automodel.console.messages import say
+    from automodel.web.access import PageOptions
+    from automodel.web.remote import WebRemote
+
+    host, port = host_and_port(address)
+    page = shown.enter_context(WebRemote(car, PageOptions(host=host, port=port, tls=tls, by_hand=by_hand)))
+    say(f"web page: {page.url}")
+    if tls is None and host not in ("127.0.0.1", "::1", "localhost"):
+        say("the page is not encrypted: on a network that others use, give --web-tls CERT KEY")
+    return page
 
 
 def host_and_port(address: str) -> tuple[str, int]:
