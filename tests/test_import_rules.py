@@ -32,6 +32,7 @@ PARTS = VISION | {
     "automodel.sim",
     "automodel.console",
     "automodel.manual",
+    "automodel.service",
     "firmware_link",
     "calibration",
 }
@@ -68,6 +69,13 @@ ALLOWED: dict[str, set[str]] = {
         "automodel.interfaces",
         "automodel.signals",
         "automodel.runtime.os_signals",
+    },
+    "automodel.service": {
+        "automodel.config",
+        "automodel.console.messages",
+        "automodel.output_files",
+        "automodel.runtime.run_types",
+        "automodel.signals",
     },
     "automodel.manual": {"automodel.config", "automodel.signals", "automodel.runtime.run_types"},
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},

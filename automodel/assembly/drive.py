@@ -130,9 +130,17 @@ class _People:
 
 
 def drive_simulated(
-    car: CarConfig, text: str, options: RunOptions, operators: Sequence[Operator] = (), viewers: Sequence[Viewer] = ()
+    car: CarConfig,
+    text: str,
+    options: RunOptions,
+    operators: Sequence[Operator] = (),
+    viewers: Sequence[Viewer] = (),
+    over: Callable[[], bool] = lambda: False,
 ) -> RunReport:
-    """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
+    """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile.
+
+    `over` is asked each cycle whether the run has to end.
+    """
     lane = load_track(options.track).lane(options.direction)
     laps = 1 if options.laps is None and options.duration_s is None and not options.by_hand else options.laps
     if laps is not None and not lane.centerline.closed:
@@ -178,7 +186,7 @@ def drive_simulated(
             wanted_by_hand=people.wanted_by_hand,
             on_event=people.on_event,
         )
-        result = _run(runner, watcher, simulated.clock, options.duration_s, cores)
+        result = _run(runner, watcher, simulated.clock, options.duration_s, over, cores)
     if recorder is not None:
         say(recorder.summary())
     if options.truth is not None:
@@ -190,9 +198,17 @@ def drive_simulated(
 
 
 def drive_real(
-    car: CarConfig, text: str, options: RunOptions, operators: Sequence[Operator] = (), viewers: Sequence[Viewer] = ()
+    car: CarConfig,
+    text: str,
+    options: RunOptions,
+    operators: Sequence[Operator] = (),
+    viewers: Sequence[Viewer] = (),
+    over: Callable[[], bool] = lambda: False,
 ) -> RunReport:
-    """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
+    """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile.
+
+    `over` is asked each cycle whether the run has to end.
+    """
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
         camera = CaptureThread(make_camera(car))
@@ -227,7 +243,7 @@ def drive_real(
             on_event=people.on_event,
         )
         try:
-            result = _run(runner, watcher, parts.clock, options.duration_s, cores)
+            result = _run(runner, watcher, parts.clock, options.duration_s, over, cores)
         except LinkError as error:  # only before the board's first hello: the run has not begun
             _discard(recorder)
             if isinstance(error, PortNotFound):
@@ -238,16 +254,24 @@ def drive_real(
 
 
 def _run(
-    runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None, cores: LoopCores | None
+    runner: Runner,
+    watcher: Watcher,
+    clock: Clock,
+    duration_s: float | None,
+    over: Callable[[], bool],
+    cores: LoopCores | None,
 ) -> RunResult:
-    """Run until the watcher has seen enough, `duration_s` is over or a signal comes; in real time as `cores` says."""
+    """Run until the watcher has seen enough, `duration_s` is over, `over` says so or a signal comes.
+
+    In real time as `cores` says.
+    """
     if cores is not None:
         cores.claim()
     start_ns = clock.now_ns()
 
     def finished() -> bool:
-        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
-        return over or watcher.finished()
+        late = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
+        return late or over() or watcher.finished()
 
     result = runner.run(stop=finished)
     if result.traceback is not None:

@@ -97,6 +97,7 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
     metavar="[PORT]",
     help="Serve the run to Foxglove on this machine, by default at ws://127.0.0.1:8766; it can only look.",
 )
+@click.option("--until-battery-low", is_flag=True, help="End when the battery has been low for 10 s: for the service.")
 @click.option("--json", "as_json", is_flag=True, help="Figures as JSON on stdout.")
 @click.pass_context
 def command(
@@ -110,6 +111,7 @@ def command(
     web_address: str | None,
     web_tls: tuple[Path, Path] | None,
     foxglove_port: int | None,
+    until_battery_low: bool,
     as_json: bool,
     **rest: object,
 ) -> int:
@@ -123,6 +125,8 @@ def command(
     from automodel.assembly.parts import is_live_camera, read_car
     from automodel.console.messages import say
     from automodel.console.tables import show
+    from automodel.service.battery import LowBattery
+    from automodel.service.notify import Notifier, ServiceViewer
 
     if rest["board"] == "can" and car_file is None:
         from automodel.cli.init import kit_path
@@ -165,7 +169,13 @@ def command(
             live = shown.enter_context(FoxgloveLive(car, foxglove_port))
             viewers.append(live)
             say(f"foxglove: {live.url}; in Foxglove: Open connection, then import the layout {layout_file()}")
-        report = drive(car, text, options, operators, viewers)
+        battery = LowBattery()
+        if until_battery_low:
+            viewers.append(battery)
+        notifier = Notifier()
+        if notifier.heard:
+            viewers.append(shown.enter_context(ServiceViewer(notifier)))
+        report = drive(car, text, options, operators, viewers, battery.over)
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
     return 1 if report.failed else 0
