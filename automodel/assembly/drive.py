@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from automodel.assembly.parts import build_run, make_camera, make_link, make_loop, make_recorder, run_config
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher
-from automodel.assembly.simulated_car import Simulation, board_of, lock_step, real_time
+from automodel.assembly.simulated_car import Simulation, board_of, lock_step, on_desk, real_time
 from automodel.config import CarConfig, ConfigError
 from automodel.console.keys import ArmKey
 from automodel.console.messages import EventPrinter, say
@@ -31,6 +31,7 @@ from firmware_link.transport import likely_ports
 
 _QUIET_REAL = frozenset({"end"})
 _QUIET_SIMULATED = frozenset({"arming", "driving", "end"})
+_DESK_PROMPT = "the board's motor and servo will move: lift the wheels; press Enter to arm, Ctrl-C to stop"
 _WIDTH_HINT = 1.2  # times car.toml's width; tracking expects that with a sigma of 12 %: others are found late or never
 _TRUTH_ONLY = (
     "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane",
@@ -57,6 +58,16 @@ class RunOptions:
     by_hand: bool = False
     record: Path | None = None
     truth: Path | None = None
+
+    @property
+    def on_desk(self) -> bool:
+        """Whether a real board drives the simulated car."""
+        return self.board == "serial"
+
+    @property
+    def arms_itself(self) -> bool:
+        """Whether the simulated car is armed without a person: a real board's motor turns, and a hand drives itself."""
+        return self.arm if self.on_desk else not self.by_hand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -160,10 +171,11 @@ def drive_simulated(
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores()) if options.realtime else None
-        watcher = Watcher(
-            laps, leaving.enter_context(progress(f"run {options.track}", total_m)), patient=options.by_hand
-        )
-        simulated = (real_time if options.realtime else lock_step)(car, simulation, watcher.on_scene)
+        key = leaving.enter_context(ArmKey(_DESK_PROMPT)).pressed if options.on_desk else None
+        shown = leaving.enter_context(progress(f"run {options.track}", total_m))
+        watcher = Watcher(laps, shown, patient=not options.arms_itself)
+        build = on_desk if options.on_desk else real_time if options.realtime else lock_step
+        simulated = build(car, simulation, watcher.on_scene)
         leaving.callback(simulated.close)
         recorder = make_recorder(options.record, text, car) if options.record else None
         parts = build_run(
@@ -173,9 +185,10 @@ def drive_simulated(
             clock=simulated.clock,
             loop=make_loop(car, checks=checks),
             recorder=recorder,
-            auto_arm=not options.by_hand,
+            auto_arm=options.arms_itself,
         )
-        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operators, viewers)
+        quiet = _QUIET_REAL if options.on_desk else _QUIET_SIMULATED
+        people = _People(watcher, EventPrinter(simulated.clock, quiet), key, operators, viewers)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(
             parts,
@@ -192,7 +205,7 @@ def drive_simulated(
     if options.truth is not None:
         watcher.write_truth(options.truth)
     latencies_ms = (result.latency_ms(50), result.latency_ms(99)) if options.realtime else watch.percentiles_ms()
-    row = watcher.row(result, latencies_ms)
+    row = watcher.row(result, latencies_ms) | simulated.metrics()
     missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
     return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
 

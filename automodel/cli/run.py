@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,7 @@ from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, check_outputs, fin
 from automodel.config import CarConfig, ConfigError
 
 if TYPE_CHECKING:
-    from automodel.assembly.drive import Operator, Viewer
+    from automodel.assembly.drive import Operator, RunOptions, Viewer
 
 SIMULATED_ONLY = ("laps", "track", "direction", "seed", "style", "board", "realtime", "truth")
 REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms")  # the others need the truth
@@ -51,15 +52,21 @@ REAL_COLUMNS = ("frames", "skipped", "stops", "latency_p50_ms", "latency_p99_ms"
 @click.option(
     "--link",
     "board",
-    type=click.Choice(("emulated", "avr", "autonomos", "can")),
+    type=click.Choice(("emulated", "avr", "autonomos", "can", "serial")),
     help="Simulated: the board; avr is the firmware on a simulated ATmega328P (needs avr-gcc and simavr), autonomos "
-    "that of an AutoNOMOS car, can a full-size car (without --car that of `init full-size` on the track ring).  "
+    "that of an AutoNOMOS car, can a full-size car (without --car that of `init full-size` on the track ring), serial "
+    "the real one at car.toml's port, with --sim-camera.  "
     "[default: as [link] kind says, emulated]",
 )
 @click.option(
     "--realtime", is_flag=True, help="Simulated: against the real clock, camera and board in another process."
 )
-@click.option("--arm", is_flag=True, help="Real car: arm once without asking, as soon as all is well.")
+@click.option(
+    "--sim-camera",
+    is_flag=True,
+    help="With --car of a real car: its board makes the pulses, the world is simulated (hardware in the loop).",
+)
+@click.option("--arm", is_flag=True, help="Real board: arm once without asking, as soon as all is well.")
 @click.option(
     "--manual",
     "device",
@@ -107,6 +114,7 @@ def command(
     pipeline: str | None,
     speed_mps: float | None,
     device: str | None,
+    sim_camera: bool,
     lossless: bool,
     web_address: str | None,
     web_tls: tuple[Path, Path] | None,
@@ -138,8 +146,10 @@ def command(
     options = RunOptions(by_hand=device is not None, **rest)  # type: ignore[arg-type]
     check_outputs({"--truth": options.truth}, {"--car": car_file, "--record": options.record})
     name = str(car_file)
-    simulated = car.camera.source == "sim"
-    if simulated != (car.link.port == "sim"):
+    if sim_camera or options.on_desk:
+        options = _desk_options(options, car, name if car_file else "the default car", sim_camera)
+    simulated = car.camera.source == "sim" or sim_camera
+    if not sim_camera and simulated != (car.link.port == "sim"):
         raise ConfigError(f'{name}: [camera] source and [link] port: either both are "sim" or neither is')
     if not simulated:
         given = [key for key in SIMULATED_ONLY if ctx.get_parameter_source(key) is ParameterSource.COMMANDLINE]
@@ -179,6 +189,19 @@ def command(
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
     return 1 if report.failed else 0
+
+
+def _desk_options(options: RunOptions, car: CarConfig, name: str, sim_camera: bool) -> RunOptions:
+    """Those of a run in which the board at car.toml's port drives the simulated car; raises ConfigError."""
+    if not sim_camera or options.board not in (None, "serial"):
+        raise ConfigError("--link serial and --sim-camera: a real board in a simulated world; give both")
+    if car.link.port == "sim":
+        raise ConfigError(f'--sim-camera: [link] port of {name} is "sim"; give --car of a car with a real board')
+    if car.link.kind != "arduino":
+        raise ConfigError(
+            f"--sim-camera: {name}: [link] kind {car.link.kind!r} does not say which pulses it makes; arduino does"
+        )
+    return dataclasses.replace(options, board="serial", realtime=True)
 
 
 def _device(name: str, shown: contextlib.ExitStack) -> Operator:
