@@ -12,9 +12,12 @@ from pathlib import Path
 import pytest
 
 from automodel.assembly.desk import SILENT_NS, DeskLink, DeskMemory, DeskPort, EchoMeter
+from automodel.assembly.drive import RunOptions, drive_simulated
 from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.config import parse_car
-from automodel.signals import Command
+from automodel.runtime.run_types import TickRecord
+from automodel.runtime.safety import SafetyMode
+from automodel.signals import Command, DriverInput, Event
 from firmware_link.emulator.avr import AvrBoard
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
@@ -125,29 +128,45 @@ def test_a_board_that_falls_silent_is_neutral_for_the_world(tmp_path: Path) -> N
     link.close()
 
 
-def drive(board: EmulatedArduino | AvrBoard, tmp_path: Path, cli: Cli) -> None:
-    car = tmp_path / "car.toml"
-    with PtyBoard(board) as port:
-        car.write_text(CAR.format(port=port.path))
-        said = cli(
-            "run", "--link", "serial", "--car", car, "--sim-camera", "--track", "oval", "--style", "clean", "--arm",
-            "--pipeline", "contour", "--duration", "8", "--truth", tmp_path / "truth.csv", "--json",
-        )  # fmt: skip
-    assert said.code in (0, 1), said.err  # on a loaded machine it may have to stop
-    (row,) = said.rows
-    assert "driving: the vehicle is armed" in said.err
-    assert row["echo_p50_ms"] > 0
-    assert row["pulse_error_max_us"] is not None
-    with open(tmp_path / "truth.csv", newline="") as file:
-        places = [(float(line["x_m"]), float(line["y_m"])) for line in csv.DictReader(file)]
-    assert max(abs(x - places[0][0]) + abs(y - places[0][1]) for x, y in places) > 0.2  # it drove
+class Insistent:
+    """Arms again and again: a loaded machine may stop the car. Enough is a drive of some decimetres."""
+
+    def __init__(self) -> None:
+        self.driven = 0  # cycles in which the simulated car drove
+
+    def on_tick(self, record: TickRecord) -> None:
+        speed_mps = record.state.speed_mps if record.state is not None else None
+        self.driven += record.decision.mode is SafetyMode.DRIVING and (speed_mps or 0.0) > 0.2
+
+    def on_event(self, event: Event) -> None:
+        pass
+
+    def arm_requested(self) -> bool:
+        return True
+
+    def stop_requested(self) -> str | None:
+        return None
+
+    def wanted_by_hand(self) -> DriverInput | None:
+        return None
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_an_emulated_board_drives_the_simulated_world(tmp_path: Path, cli: Cli) -> None:
-    bench = BenchPeripherals()
-    drive(EmulatedArduino(bench, 115200), tmp_path, cli)
+def test_an_emulated_board_drives_the_simulated_world(tmp_path: Path) -> None:
+    bench, person = BenchPeripherals(), Insistent()
+    with PtyBoard(EmulatedArduino(bench, 115200)) as port:
+        car = parse_car(CAR.format(port=port.path) + '[pipeline]\nname = "contour"\n', "car.toml")
+        options = RunOptions(
+            track="oval", style="clean", board="serial", realtime=True, duration_s=120.0, truth=tmp_path / "truth.csv"
+        )
+        report = drive_simulated(car, "", options, [person], over=lambda: person.driven > 30)
+    assert person.driven > 30
+    assert report.row["echo_p50_ms"] > 0
+    assert report.row["pulse_error_max_us"] is not None
+    with open(tmp_path / "truth.csv", newline="") as file:
+        places = [(float(line["x_m"]), float(line["y_m"])) for line in csv.DictReader(file)]
+    assert max(abs(x - places[0][0]) + abs(y - places[0][1]) for x, y in places) > 0.2
     assert len({servo_us for _, servo_us, _ in bench.pulses}) > 3  # it steered
 
 
