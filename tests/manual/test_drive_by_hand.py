@@ -14,36 +14,40 @@ from automodel.manual.device import EvdevDevice
 from automodel.manual.operator import DeviceOperator
 from automodel.recording.reader import Recording, RecordingSource
 from automodel.runtime.run_types import TickRecord
+from automodel.runtime.safety import SafetyMode
 from automodel.signals import Event
 from tests.support.piped_pad import PipedPad
 
 pytestmark = [pytest.mark.slow, pytest.mark.realtime]
 
-FRAMES_BEFORE, FRAMES_DRIVEN = 60, 60
+EVERY = 40  # ticks between two presses: what is refused, or stopped on a loaded machine, is tried again
+ENOUGH, AFTER = 60, 30  # ticks driven by hand, and after it has let go
 
 
 class Person(DeviceOperator):
-    """Presses the button once the car could be armed, goes left, and lets go."""
+    """Presses the button until the car drives, goes left, and lets go."""
 
     def __init__(self, pad: PipedPad, vanish: bool) -> None:
         super().__init__(EvdevDevice(pad))
-        self._pad, self._vanish, self._frames, self._driven = pad, vanish, 0, 0
+        self._pad, self._vanish, self._ticks, self._down = pad, vanish, 0, False
+        self.driven = self.after = 0
         self.events: list[Event] = []
 
     def on_tick(self, record: TickRecord) -> None:
         if record.tick is None:
             return
-        self._frames += record.decision.reason in (None, "the lane is lost")
-        self._driven += record.tick.driver is not None and record.decision.mode.value == "DRIVING"
-        if self._frames == FRAMES_BEFORE:
-            self._frames += 1
-            self._pad.send((EV_KEY, BTN_TR, 1), (EV_ABS, ABS_RZ, 1023), (EV_ABS, ABS_X, -9000), (0, 0, 0))
-        if self._driven == FRAMES_DRIVEN:
-            self._driven += 1
-            if self._vanish:
+        driving = record.tick.driver is not None and record.decision.mode is SafetyMode.DRIVING
+        self._ticks += 1
+        self.driven += driving
+        if self.driven > ENOUGH:
+            self.after += 1
+            if self.after == 1 and self._vanish:
                 self._pad.unplugged = True
-            else:
+            elif self.after == 1:
                 self._pad.send((EV_KEY, BTN_TR, 0))
+        elif self._ticks % EVERY == 0 and not driving:
+            self._down = not self._down
+            self._pad.send((EV_KEY, BTN_TR, int(self._down)), (EV_ABS, ABS_RZ, 1023), (EV_ABS, ABS_X, -9000), (0, 0, 0))
 
     def on_event(self, event: Event) -> None:
         self.events.append(event)
@@ -53,18 +57,19 @@ class Person(DeviceOperator):
 def test_a_person_drives_and_the_car_stops_when_the_pad(vanish: bool, tmp_path: Path) -> None:
     car: CarConfig = parse_car('[pipeline]\nname = "windows"\n', "car.toml")
     options = RunOptions(
-        track="oval", duration_s=8.0, realtime=True, by_hand=True, record=tmp_path / "run.mcap", style="clean"
+        track="oval", duration_s=120.0, realtime=True, by_hand=True, record=tmp_path / "run.mcap", style="clean"
     )
     pad = PipedPad()
     person = Person(pad, vanish)
     with person:
-        drive_simulated(car, "", options, [person])
+        drive_simulated(car, "", options, [person], over=lambda: person.after > AFTER)
     kinds = [event.kind for event in person.events]
     assert "driving" in kinds
     assert kinds[-1] == "end"
     stops = [event.text for event in person.events if event.kind == "stop"]
     assert "the gamepad is gone" in stops if vanish else "the gamepad's button was released" in stops
     steps = list(RecordingSource(tmp_path / "run.mcap").recording.steps())
+    assert person.driven > ENOUGH
     driven = [step for step in steps if step.driver is not None and any(c.speed_mps > 0 for c in step.commands)]
     assert driven
     limit_rad = car.safety.steering_max_rad
