@@ -22,6 +22,7 @@ let rows = [];
 let yaw = 0;
 let socket = null;
 let holding = null; // the timer that says that a button is held
+let drove = false; // whether the car drove since the button is held
 let hand = null; // who drives by hand: {button, read}, read() gives shares of steering (left +) and speed
 let pictureUrl = "";
 
@@ -80,10 +81,15 @@ function told(news) {
   if (rows.length > KEPT) rows.splice(0, rows.length - KEPT);
   yaw = news.yaw_rad;
   at("hold").disabled = at("take").disabled = false;
-  at("driver").textContent = news.by_hand ? "by hand" : "pipeline";
+  const driving = ["DRIVING", "HOLD"].includes(news.mode);
+  at("driver").textContent = !driving ? "nobody" : news.by_hand ? "by hand" : "pipeline";
+  if (holding === null) drove = false;
+  else if (driving) drove = true;
+  else if (drove) release(); // the car was stopped: the button has to be pressed anew
   at("mode").textContent = news.mode;
   at("mode").dataset.mode = news.mode;
-  at("reason").textContent = news.reason || "";
+  const stopped = news.mode === "STOPPED" ? news.events.filter((event) => event[1] === "stop").pop() : null;
+  at("reason").textContent = news.reason || (stopped ? stopped[2] : "");
   at("lane").textContent = news.lane || "-";
   at("armed").textContent = [news.armed === null ? "silent" : news.armed ? "armed" : "disarmed", ...news.vehicle_faults].join(", ");
   at("battery").textContent = news.battery_v === null ? "-" : news.battery_v.toFixed(2) + " V" + (news.battery_low ? ", low" : "");
@@ -165,9 +171,15 @@ function drawMap() {
   pen.fillText("1 m", 12, h - 14);
 }
 
-function drawAll() {
-  PLOTS.forEach((what, i) => plot(canvases[i], what));
-  drawMap();
+let drawn = ""; // what is on the canvases
+function drawAll() { // only what has changed: a phone has other things to do
+  const newest = rows.length ? rows[rows.length - 1][T] : -1;
+  const key = [newest, at("map").clientWidth, canvases[0][0].clientWidth, window.devicePixelRatio, ink("--ink")].join();
+  if (key !== drawn) {
+    drawn = key;
+    PLOTS.forEach((what, i) => plot(canvases[i], what));
+    drawMap();
+  }
   requestAnimationFrame(drawAll);
 }
 
