@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import io
+import subprocess
+import sys
 from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
 
 import aiohttp.test_utils
 import cv2
@@ -14,6 +17,7 @@ from aiohttp import web
 
 from automodel.config import CarConfig
 from automodel.geometry import SE2
+from automodel.recording.reader import Recording
 from automodel.signals import Command, Event, LaneEstimate, LaneStatus, Motion, VehicleState
 from automodel.web.access import Access
 from automodel.web.guard import CLIENTS_MAX, MESSAGE_BYTES
@@ -381,3 +385,43 @@ def test_long_words_unknown_words_floods_and_crowds_are_cut_off(browser: Chromiu
         assert [word for word in made.words if word is not Word.HOLD] == []
 
     browsed(browser, test)
+
+
+@pytest.mark.slow
+def test_stop_reaches_the_wire_of_a_run(browser: Chromium, tmp_path: Path) -> None:
+    """The simulated car drives by itself; after the page's STOP no command has any speed."""
+    recording = tmp_path / "run.mcap"
+    command = [
+        sys.executable,
+        "-m",
+        "automodel",
+        "run",
+        "--web",
+        "127.0.0.1:0",
+        "--pipeline",
+        "contour",
+        "--laps",
+        "500",
+    ]
+
+    async def press(url: str) -> None:
+        async with browser.tab(url) as tab:
+            await tab.until("document.getElementById('mode').textContent === 'DRIVING'")
+            await tab.mouse("mousePressed", "stop")
+            await tab.until("document.getElementById('mode').textContent !== 'DRIVING'")
+
+    with subprocess.Popen([*command, "--record", recording], stderr=subprocess.PIPE, text=True) as run:
+        assert run.stderr is not None
+        url = next(line.split()[-1] for line in run.stderr if line.startswith("web page:"))
+        asyncio.run(asyncio.wait_for(press(url), WAIT_S))
+        said = run.stderr.read()  # it ends, because the car stands
+    assert run.returncode == 1
+    assert "stop: STOP on the web page" in said
+    values = [message.value for message in Recording(recording)]
+    (stop,) = [value for value in values if isinstance(value, Event) and value.kind == "stop"]
+    commands = [value for value in values if isinstance(value, Command)]
+    assert any(command.speed_mps > 0 for command in commands if command.t_ns < stop.t_ns)
+    after = [command for command in commands if command.t_ns >= stop.t_ns]
+    assert after
+    assert not any(command.speed_mps for command in after)
+    assert after[0].t_ns - stop.t_ns < 20_000_000  # the very cycle, on the run's own clock
