@@ -170,6 +170,9 @@ def command(
     with contextlib.ExitStack() as shown:
         operators: list[Operator] = [_device(device, shown)] if device not in (None, "none") else []
         viewers: list[Viewer] = []
+        notifier = Notifier()  # before any process is started, which must not speak in this one's name
+        if notifier.heard:
+            viewers.append(shown.enter_context(ServiceViewer(notifier)))
         if web_address is not None:
             operators.append(_page(car, web_address, web_tls, device is not None, shown))
         if foxglove_port is not None:
@@ -182,9 +185,6 @@ def command(
         battery = LowBattery()
         if until_battery_low:
             viewers.append(battery)
-        notifier = Notifier()
-        if notifier.heard:
-            viewers.append(shown.enter_context(ServiceViewer(notifier)))
         report = drive(car, text, options, operators, viewers, battery.over)
     show("run", [report.row], as_json, None if simulated or as_json else REAL_COLUMNS)
     say(report.ended)
