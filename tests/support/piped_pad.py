@@ -6,11 +6,13 @@ import os
 import struct
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
-from evdev.eventio import EventIO
+import pytest
 
 from automodel.manual.controls import ABS_RX, ABS_RY, ABS_RZ, ABS_X, ABS_Z, BTN_EAST, BTN_SOUTH, BTN_TR, EV_ABS, EV_KEY
 
+EventIO: Any = pytest.importorskip("evdev.eventio", reason="needs the extra manual").EventIO
 EVENT = struct.Struct("llHHi")  # struct input_event
 STICK, TRIGGER = (-32768, 32767), (0, 1023)
 AXES = {ABS_X: STICK, ABS_RX: STICK, ABS_RY: STICK, ABS_Z: TRIGGER, ABS_RZ: TRIGGER}
