@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import Command, DriverInput, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
 
 
 class Clock(Protocol):
@@ -40,6 +40,16 @@ class Controller(Protocol):
     """Computes the requested command from a lane estimate and the vehicle's state; limits follow."""
 
     def step(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None, t_ns: int) -> Command:
+        """The requested command at `t_ns`."""
+
+    def reset(self) -> None:
+        """Forget everything but the configuration."""
+
+
+class Driver(Protocol):
+    """Computes the requested command of a person who drives; limits follow."""
+
+    def step(self, wanted: DriverInput, t_ns: int) -> Command:
         """The requested command at `t_ns`."""
 
     def reset(self) -> None:
@@ -85,6 +95,9 @@ class Recorder(Protocol):
 
     def command(self, command: Command) -> None:
         """Record a command as it was sent, after the limits."""
+
+    def driver(self, wanted: DriverInput) -> None:
+        """Record what the person wanted who drove by the last frame."""
 
     def event(self, event: Event) -> None:
         """Record a safety event."""

@@ -198,6 +198,23 @@ NEUTRAL = Command(t_ns=0, steering_rad=0.0, speed_mps=0.0, valid_until_ns=0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DriverInput:
+    """What a person who drives wants, heard at `t_ns`.
+
+    Shares -1 .. 1 of the greatest steering, left positive, and of the greatest speed.
+    """
+
+    t_ns: int
+    steering: float
+    speed: float
+
+    def __post_init__(self) -> None:
+        for name in ("steering", "speed"):
+            if not -1.0 <= getattr(self, name) <= 1.0:  # NaN too
+                raise ValueError(f"DriverInput.{name}: expected a share from -1 to 1, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class VehicleState:
     """The state that a vehicle reports; None for a value that it does not report.
 

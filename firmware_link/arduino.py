@@ -124,11 +124,22 @@ class ArduinoLink:
         self._battery = BatteryMeter(vehicle_config.battery_low_v)
         self._session: _Session | None = None
         self._counter = 0
+        self.last_command: tuple[int, messages.Command] | None = None  # that was written, with its counter
 
     @property
     def errors(self) -> FrameErrors:
         """Damaged frames since the link was created."""
         return self._decoder.errors
+
+    @property
+    def status(self) -> messages.Status | None:
+        """The board's newest Status, None before the first."""
+        return None if self._session is None else self._session.status
+
+    @property
+    def neutral_us(self) -> tuple[float, float]:
+        """The pulses (servo, motor) [us] for straight ahead and neutral."""
+        return self._servo.zero_us, self._motor.zero_us
 
     @property
     def hello(self) -> messages.Hello | None:
@@ -180,14 +191,14 @@ class ArduinoLink:
             and math.isfinite(command.steering_rad)
             and math.isfinite(command.speed_mps)
         )
-        self._write(
-            messages.Command(
-                servo_us=self._servo.pulse_us(command.steering_rad) if fresh else self._servo.zero_us,
-                motor_us=self._motor.pulse_us(command.speed_mps) if fresh else self._motor.zero_us,
-                deadline_ms=deadline_ns // _MS & 0xFFFF,
-                flags=int(CommandFlag.FRESH) if fresh else 0,
-            )
+        message = messages.Command(
+            servo_us=self._servo.pulse_us(command.steering_rad) if fresh else self._servo.zero_us,
+            motor_us=self._motor.pulse_us(command.speed_mps) if fresh else self._motor.zero_us,
+            deadline_ms=deadline_ns // _MS & 0xFFFF,
+            flags=int(CommandFlag.FRESH) if fresh else 0,
         )
+        self._write(message)
+        self.last_command = self._counter, message
 
     def arm(self, now_ns: int) -> None:
         """Request the board to accept commands; ignored while `poll` still gives None."""

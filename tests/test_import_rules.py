@@ -31,6 +31,8 @@ PARTS = VISION | {
     "automodel.recording",
     "automodel.sim",
     "automodel.console",
+    "automodel.manual",
+    "automodel.service",
     "firmware_link",
     "calibration",
 }
@@ -68,6 +70,14 @@ ALLOWED: dict[str, set[str]] = {
         "automodel.signals",
         "automodel.runtime.os_signals",
     },
+    "automodel.service": {
+        "automodel.config",
+        "automodel.console.messages",
+        "automodel.output_files",
+        "automodel.runtime.run_types",
+        "automodel.signals",
+    },
+    "automodel.manual": {"automodel.config", "automodel.signals", "automodel.runtime.run_types"},
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
     "calibration": PARTS - {"automodel.pipelines", "automodel.perception"}
     | {"automodel.perception.markings.ridge", "automodel.perception.markings.marking_width"},
@@ -175,6 +185,7 @@ def test_the_layers_exist() -> None:
         ("automodel.perception.windows.sliding_windows", "automodel.estimation.polynomial.lane_fit"),
         ("automodel.control.limits", "automodel.perception"),
         ("automodel.recording.writer", "automodel.runtime.runner"),
+        ("automodel.manual.operator", "automodel.web.remote"),
         ("automodel.runtime.runner", "automodel.pipelines"),
         ("automodel.runtime.run_log", "automodel.recording.writer"),
         ("automodel.runtime.run_types", "automodel.sources.files"),

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from automodel.assembly.parts import build_run, make_camera, make_link, make_loop, make_recorder, run_config
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher
-from automodel.assembly.simulated_car import Simulation, board_of, lock_step, real_time
+from automodel.assembly.simulated_car import Simulation, board_of, lock_step, on_desk, real_time
 from automodel.config import CarConfig, ConfigError
 from automodel.console.keys import ArmKey
 from automodel.console.messages import EventPrinter, say
@@ -23,7 +23,7 @@ from automodel.runtime.cores import LoopCores
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
+from automodel.signals import DriverInput, Event
 from automodel.sim.track_files import load_track
 from automodel.sources.cameras import CaptureThread
 from firmware_link.errors import LinkError, PortNotFound
@@ -31,6 +31,7 @@ from firmware_link.transport import likely_ports
 
 _QUIET_REAL = frozenset({"end"})
 _QUIET_SIMULATED = frozenset({"arming", "driving", "end"})
+_DESK_PROMPT = "the board's motor and servo will move: lift the wheels; press Enter to arm, Ctrl-C to stop"
 _WIDTH_HINT = 1.2  # times car.toml's width; tracking expects that with a sigma of 12 %: others are found late or never
 _TRUTH_ONLY = (
     "laps", "lap_s", "max_abs_offset_m", "mae_offset_m", "left_lane",
@@ -40,7 +41,10 @@ _TRUTH_ONLY = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """What a run is asked for beyond car.toml; `board` is the simulated one (None: that of [link] kind)."""
+    """What a run is asked for beyond car.toml; `board` is the simulated one (None: that of [link] kind).
+
+    `by_hand`: a person may drive, and a simulated car waits to be armed, too.
+    """
 
     laps: int | None = None
     duration_s: float | None = None
@@ -51,8 +55,19 @@ class RunOptions:
     board: str | None = None
     realtime: bool = False
     arm: bool = False
+    by_hand: bool = False
     record: Path | None = None
     truth: Path | None = None
+
+    @property
+    def on_desk(self) -> bool:
+        """Whether a real board drives the simulated car."""
+        return self.board == "serial"
+
+    @property
+    def arms_itself(self) -> bool:
+        """Whether the simulated car is armed without a person: a real board's motor turns, and a hand drives itself."""
+        return self.arm if self.on_desk else not self.by_hand
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +88,7 @@ class Viewer(RunObserver, Protocol):
 
 
 class Operator(Viewer, Protocol):
-    """A person at a distance, who is shown the run and commands it; nothing here may wait."""
+    """A person who is shown the run and commands it, by a page or a device; nothing here may wait."""
 
     def arm_requested(self) -> bool:
         """Whether arming was asked for since the last call."""
@@ -83,20 +98,24 @@ class Operator(Viewer, Protocol):
         """Why the car has to stop, None where it has not; called every cycle, before `arm_requested`."""
         ...
 
+    def wanted_by_hand(self) -> DriverInput | None:
+        """What the person wants who drives by hand, None while nobody does; called every cycle, first of all."""
+        ...
+
 
 class _People:
-    """The run's own watcher, teller and key, an operator where there is one, and who only looks."""
+    """The run's own watcher, teller and key, the operators, of whom the first goes before, and who only looks."""
 
     def __init__(
         self,
         watcher: Watcher,
         teller: EventPrinter,
         key: Callable[[], bool] | None,
-        operator: Operator | None,
+        operators: Sequence[Operator],
         viewers: Sequence[Viewer],
     ) -> None:
-        self._watcher, self._teller, self._key, self._operator = watcher, teller, key, operator
-        self._shown = viewers if operator is None else (operator, *viewers)
+        self._watcher, self._teller, self._key, self._operators = watcher, teller, key, operators
+        self._shown = (*operators, *viewers)
 
     def on_tick(self, record: TickRecord) -> None:
         self._watcher.on_tick(record)
@@ -110,19 +129,31 @@ class _People:
 
     def arm_requested(self) -> bool:
         by_key = self._key is not None and self._key()
-        by_operator = self._operator is not None and self._operator.arm_requested()
-        return by_key or by_operator
+        return any([by_key, *(operator.arm_requested() for operator in self._operators)])  # each is asked
 
     def stop_requested(self) -> str | None:
-        return self._operator.stop_requested() if self._operator is not None else None
+        reasons = [operator.stop_requested() for operator in self._operators]  # each is asked
+        return next((reason for reason in reasons if reason is not None), None)
+
+    def wanted_by_hand(self) -> DriverInput | None:
+        wanted = [operator.wanted_by_hand() for operator in self._operators]
+        return next((one for one in wanted if one is not None), None)
 
 
 def drive_simulated(
-    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+    car: CarConfig,
+    text: str,
+    options: RunOptions,
+    operators: Sequence[Operator] = (),
+    viewers: Sequence[Viewer] = (),
+    over: Callable[[], bool] = lambda: False,
 ) -> RunReport:
-    """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile."""
+    """Drive the simulated car; `text` is the car.toml that a recording shall hold. Events go to stderr meanwhile.
+
+    `over` is asked each cycle whether the run has to end.
+    """
     lane = load_track(options.track).lane(options.direction)
-    laps = 1 if options.laps is None and options.duration_s is None else options.laps
+    laps = 1 if options.laps is None and options.duration_s is None and not options.by_hand else options.laps
     if laps is not None and not lane.centerline.closed:
         raise ConfigError(f"{options.track}: the road is not closed, there are no laps; give --duration")
     width_m, told_m = float(lane.width_m(0.0)), car.lane.width_m
@@ -140,8 +171,11 @@ def drive_simulated(
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores()) if options.realtime else None
-        watcher = Watcher(laps, leaving.enter_context(progress(f"run {options.track}", total_m)))
-        simulated = (real_time if options.realtime else lock_step)(car, simulation, watcher.on_scene)
+        key = leaving.enter_context(ArmKey(_DESK_PROMPT)).pressed if options.on_desk else None
+        shown = leaving.enter_context(progress(f"run {options.track}", total_m))
+        watcher = Watcher(laps, shown, patient=not options.arms_itself)
+        build = on_desk if options.on_desk else real_time if options.realtime else lock_step
+        simulated = build(car, simulation, watcher.on_scene)
         leaving.callback(simulated.close)
         recorder = make_recorder(options.record, text, car) if options.record else None
         parts = build_run(
@@ -151,8 +185,10 @@ def drive_simulated(
             clock=simulated.clock,
             loop=make_loop(car, checks=checks),
             recorder=recorder,
+            auto_arm=options.arms_itself,
         )
-        people = _People(watcher, EventPrinter(simulated.clock, _QUIET_SIMULATED), None, operator, viewers)
+        quiet = _QUIET_REAL if options.on_desk else _QUIET_SIMULATED
+        people = _People(watcher, EventPrinter(simulated.clock, quiet), key, operators, viewers)
         config = run_config(car, collector_off=options.realtime)
         runner = Runner(
             parts,
@@ -160,25 +196,32 @@ def drive_simulated(
             observer=people,
             arm_requested=people.arm_requested,
             stop_requested=people.stop_requested,
+            wanted_by_hand=people.wanted_by_hand,
             on_event=people.on_event,
         )
-        result = _run(runner, watcher, simulated.clock, options.duration_s, cores)
+        result = _run(runner, watcher, simulated.clock, options.duration_s, over, cores)
     if recorder is not None:
         say(recorder.summary())
     if options.truth is not None:
         watcher.write_truth(options.truth)
     latencies_ms = (result.latency_ms(50), result.latency_ms(99)) if options.realtime else watch.percentiles_ms()
-    row = watcher.row(result, latencies_ms)
-    if simulated.jitter_ms is not None:
-        row |= dict(zip(("jitter_p50_ms", "jitter_p99_ms"), simulated.jitter_ms(), strict=True))
+    row = watcher.row(result, latencies_ms) | simulated.metrics()
     missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
     return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
 
 
 def drive_real(
-    car: CarConfig, text: str, options: RunOptions, operator: Operator | None = None, viewers: Sequence[Viewer] = ()
+    car: CarConfig,
+    text: str,
+    options: RunOptions,
+    operators: Sequence[Operator] = (),
+    viewers: Sequence[Viewer] = (),
+    over: Callable[[], bool] = lambda: False,
 ) -> RunReport:
-    """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
+    """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile.
+
+    `over` is asked each cycle whether the run has to end.
+    """
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
         camera = CaptureThread(make_camera(car))
@@ -201,18 +244,19 @@ def drive_real(
             with cores.elsewhere():
                 return CaptureThread(make_camera(car))
 
-        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operator, viewers)
+        people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operators, viewers)
         runner = Runner(
             parts,
             run_config(car, collector_off=True),
             observer=people,
             arm_requested=people.arm_requested,
             stop_requested=people.stop_requested,
+            wanted_by_hand=people.wanted_by_hand,
             reopen=reopen,
             on_event=people.on_event,
         )
         try:
-            result = _run(runner, watcher, parts.clock, options.duration_s, cores)
+            result = _run(runner, watcher, parts.clock, options.duration_s, over, cores)
         except LinkError as error:  # only before the board's first hello: the run has not begun
             _discard(recorder)
             if isinstance(error, PortNotFound):
@@ -223,16 +267,24 @@ def drive_real(
 
 
 def _run(
-    runner: Runner, watcher: Watcher, clock: Clock, duration_s: float | None, cores: LoopCores | None
+    runner: Runner,
+    watcher: Watcher,
+    clock: Clock,
+    duration_s: float | None,
+    over: Callable[[], bool],
+    cores: LoopCores | None,
 ) -> RunResult:
-    """Run until the watcher has seen enough, `duration_s` is over or a signal comes; in real time as `cores` says."""
+    """Run until the watcher has seen enough, `duration_s` is over, `over` says so or a signal comes.
+
+    In real time as `cores` says.
+    """
     if cores is not None:
         cores.claim()
     start_ns = clock.now_ns()
 
     def finished() -> bool:
-        over = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
-        return over or watcher.finished()
+        late = duration_s is not None and clock.now_ns() - start_ns >= duration_s * 1e9
+        return late or over() or watcher.finished()
 
     result = runner.run(stop=finished)
     if result.traceback is not None:

@@ -14,6 +14,7 @@ from automodel.config.parts import CAMERAS, CONTROLLERS, LINKS, PIPELINES
 from automodel.config.toml_reader import read_text
 from automodel.console.messages import say
 from automodel.control.limits import Limits
+from automodel.control.manual import ManualDriver
 from automodel.estimation.ego_motion import MotionEstimator
 from automodel.interfaces import Controller, Pipeline, Recorder, Source, VehicleLink
 from automodel.recording.reader import RecordingSource
@@ -165,6 +166,7 @@ def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Check
         validity_s=car.safety.command_validity_s,
         stopwatch=time.perf_counter_ns,
         checks=checks,
+        driver=ManualDriver(car),
     )
 
 

@@ -26,10 +26,13 @@ GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
 
 
 class Watcher:
-    """Implements `RunObserver`, and takes the scenes of the simulator, which a real car does not have."""
+    """Implements `RunObserver`, and takes the scenes of the simulator, which a real car does not have.
 
-    def __init__(self, laps: int | None, advance: Callable[..., None]) -> None:
-        self._laps, self._advance = laps, advance
+    `patient`: a simulated car may stand for as long as it likes, because a person drives it.
+    """
+
+    def __init__(self, laps: int | None, advance: Callable[..., None], *, patient: bool = False) -> None:
+        self._laps, self._advance, self._patient = laps, advance, patient
         self.scenes: list[Scene] = []
         self._estimates: list[tuple[int, LanePose]] = []  # with their capture times [ns]
         self._driving_from: int | None = None  # index of the first scene in which it was driving
@@ -72,7 +75,7 @@ class Watcher:
     def gave_up(self) -> str | None:
         """Why the simulated car stands and will not go on; None where it does."""
         stood = self._stood_since_ns
-        if stood is None or self._now_ns - stood <= GIVE_UP_S * 1e9:
+        if self._patient or stood is None or self._now_ns - stood <= GIVE_UP_S * 1e9:
             return None
         return f"the car has stood for {GIVE_UP_S:g} s: {self._reason or 'it was given no speed'}"
 

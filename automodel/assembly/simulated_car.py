@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from automodel.assembly.can_parts import can_functions
+from automodel.assembly.desk import DeskLink, DeskMemory, DeskPort
 from automodel.assembly.registry import make_part
 from automodel.config import CarConfig, ConfigError
 from automodel.config.parts import LINKS
@@ -50,7 +51,7 @@ class Simulation:
     """What is simulated: the track (name or file), the driving direction, the seed and style of light and floor.
 
     `link` is the board: "emulated"; "avr", the firmware itself on a simulated microcontroller; "autonomos", that of an
-    AutoNOMOS car; "can", a full-size vehicle on a CAN bus.
+    AutoNOMOS car; "can", a full-size vehicle on a CAN bus; "serial", a real board at car.toml's port (`assembly.desk`).
     """
 
     track: str = "tmr"
@@ -62,13 +63,13 @@ class Simulation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedCar:
-    """A source, a link and a clock that belong together, and what closes them."""
+    """A source, a link and a clock that belong together, what closes them, and what they measured themselves."""
 
     source: Source
     link: VehicleLink
     clock: VirtualClock | MonotonicClock
     close: Callable[[], None]
-    jitter_ms: Callable[[], tuple[float | None, float | None]] | None = None  # of commands on a bus, median and p99
+    metrics: Callable[[], dict[str, object]] = dict
 
 
 def board_of(car: CarConfig) -> str:
@@ -107,6 +108,8 @@ def build_world(car: CarConfig, simulation: Simulation) -> World:
     """The scale car at the start of its lane, standing."""
     vehicle = car.vehicle
     true = PlantConfig(wheelbase_m=vehicle.wheelbase_m, ticks_per_m=vehicle.ticks_per_m, seed=simulation.seed)
+    if simulation.link == "serial":  # a real board makes the pulses of this very car
+        true = dataclasses.replace(true, servo=car.link.servo, motor=car.link.motor)
     bumper_x_m = vehicle.wheelbase_m + vehicle.front_overhang_m
     track, start, follower, reach = _surroundings(car, simulation)
     ranges = UltrasonicRanges([obstacle.polygon_m for obstacle in track.obstacles], bumper_x_m)
@@ -212,17 +215,16 @@ class PacedCanPort:
             self._frame_id = frame_id
             self._times_ns.append(time.monotonic_ns())
 
-    def jitter_ms(self) -> tuple[float | None, float | None]:
-        """Median and 99th percentile of how far the intervals are from the period."""
+    def metrics(self) -> dict[str, object]:
+        """Median and 99th percentile of how far the intervals are from the period; None of fewer than two messages."""
         off_ms = np.abs(np.diff(np.array(self._times_ns, dtype=np.float64)) * 1e-6 - self._period_s * 1e3)
-        return (float(np.percentile(off_ms, 50)), float(np.percentile(off_ms, 99))) if len(off_ms) else (None, None)
+        shares = {"jitter_p50_ms": 50, "jitter_p99_ms": 99}
+        return {key: float(np.percentile(off_ms, share)) if len(off_ms) else None for key, share in shares.items()}
 
 
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
     """Real time: camera and board live in another process, behind shared memory and a serial port."""
-    shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
-    pair = car.camera.right is not None
-    shape = (2, *shape) if pair else shape
+    shape, pair = _image_shape(car), car.camera.right is not None
     with contextlib.ExitStack() as leaving:
         serve: WorldFactory = served_full_size_world
         arguments: tuple[object, ...] = (car, simulation, own_group())
@@ -238,10 +240,31 @@ def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
                 link=link,
                 clock=MonotonicClock(),
                 close=leaving.pop_all().close,
-                jitter_ms=port.jitter_ms,
+                metrics=port.metrics,
             )
         link = _link(car, simulation, SerialTransport(source.port, car.link.baud))
         return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=leaving.pop_all().close)
+
+
+def desk_world(car: CarConfig, simulation: Simulation, memory: DeskMemory) -> tuple[World, DeskPort]:
+    """World for a process of its own, which a board elsewhere moves by the pulses in `memory`."""
+    world = build_world(car, simulation)
+    return world, DeskPort(world, memory, car.link.port)
+
+
+def on_desk(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
+    """Real time: the camera lives in another process, the board at the serial port of car.toml is a real one."""
+    memory = DeskMemory()
+    arguments, shape, pair = (car, simulation, memory), _image_shape(car), car.camera.right is not None
+    source = RealTimeWorld(desk_world, arguments, shape, car.camera.rate_hz, on_scene, pair=pair)
+    link = DeskLink(car, memory)
+    return SimulatedCar(source=source, link=link, clock=MonotonicClock(), close=source.close, metrics=link.meter.row)
+
+
+def _image_shape(car: CarConfig) -> tuple[int, ...]:
+    """That of the camera's frame; of a pair (2, h, w)."""
+    shape = (car.camera.height_px, car.camera.width_px) + ((3,) if car.camera.colour else ())
+    return shape if car.camera.right is None else (2, *shape)
 
 
 def _program(car: CarConfig, simulation: Simulation, leaving: contextlib.ExitStack) -> AvrProgram | None:

@@ -30,6 +30,7 @@ COMMANDS = {
     "report": "Runs as one page: map, plots, pipelines side by side, the worst moments.",
     "view": "A run in the browser, on its time line.",
     "export": "A recording as CSV and video.",
+    "service": "The car as a service of systemd: install, status, logs, remove.",
     "recover": "Make a recording readable that was cut by a power loss.",
     "train": "Train the network that finds lane markings.",
 }

@@ -21,6 +21,7 @@ from automodel.curves import Curve, GraphCurve, JoinedCurve, TabulatedCurve, The
 from automodel.signals import (
     Command,
     Crossing,
+    DriverInput,
     Event,
     LaneEstimate,
     LaneLine,
@@ -89,7 +90,7 @@ def descriptor_set() -> bytes:
     return bytes(build_file_descriptor_set(CompressedImage).SerializeToString())
 
 
-Value: TypeAlias = Motion | VehicleState | LaneEstimate | Command | Event
+Value: TypeAlias = Motion | VehicleState | LaneEstimate | Command | DriverInput | Event
 Json: TypeAlias = dict[str, Any]
 
 TOPICS: dict[type[Value], str] = {
@@ -97,6 +98,7 @@ TOPICS: dict[type[Value], str] = {
     VehicleState: "/vehicle_state",
     LaneEstimate: "/estimate",
     Command: "/command",
+    DriverInput: "/driver",
     Event: "/event",
 }
 
@@ -224,6 +226,7 @@ _TO_JSON: dict[type[Value], Callable[[Any], Json]] = {
     VehicleState: _fields,
     LaneEstimate: _estimate,
     Command: _fields,
+    DriverInput: _fields,
     Event: _fields,
 }
 
@@ -232,5 +235,6 @@ _FROM_JSON: dict[str, Callable[[Json], Any]] = {
     "/vehicle_state": _state_from,
     "/estimate": _estimate_from,
     "/command": lambda data: Command(**data),
+    "/driver": lambda data: DriverInput(**data),
     "/event": lambda data: Event(**data),
 }

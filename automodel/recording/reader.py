@@ -18,7 +18,17 @@ from zstandard import ZstdError
 from automodel.config.toml_reader import check_file
 from automodel.recording.codec import CAMERA, CAMERA_TOPICS, LEFT, RIGHT, TOPICS, Value, decode, decode_image
 from automodel.recording.run_file import CALIBRATION, CAR_TOML, END_METADATA, METADATA
-from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.signals import (
+    Command,
+    DriverInput,
+    Event,
+    Frame,
+    LaneEstimate,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.types import Image
 
@@ -39,13 +49,15 @@ class Step:
     """One recorded step of the loop: a frame and its values.
 
     `motion` is the pipeline's input with the frame (source NONE if none was recorded); `state` is the newest vehicle
-    state at the time of the estimate. `states`, `commands` and `events` are all values up to the next frame, in order.
+    state at the time of the estimate; `driver` is what the person wanted who drove, None where the pipeline did.
+    `states`, `commands` and `events` are all values up to the next frame, in order.
     """
 
     frame: Frame | StereoFrame
     motion: Motion
     state: VehicleState | None = None
     estimate: LaneEstimate | None = None
+    driver: DriverInput | None = None
     states: tuple[VehicleState, ...] = ()
     commands: tuple[Command, ...] = ()
     events: tuple[Event, ...] = ()
@@ -206,6 +218,8 @@ def _step(frame: Frame | StereoFrame, state: VehicleState | None, messages: list
             step = replace(step, motion=value)
         elif isinstance(value, LaneEstimate) and mine:
             step = replace(step, estimate=value)
+        elif isinstance(value, DriverInput) and mine:
+            step = replace(step, driver=value)
         elif isinstance(value, Command) and mine:
             step = replace(step, commands=(*step.commands, value))
     return step

@@ -67,6 +67,7 @@ SCHEMAS: dict[str, tuple[str, _Schema]] = {
         "automodel.Command",
         _object("t_ns:integer steering_rad:number speed_mps:number valid_until_ns:integer"),
     ),
+    "/driver": ("automodel.DriverInput", _object("t_ns:integer steering:number speed:number")),
     "/event": ("automodel.Event", _object("t_ns:integer kind:string text:string")),
 }
 

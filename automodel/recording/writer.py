@@ -56,7 +56,7 @@ class McapRecorder:
         else:
             self._waiting.append((self._frame_index, value))
 
-    motion = state = estimate = command = event = _value  # the methods of `Recorder`
+    motion = state = estimate = command = driver = event = _value  # the methods of `Recorder`
 
     def close(self) -> None:
         """Write the remaining values and the index, and close the file; may be called twice."""

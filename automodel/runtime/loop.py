@@ -14,9 +14,19 @@ from typing import Protocol
 
 import numpy as np
 
-from automodel.interfaces import Controller, Pipeline
+from automodel.interfaces import Controller, Driver, Pipeline
 from automodel.runtime.clocks import NS_PER_S
-from automodel.signals import Command, Frame, LaneEstimate, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
+from automodel.signals import (
+    Command,
+    DriverInput,
+    Frame,
+    LaneEstimate,
+    LaneStatus,
+    Motion,
+    MotionSource,
+    StereoFrame,
+    VehicleState,
+)
 
 STAGES = ("pipeline", "controller", "limits")
 FAILURES = 4  # in a row, after which a pipeline is reset: finding a lane in a bend takes longer than a car is held
@@ -69,9 +79,10 @@ class Tick:
     """What one frame gave.
 
     `motion` is the one that the pipeline was given, unknown in place of one that was not finite.
-    `wanted` is the controller's command, `command` the one after the limits, with `limited_by` naming those. `faults`
-    are texts of what was not finite, each already replaced by something safe, and of what cannot be true. `stages_ns`
-    are durations [ns] in the order of `STAGES`, zero without a stopwatch.
+    `wanted` is the command of the controller, or of the person who drove by `driver`; `command` the one after the
+    limits, with `limited_by` naming those. `faults` are texts of what was not finite, each already replaced by
+    something safe, and of what cannot be true; `lane_faults` those that a person who drives judges better: of the lane
+    and of how the car turns. `stages_ns` are durations [ns] in the order of `STAGES`, zero without a stopwatch.
     """
 
     estimate: LaneEstimate
@@ -80,6 +91,8 @@ class Tick:
     command: Command
     limited_by: tuple[str, ...] = ()
     faults: tuple[str, ...] = ()
+    lane_faults: tuple[str, ...] = ()
+    driver: DriverInput | None = None
     stages_ns: tuple[int, ...] = (0, 0, 0)
 
 
@@ -92,7 +105,8 @@ class Loop:
 
     `validity_s` is the time after a frame's capture for which its command may be obeyed; `stopwatch` gives integer
     nanoseconds (`time.perf_counter_ns`) and is only read for the durations. `checks` look at what comes in where a car
-    is driven; they change nothing but `Tick.faults`, and keep a frame that does not fit away from the pipeline.
+    is driven; they change nothing but the faults of the `Tick`, and keep a frame that does not fit away from the
+    pipeline. `driver` makes commands of what a person wants, where one may drive.
     """
 
     def __init__(
@@ -104,6 +118,7 @@ class Loop:
         validity_s: float,
         stopwatch: Callable[[], int] = _no_stopwatch,
         checks: Checks | None = None,
+        driver: Driver | None = None,
     ) -> None:
         if not validity_s > 0:
             raise ValueError(f"validity_s: expected a positive number, got {validity_s}")
@@ -114,6 +129,7 @@ class Loop:
         self._validity_ns = round(validity_s * NS_PER_S)
         self._stopwatch = stopwatch
         self._checks = checks
+        self._driver = driver
         self._failures = 0  # of the pipeline, in a row
 
     @property
@@ -121,21 +137,33 @@ class Loop:
         """What the pipeline found wrong in car.toml, in one line; empty where nothing, or where it does not look."""
         return str(getattr(self._pipeline, "warning", ""))
 
-    def tick(self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None, t_ns: int) -> Tick:
+    def tick(
+        self,
+        frame: Frame | StereoFrame,
+        motion: Motion,
+        state: VehicleState | None,
+        t_ns: int,
+        wanted_by_hand: DriverInput | None = None,
+    ) -> Tick:
         """The chain for one frame; `motion` is the car's since the frame before.
 
         `t_ns` is the time at which the command goes out, as far as it is known before. A value that is not finite makes
-        the motion unknown, the estimate LOST or the command a standstill; `faults` says so.
+        the motion unknown, the estimate LOST or the command a standstill; the faults say so. `wanted_by_hand` takes the
+        controller's place: the pipeline goes on looking, and the limits are the same.
         """
         valid_until_ns = min(frame.t_ns, t_ns) + self._validity_ns
         start = self._stopwatch()
         faults = motion_faults(motion)
         if faults:
             motion = Motion(t_ns=motion.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-        estimate, wrong = self._see(frame, motion, state)
+        estimate, wrong, lane_faults = self._see(frame, motion, state)
         faults += wrong
         seen = self._stopwatch()
-        wanted = self._controller.step(estimate, motion, state, t_ns)
+        driver = wanted_by_hand if self._driver is not None else None
+        if self._driver is not None and driver is not None:
+            wanted = self._driver.step(driver, t_ns)
+        else:
+            wanted = self._controller.step(estimate, motion, state, t_ns)
         if not _is_finite(wanted):
             faults += (f"the controller gave {_numbers(wanted)}",)
             wanted = _standstill(t_ns, valid_until_ns)
@@ -155,6 +183,8 @@ class Loop:
             command=replace(command, valid_until_ns=min(command.valid_until_ns, valid_until_ns)),
             limited_by=limited.reasons,
             faults=faults,
+            lane_faults=lane_faults,
+            driver=driver,
             stages_ns=(seen - start, steered - seen, self._stopwatch() - steered),
         )
 
@@ -167,20 +197,21 @@ class Loop:
 
     def _see(
         self, frame: Frame | StereoFrame, motion: Motion, state: VehicleState | None
-    ) -> tuple[LaneEstimate, tuple[str, ...]]:
+    ) -> tuple[LaneEstimate, tuple[str, ...], tuple[str, ...]]:
+        """The estimate, what is wrong with the frame, and what with the lane."""
         checks = self._checks
         lost = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
         misfit = None if checks is None else checks.misfit(frame)
         if misfit is not None:
-            return lost, (misfit,)
+            return lost, (misfit,), ()
         wrong = () if checks is None else checks.of_frame(frame)
         estimate = self._look(frame, motion)
         faults = estimate_faults(estimate)
         if faults:
             self.failed()
-            return lost, wrong + faults
+            return lost, wrong + faults, ()
         self._failures = 0
-        return estimate, wrong if checks is None else wrong + checks.of_estimate(estimate, motion, state)
+        return estimate, wrong, () if checks is None else checks.of_estimate(estimate, motion, state)
 
     def overruled(self, sent: Command | None) -> None:
         """The last command was not sent, but `sent` was (None: nothing): controller and limits go on from there.
@@ -188,6 +219,8 @@ class Loop:
         Without this the controller's speed would ramp up while the car is held, and the car would leap when freed.
         """
         self._controller.reset()
+        if self._driver is not None:
+            self._driver.reset()
         self._limits.reset(sent)
 
     def failed(self) -> None:
@@ -201,6 +234,8 @@ class Loop:
         self._failures = 0
         self._pipeline.reset()
         self._controller.reset()
+        if self._driver is not None:
+            self._driver.reset()
         self._limits.reset()
 
 

@@ -64,6 +64,8 @@ class RunLog:
                 recorder.frame(record.frame)
                 recorder.motion(record.tick.motion)
                 recorder.estimate(record.tick.estimate)
+                if record.tick.driver is not None:
+                    recorder.driver(record.tick.driver)
             if record.sent is not None:
                 recorder.command(record.sent)
             self._write_events(recorder)

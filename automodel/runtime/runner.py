@@ -39,6 +39,7 @@ from automodel.runtime.supervised_source import SupervisedSource
 from automodel.signals import (
     NEUTRAL,
     Command,
+    DriverInput,
     Event,
     Frame,
     LaneEstimate,
@@ -61,7 +62,8 @@ class Runner:
     """Drives `parts` in cycles; one runner makes one run.
 
     `arm_requested` is called every cycle and says whether a person has asked to arm since, `stop_requested` before it
-    why one wants the car to stop. `reopen` makes a new source
+    why one wants the car to stop. `wanted_by_hand` is asked before a frame is looked at what a person who drives wants,
+    None while none does. `reopen` makes a new source
     in place of one that failed, or raises OSError; it may block, and is only called while the car is disarmed. Without
     it a source that failed ends the run as soon as the car stands. `on_event` gets every event after the command of its
     cycle was sent; it must be quick.
@@ -75,6 +77,7 @@ class Runner:
         observer: RunObserver | None = None,
         arm_requested: Callable[[], bool] | None = None,
         stop_requested: Callable[[], str | None] | None = None,
+        wanted_by_hand: Callable[[], DriverInput | None] | None = None,
         reopen: Callable[[], Source] | None = None,
         on_event: Callable[[Event], None] | None = None,
     ) -> None:
@@ -87,6 +90,7 @@ class Runner:
         self._observer = observer
         self._arm_requested = arm_requested
         self._stop_requested = stop_requested
+        self._wanted_by_hand = wanted_by_hand
         self._run_log = RunLog(parts.recorder, on_event)
         self._source = SupervisedSource(parts.source, parts.clock, self._run_log, reopen)
         self._link = SupervisedLink(parts.link, self._run_log.note)
@@ -157,9 +161,10 @@ class Runner:
         frame = self._await_frame()
         taken_ns = self._clock.now_ns()
         heard, faults = self._listen(taken_ns)
+        by_hand = self._wanted_by_hand() if self._wanted_by_hand is not None else None
         seen, tick = None, None
         if frame is not None:
-            tick = self._look(frame, taken_ns)
+            tick = self._look(frame, by_hand, taken_ns)
             faults += tick.faults if tick is not None else ()
             seen = Seen(
                 frame_t_ns=frame.t_ns,
@@ -176,8 +181,10 @@ class Runner:
             state=state,
             link_up=self._link.up,
             faults=faults,
+            lane_faults=tick.lane_faults if tick is not None else (),
             arm=arm,
             stop=stop,
+            by_hand=by_hand is not None,
             speed_mps=self._fastest_mps(state),
         )
         decision = self._safety.step(inputs, self._clock.now_ns())
@@ -230,7 +237,7 @@ class Runner:
         self._state = said
         return said, ()
 
-    def _look(self, frame: Frame | StereoFrame, now_ns: int) -> Tick | None:
+    def _look(self, frame: Frame | StereoFrame, by_hand: DriverInput | None, now_ns: int) -> Tick | None:
         """The chain's tick; LOST where the chain failed, None for a frame whose time is wrong."""
         if self._safety.frame_time_fault(frame.t_ns, now_ns) is not None:
             return None  # dead reckoning over a wrong time would spoil the estimate; the safety machine tells why
@@ -238,7 +245,7 @@ class Runner:
         try:
             measured = self._motion.step(self._state, self._on_wire, frame.t_ns)
             motion = motion if motion_faults(measured) else measured
-            return self._loop.tick(frame, measured, self._state, now_ns + round(self._work_ns))
+            return self._loop.tick(frame, measured, self._state, now_ns + round(self._work_ns), by_hand)
         except Exception as error:  # noqa: BLE001 - the one place that catches everything: the car must be held first
             self._error = error
             nothing = self._standstill(0.0, now_ns)
@@ -274,6 +281,8 @@ class Runner:
                 self._traceback = "".join(traceback.format_exception(type(error), error, error.__traceback__))
         if record.decision.action is not Action.PASS or (record.tick is not None and record.sent is None):
             self._loop.overruled(self._on_wire)
+        if record.tick is not None and record.tick.driver is None:
+            faults += record.tick.lane_faults
         if faults:
             self._run_log.report("fault", "; ".join(faults), record.t_ns)
         for event in record.decision.events:

@@ -4,10 +4,10 @@
 before or more than `FUTURE_S` ahead, an estimate that is LOST, anything not finite, an exception of the chain, an input
 that cannot be true or a lane that is too uncertain (`runtime.input_checks`).
 *Broken* (needs a person): link down or silent, the board restarted, or not armed when it should be (or armed when it
-should not), a person who asks for a stop, a clock that went back, a loop that stood still for longer than a command
-lives (or took that long from a frame to its command) while the car was fast. *Healthy*: neither. `VehicleState.faults`
-stop nothing by themselves: a damaged byte is no reason to stop, and a board that no longer obeys says so by being
-disarmed.
+should not), a person who asks for a stop or who drove and lets go, a clock that went back, a loop that stood still for
+longer than a command lives (or took that long from a frame to its command) while the car was fast. *Healthy*: neither.
+`VehicleState.faults` stop nothing by themselves: a damaged byte is no reason to stop, and a board that no longer obeys
+says so by being disarmed.
 
 A loop that stood still is only *unwell* where it did so for less than `STALL_S` and the car cannot have come farther in
 that time than the free space beside it (`blind_m`): whatever its direction was, it is still inside its lane. A board
@@ -36,7 +36,10 @@ slower on less is the controller's task. A request is never remembered: a car th
 was pressed, because the camera came back just then, surprises whoever lifts it. Auto-arm (`--arm`) is the one
 exception, a request made once at the start that is used up when the car first drives; no stop brings it back.
 
-Event kinds: arming, driving, hold, stop, disarmed (arming given up), arm-refused.
+A person may take over at any time (`SafetyInputs.by_hand`), and needs no lane: what is wrong with it makes nothing
+unwell meanwhile. The car that they let go of stops: the pipeline never gets it back by itself.
+
+Event kinds: arming, driving, hold, stop, disarmed (arming given up), arm-refused, take-over.
 """
 
 from __future__ import annotations
@@ -96,8 +99,9 @@ class Seen:
 class SafetyInputs:
     """One cycle of the loop: `seen` is None when no frame came, `state` None while the vehicle has not said hello.
 
-    `faults` are texts of what was found wrong in this cycle; `arm` is a person's request made in this cycle, `stop` why
-    a person, or the silence of one, wants the car to stop.
+    `faults` are texts of what was found wrong in this cycle, `lane_faults` of what was wrong with the lane or with how
+    the car turns; `arm` is a person's request made in this cycle, `stop` why
+    a person, or the silence of one, wants the car to stop. `by_hand`: a person drives in this cycle.
     `speed_mps` is the greatest speed that the car may have had since the cycle before.
     """
 
@@ -105,8 +109,10 @@ class SafetyInputs:
     state: VehicleState | None
     link_up: bool = True
     faults: tuple[str, ...] = ()
+    lane_faults: tuple[str, ...] = ()
     arm: bool = False
     stop: str | None = None
+    by_hand: bool = False
     speed_mps: float = math.inf
 
 
@@ -144,10 +150,13 @@ class Safety:
         self._must_disarm = False
         self._asked_ns: int | None = None  # when the vehicle was last asked to arm or to disarm
         self._boot_id: int | None = None  # of the vehicle as it was armed
+        self._by_hand = False
         self._healthy_since_ns: int | None = None
+        self._drivable_since_ns: int | None = None  # by hand: healthy but for the lane
         self._last_ns: int | None = None
         self._frame_t_ns: int | None = None
         self._frame_fault: str | None = "no frame has come yet"  # holds until the next frame
+        self._lane_fault: str | None = None  # this, too
 
     @property
     def mode(self) -> SafetyMode:
@@ -170,16 +179,18 @@ class Safety:
         """One cycle at `now_ns`; call it at least every 20 ms, with or without a frame."""
         stall, broken = self._clock_fault(inputs, now_ns)
         disarmed, trouble = self._vehicle_fault(inputs, now_ns)
-        broken = inputs.stop or broken or trouble
+        broken = inputs.stop or broken or trouble or self._let_go(inputs)
         self._auto_arm = self._auto_arm and inputs.stop is None
-        unwell = self._chain_fault(inputs, now_ns)  # always asked: it remembers the frame
-        unwell = stall or disarmed or unwell
+        frame_fault, lane_fault = self._chain_fault(inputs, now_ns)  # always asked: it remembers the frame
+        unwell = stall or disarmed or frame_fault
         self._last_ns = now_ns
+        self._drivable_since_ns = _since(self._drivable_since_ns, (broken or unwell) is None, now_ns)
+        whole = broken or unwell or lane_fault
+        self._healthy_since_ns = _since(self._healthy_since_ns, whole is None, now_ns)
+        unwell = unwell if inputs.by_hand else unwell or lane_fault
         reason = broken or unwell
-        if reason is not None:
-            self._healthy_since_ns = None
-        elif self._healthy_since_ns is None:
-            self._healthy_since_ns = now_ns
+        taken_over = inputs.by_hand and not self._by_hand
+        self._by_hand = inputs.by_hand
         events: tuple[Event, ...] = ()
         if self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED):
             events = self._at_rest(inputs, reason, now_ns)
@@ -192,14 +203,18 @@ class Safety:
                 events = self._hold(unwell, now_ns)
         else:
             events = self._held(inputs, unwell, now_ns)
+        if taken_over and self._mode in (SafetyMode.DRIVING, SafetyMode.HOLD):
+            events = (Event(t_ns=now_ns, kind="take-over", text="a person drives by hand"), *events)
         return self._decide(inputs, reason, events, now_ns)
 
     def _at_rest(self, inputs: SafetyInputs, reason: str | None, now_ns: int) -> tuple[Event, ...]:
-        healthy_ns = 0 if self._healthy_since_ns is None else now_ns - self._healthy_since_ns
+        since_ns = self._drivable_since_ns if inputs.by_hand else self._healthy_since_ns
+        healthy_ns = 0 if since_ns is None else now_ns - since_ns
         if reason is None and healthy_ns >= self._rearm_ns:
             if inputs.arm or self._auto_arm:
                 self._boot_id = inputs.state.boot_id if inputs.state is not None else None
-                text = "by request" if inputs.arm else "by itself, as was asked for at the start"
+                by = "by request, to be driven by hand" if inputs.by_hand else "by request"
+                text = by if inputs.arm else "by itself, as was asked for at the start"
                 return self._enter(SafetyMode.ARMING, "arming", text, now_ns)
         elif inputs.arm:
             why = reason or f"the input is healthy for {_s(healthy_ns)} s only, expected {_s(self._rearm_ns)} s"
@@ -210,7 +225,7 @@ class Safety:
         if reason is None and now_ns - self._since_ns >= ARM_TIMEOUT_S * NS_PER_S:
             reason = f"the vehicle has not armed within {ARM_TIMEOUT_S} s"
         if reason is not None:
-            self._healthy_since_ns = None
+            self._healthy_since_ns = self._drivable_since_ns = None
             return self._enter(SafetyMode.DISARMED, "disarmed", reason, now_ns)
         if inputs.seen is not None and inputs.state is not None and inputs.state.armed:
             self._auto_arm = False
@@ -325,22 +340,29 @@ class Safety:
             return "the vehicle is still armed"
         return None
 
-    def _chain_fault(self, inputs: SafetyInputs, now_ns: int) -> str | None:
+    def _let_go(self, inputs: SafetyInputs) -> str | None:
+        """That the person who drove by hand does so no more."""
+        at_rest = self._mode in (SafetyMode.DISARMED, SafetyMode.STOPPED)
+        return "the person who drove let go" if self._by_hand and not inputs.by_hand and not at_rest else None
+
+    def _chain_fault(self, inputs: SafetyInputs, now_ns: int) -> tuple[str | None, str | None]:
+        """What is wrong with the newest frame or with what was made of it, and what with the lane in it."""
         seen = inputs.seen
         if seen is not None:
             self._frame_fault = self.frame_time_fault(seen.frame_t_ns, now_ns)
             self._frame_t_ns = seen.frame_t_ns
             if self._frame_fault is None and inputs.faults:
                 self._frame_fault = "; ".join(inputs.faults)
-            if self._frame_fault is None and seen.status is LaneStatus.LOST:
-                self._frame_fault = "the lane is lost"
+            self._lane_fault = "; ".join(inputs.lane_faults) or None
+            if self._lane_fault is None and seen.status is LaneStatus.LOST:
+                self._lane_fault = "the lane is lost"
         elif inputs.faults:
-            return "; ".join(inputs.faults)
+            return "; ".join(inputs.faults), self._lane_fault
         if self._frame_fault is None and self._frame_t_ns is not None:
             age_ns = now_ns - self._frame_t_ns
             if age_ns >= self._frame_timeout_ns:
-                return self._too_old(seen, age_ns)
-        return self._frame_fault
+                return self._too_old(seen, age_ns), self._lane_fault
+        return self._frame_fault, self._lane_fault
 
     def _too_old(self, seen: Seen | None, age_ns: int) -> str:
         """Why the newest frame is too old: the machine took too long for it, or the camera gives none in time."""
@@ -355,3 +377,10 @@ class Safety:
 
 def _s(duration_ns: int) -> str:
     return f"{duration_ns / NS_PER_S:.3f}"
+
+
+def _since(since_ns: int | None, holds: bool, now_ns: int) -> int | None:
+    """Since when something holds, which it did since `since_ns` before."""
+    if not holds:
+        return None
+    return now_ns if since_ns is None else since_ns

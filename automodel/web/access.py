@@ -28,11 +28,15 @@ HEADERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageOptions:
-    """Where the page is served; `tls` names the files of a certificate and its key."""
+    """Where the page is served; `tls` names the files of a certificate and its key.
+
+    `by_hand`: a person may drive from it, too.
+    """
 
     host: str = "127.0.0.1"
     port: int = 8765
     tls: tuple[Path, Path] | None = None
+    by_hand: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -97,7 +97,7 @@ class Scene:
             messages += scene.estimate(snapshot.estimate)
         for topic, message in messages:
             yield topic, message.SerializeToString(), t_ns
-        values = (snapshot.motion, snapshot.state, snapshot.estimate, snapshot.command)
+        values = (snapshot.motion, snapshot.state, snapshot.estimate, snapshot.command, snapshot.driver)
         for value in (*new, *values):
             if value is not None:
                 yield TOPICS[type(value)], encode(value), t_ns

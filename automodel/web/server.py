@@ -24,20 +24,20 @@ from aiohttp import WSMsgType, web
 
 from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera, wrap_angle
+from automodel.manual.dead_man import HOLD_TIMEOUT_S
 from automodel.viewer.overlay import draw
 from automodel.web.access import Access, PageOptions
-from automodel.web.dead_man import HOLD_TIMEOUT_S, Word
 from automodel.web.guard import REFUSED, GuardedServer
 from automodel.web.live_process import LOOK_S, stand_back
 from automodel.web.mailbox import Mailbox
 from automodel.web.snapshot import Snapshot
+from automodel.web.words import Wanted, Word, from_page, to_bytes
 
-WORDS_PER_S = 50  # of one page, which says 10: more would pile up in front of another's STOP
+WORDS_PER_S = 50  # of one page, which says 10, and 20 by hand: more would pile up in front of another's STOP
 HISTORY = 2400  # rows kept for a page that is opened late: two minutes at the page's rate
 _JPEG_QUALITY = 80  # [%]
 _FILES = {"/": ("index.html", "text/html"), "/page.js": ("page.js", "text/javascript"),
           "/draw.js": ("draw.js", "text/javascript"), "/page.css": ("page.css", "text/css")}  # fmt: skip
-_WORDS = {"stop": Word.STOP, "arm": Word.ARM, "hold": Word.HOLD, "release": Word.RELEASE}
 
 
 def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
@@ -47,7 +47,7 @@ def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox
 
 
 async def _serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
-    page = Page(car, access, pipe.send_bytes)
+    page = Page(car, access, pipe.send_bytes, by_hand=options.by_hand)
     runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=0.5)
     await runner.setup()
     try:
@@ -89,10 +89,14 @@ def _tls(files: tuple[Path, Path] | None) -> ssl.SSLContext | None:
 
 
 class Page(GuardedServer):
-    """The page's requests and its open sockets; `say` sends a word's byte to the run."""
+    """The page's requests and its open sockets; `say` sends a word's bytes to the run.
 
-    def __init__(self, car: CarConfig, access: Access, say: Callable[[bytes], None]) -> None:
+    `by_hand`: a person may drive from the page, too.
+    """
+
+    def __init__(self, car: CarConfig, access: Access, say: Callable[[bytes], None], *, by_hand: bool = False) -> None:
         super().__init__(access, _FILES)
+        self._by_hand = by_hand
         self._vehicle = car.vehicle
         self._camera = GroundCamera.from_config(car.camera)
         self._say = say
@@ -130,33 +134,39 @@ class Page(GuardedServer):
     async def talk(self, socket: web.WebSocketResponse) -> None:
         """Send what happens, and hear the operator."""
         client = _Client(socket)
-        await client.socket.send_str(json.dumps({"history": list(self._history)}, allow_nan=False))
+        await client.socket.send_str(
+            json.dumps({"history": list(self._history), "by_hand": self._by_hand}, allow_nan=False)
+        )
         self._clients.add(client)
         sending = asyncio.create_task(client.send())
         try:
             async for message in client.socket:
-                known = message.type is WSMsgType.TEXT and message.data in _WORDS
-                if not known or client.floods(asyncio.get_running_loop().time()):
+                said = from_page(message.data) if message.type is WSMsgType.TEXT else None
+                if said is None or not self._may(said) or client.floods(asyncio.get_running_loop().time()):
                     await client.socket.close(code=REFUSED, message=b"unknown word, or too many")
                     break
-                self._hear(client, _WORDS[message.data])
+                self._hear(client, said)
         finally:
             self._clients.discard(client)
             sending.cancel()
             if client is self._holder:
                 self._hear(client, Word.RELEASE)
 
-    def _hear(self, client: _Client, word: Word) -> None:
-        """Pass a page's word on: STOP from anyone, the button's from one page at a time."""
+    def _may(self, said: Word | Wanted) -> bool:
+        """Whether a page may say so here: by hand only where the run was started for it."""
+        return self._by_hand or (isinstance(said, Word) and said is not Word.TAKE)
+
+    def _hear(self, client: _Client, said: Word | Wanted) -> None:
+        """Pass on what a page says: STOP from anyone, the buttons' words from one page at a time."""
         now_s = asyncio.get_running_loop().time()
-        if word is not Word.STOP:
+        if said is not Word.STOP:
             if self._holder not in (None, client) and now_s - self._holder_s < HOLD_TIMEOUT_S:
                 return
-            if word is not Word.ARM and client is not self._holder:
+            if said not in (Word.ARM, Word.TAKE) and client is not self._holder:
                 return
-            self._holder, self._holder_s = (None if word is Word.RELEASE else client), now_s
+            self._holder, self._holder_s = (None if said is Word.RELEASE else client), now_s
         with contextlib.suppress(OSError):  # the run is over
-            self._say(word.value)
+            self._say(to_bytes(said))
 
 
 class _Client:
@@ -216,6 +226,7 @@ def status_of(snapshot: Snapshot, start_ns: int, battery_low_v: float) -> dict[s
         "mode": snapshot.mode,
         "reason": snapshot.reason,
         "lane": estimate.status.value if estimate is not None else None,
+        "by_hand": snapshot.driver is not None,
         "armed": state.armed if state is not None else None,
         "vehicle_faults": list(state.faults) if state is not None else [],
         "battery_v": round(battery_v, 2) if battery_v is not None and math.isfinite(battery_v) else None,

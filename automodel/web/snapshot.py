@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from automodel.geometry import SE2
 from automodel.runtime.run_types import TickRecord
-from automodel.signals import Command, Event, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import Command, DriverInput, Event, LaneEstimate, Motion, StereoFrame, VehicleState
 from automodel.types import Image
 
 
@@ -15,7 +15,8 @@ class Snapshot:
     """A frame's cycle: `image` is the left one of a stereo frame; `place` is that of the car by dead reckoning.
 
     `rate_hz` is the rate of the frames as measured, None before the second; `skipped` frames came and were not taken
-    up. `events` are the newest ones, the oldest first.
+    up. `driver` is what the person wanted who drove, None where the pipeline did. `events` are the newest ones, the
+    oldest first.
     """
 
     t_ns: int
@@ -31,6 +32,7 @@ class Snapshot:
     rate_hz: float | None
     skipped: int
     events: tuple[Event, ...]
+    driver: DriverInput | None = None
 
 
 _RATE_SHARE = 0.05  # of the newest period in the mean: settled after about 20 frames
@@ -80,4 +82,5 @@ class Trip:
             rate_hz=1e9 / self._period_ns if self._period_ns else None,
             skipped=self._skipped,
             events=events,
+            driver=tick.driver if tick is not None else None,
         )

@@ -28,6 +28,7 @@ TEXTS = {
     "half.toml": '[camera]\nsource = "usb"\n',
     "tub.toml": '[camera]\nsource = "a/tub"\n[link]\nport = "/dev/ttyUSB0"\n',
     "usb.toml": '[camera]\nsource = "usb"\ndevice = 97\n[link]\nport = "/dev/ttyUSB0"\n',
+    "autonomos.toml": '[camera]\nsource = "usb"\n[link]\nkind = "autonomos"\nport = "/dev/ttyUSB0"\n',
     "track.toml": 'name = "x"\nclosed = true\n[floor]\nx0_m = 0.0\ny0_m = 0.0\nx1_m = 1.0\ny1_m = 1.0\n'
     '[[pieces]]\nkind = "line"\nlength_m = 2.0\n',
     "open.toml": 'name = "x"\nclosed = false\n[floor]\nx0_m = 0.0\ny0_m = 0.0\nx1_m = 1.0\ny1_m = 1.0\n'
@@ -50,6 +51,13 @@ CASES = {  # arguments -> the line on stderr
     "run --web 127.0.0.1:99999": "automodel: --web: expected HOST:PORT, for example 0.0.0.0:8765, got '127.0.0.1:99999'",
     "run --web 127.0.0.1:0 --web-tls missing.pem missing.pem": "automodel: --web-tls: missing.pem missing.pem: No such file or directory; expected PEM files of both",
     "run --web-tls missing.pem missing.pem": "automodel: --web-tls: is for the web page; give --web too",
+    "run --sim-camera": 'automodel: --sim-camera: [link] port of the default car is "sim"; give --car of a car with a real board',
+    "run --sim-camera --link avr --car usb.toml": "automodel: --link serial and --sim-camera: a real board in a simulated world; give both",
+    "run --link serial --car usb.toml": "automodel: --link serial and --sim-camera: a real board in a simulated world; give both",
+    "run --sim-camera --car autonomos.toml": "automodel: --sim-camera: autonomos.toml: [link] kind 'autonomos' does not say which pulses it makes; arduino does",
+    "run --manual": "automodel: --manual: the simulated car is driven by hand in real time; give --realtime, too",
+    "run --realtime --manual none": "automodel: --manual none: drives from the web page alone; give --web, too",
+    "run --realtime --manual missing": "automodel: --manual missing: No such file or directory; give gamepad, keyboard or a device in /dev/input",
     "run --car missing.toml": "automodel: missing.toml: no such file",
     "run --car typo.toml": "automodel: typo.toml:2: [camera] widht_px: unknown key; did you mean width_px?",
     "run --car type.toml": "automodel: type.toml:2: [camera] width_px: expected a whole number, got '640'",

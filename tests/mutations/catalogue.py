@@ -26,6 +26,38 @@ def _of(file: str, tests: str, *changes: Change) -> Iterator[Mutation]:
         yield Mutation(name=name, file=file, old=old, new=new, tests=tuple(tests.split()))
 
 
+BY_HAND = (
+    *_of(
+        "automodel/runtime/safety.py",
+        "tests/runtime/test_by_hand.py",
+        ("let-go-is-forgotten", 'return "the person who drove let go" if', "return None if"),
+        ("by-hand-without-health", "since_ns = self._drivable_since_ns if", "since_ns = 0 if"),
+        ("by-hand-without-frames", "unwell = unwell if inputs.by_hand", "unwell = None if inputs.by_hand"),
+        ("the-lane-never-counts", "else unwell or lane_fault", "else unwell"),
+    ),
+    *_of(
+        "automodel/control/manual.py",
+        "tests/control/test_manual.py",
+        ("stale-throttle", "if t_ns - wanted.t_ns >= FRESH_NS", "if False"),
+        ("no-ramp-by-hand", "before_mps + self._accel_mps2 * dt_s", "9.0"),
+    ),
+    *_of(
+        "automodel/manual/operator.py",
+        "tests/manual/test_device.py",
+        ("pressed-from-the-start", "self._pressed = True  # until", "self._pressed = False  # until"),
+        ("gone-is-no-stop", "        if self._read() is None:\n", "        if False:\n"),
+    ),
+    *_of(
+        "automodel/manual/dead_man.py",
+        "tests/manual/test_dead_man.py",
+        ("silence-is-fine", "now_ns - self._heard_ns < HOLD_TIMEOUT_S * 1e9", "True"),
+        (
+            "hold-arms",
+            "        if self.held:\n            self._heard_ns",
+            "        if True:\n            self._heard_ns",
+        ),
+    ),
+)
 SAFETY = (
     *_of(
         "automodel/runtime/safety.py",
@@ -48,7 +80,7 @@ SAFETY = (
         ("arms-by-itself", "if inputs.arm or self._auto_arm:", "if True:"),
         ("auto-arm-again", "            self._auto_arm = False\n", ""),
         ("arming-without-end", "now_ns - self._since_ns >= ARM_TIMEOUT_S * NS_PER_S", "False"),
-        ("lost-lane-ignored", "if self._frame_fault is None and seen.status is LaneStatus.LOST:", "if False:"),
+        ("lost-lane-ignored", "if self._lane_fault is None and seen.status is LaneStatus.LOST:", "if False:"),
         ("faults-ignored", "if self._frame_fault is None and inputs.faults:", "if False:"),
         ("faults-without-frame-ignored", "        elif inputs.faults:\n", "        elif False:\n"),
         (
@@ -391,4 +423,4 @@ JUDGE = (
 )
 
 
-MUTATIONS = (*SAFETY, *LIMITS, *WIRE, *BOARD, *JUDGE)
+MUTATIONS = (*SAFETY, *BY_HAND, *LIMITS, *WIRE, *BOARD, *JUDGE)

@@ -15,7 +15,15 @@ from automodel.curves import Curve, ReversedCurve, ThetaCurve
 from automodel.recording.codec import TOPICS, ImageCodec, Value, decode, decode_image, encode
 from automodel.recording.run_file import SCHEMAS
 from automodel.signals import Command, LaneEstimate, LaneStatus, Motion, MotionSource, VehicleState
-from tests.support.recorded_values import make_command, make_estimate, make_event, make_frame, make_motion, make_state
+from tests.support.recorded_values import (
+    make_command,
+    make_driver,
+    make_estimate,
+    make_event,
+    make_frame,
+    make_motion,
+    make_state,
+)
 
 
 def bits(value: Any) -> Any:
@@ -37,7 +45,7 @@ def round_trip(value: Value) -> Value:
     return decode(TOPICS[type(value)], encode(value))
 
 
-VALUES = [make(7) for make in (make_motion, make_state, make_estimate, make_command, make_event)]
+VALUES = [make(7) for make in (make_motion, make_state, make_estimate, make_command, make_driver, make_event)]
 BARE = [
     LaneEstimate(t_ns=0, status=LaneStatus.LOST),
     VehicleState(t_ns=5),

@@ -73,7 +73,7 @@ def test_a_fault_is_reported_beside_an_unchanged_estimate() -> None:
 
 def test_a_lane_that_jumps_is_reported_in_its_tick() -> None:
     loop, _ = make({3: 0.3})
-    faults = [tick(loop, index, ROAD[index]).faults for index in range(5)]
+    faults = [tick(loop, index, ROAD[index]).lane_faults for index in range(5)]
     assert faults == [(), (), (), ("the lane has jumped sideways by 0.30 m",), ()]
 
 
@@ -81,7 +81,7 @@ def test_an_exception_of_the_pipeline_makes_nobody_forget_the_last_lane() -> Non
     loop, _ = make({1: 0.3})
     tick(loop, 0, ROAD[0])
     loop.reset()
-    assert tick(loop, 1, ROAD[1]).faults != ()
+    assert tick(loop, 1, ROAD[1]).lane_faults != ()
 
 
 def test_both_pictures_of_a_pair_are_looked_at() -> None:

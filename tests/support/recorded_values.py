@@ -9,6 +9,7 @@ from automodel.recording.writer import McapRecorder
 from automodel.signals import (
     Command,
     Crossing,
+    DriverInput,
     Event,
     Frame,
     LaneEstimate,
@@ -66,6 +67,11 @@ def make_command(index: int) -> Command:
     t_ns = 1_003_000_000 + index * SYNTHETIC_NS
     steering = float(np.random.default_rng(3000 + index).normal())
     return Command(t_ns=t_ns, steering_rad=steering, speed_mps=1.0, valid_until_ns=t_ns + 10**8)
+
+
+def make_driver(index: int) -> DriverInput:
+    steering, speed = np.random.default_rng(5000 + index).uniform(-1.0, 1.0, 2).tolist()
+    return DriverInput(t_ns=1_002_500_000 + index * SYNTHETIC_NS, steering=steering, speed=speed)
 
 
 def make_state(index: int) -> VehicleState:

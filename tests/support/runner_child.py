@@ -90,7 +90,7 @@ class Recorder:
     def frame(self, value):
         pass
 
-    motion = state = estimate = command = event = frame
+    motion = state = estimate = command = driver = event = frame
 
     def close(self):
         self._log._line("closing the recording")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import Command, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
+from automodel.signals import Command, DriverInput, Event, Frame, LaneEstimate, Motion, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from tests.support.runner_fakes import MS
 
@@ -160,6 +160,9 @@ class FakeRecorder:
 
     def command(self, command: Command) -> None:
         self._put("command", command)
+
+    def driver(self, wanted: DriverInput) -> None:
+        self._put("driver", wanted)
 
     def event(self, event: Event) -> None:
         self._put("event", event)

@@ -38,6 +38,8 @@ class Rig:
         link_up: bool = True,
         hello: bool = True,
         faults: tuple[str, ...] = (),
+        lane_faults: tuple[str, ...] = (),
+        by_hand: bool = False,
         work_ms: float = 1.0,
         silent: bool = False,
     ) -> SafetyDecision:
@@ -56,6 +58,8 @@ class Rig:
                 state=self.state if hello else None,
                 link_up=link_up,
                 faults=faults,
+                lane_faults=lane_faults,
+                by_hand=by_hand,
                 arm=arm,
                 stop=stop,
                 speed_mps=self.speed_mps,

@@ -25,7 +25,7 @@ from automodel.recording.codec import CAMERA, LEFT, TOPICS, decode, decode_image
 from automodel.runtime.loop import Tick
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
-from automodel.signals import Command, Event, Frame, LaneEstimate, LaneStatus, Motion, VehicleState
+from automodel.signals import Command, DriverInput, Event, Frame, LaneEstimate, LaneStatus, Motion, VehicleState
 from automodel.web.foxglove import FoxgloveLive, Scene
 from automodel.web.snapshot import Snapshot
 from tests.support.stereo_drives import stereo_car
@@ -46,6 +46,7 @@ def record(index: int) -> TickRecord:
         estimate=LaneEstimate(t_ns=t_ns, status=LaneStatus.LOST),
         wanted=command,
         command=command,
+        driver=DriverInput(t_ns=t_ns, steering=0.5, speed=-1.0),
     )
     return TickRecord(
         t_ns=t_ns, frame=frame, state=VehicleState(t_ns=t_ns), tick=tick, decision=decision, sent=command, latency_ns=1

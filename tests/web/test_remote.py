@@ -67,6 +67,40 @@ def test_the_run_is_seen_and_stop_is_heard() -> None:
         assert not remote.arm_requested()
 
 
+def test_a_page_drives_by_hand_until_it_goes_away() -> None:
+    with WebRemote(CarConfig(), PageOptions(port=0, by_hand=True)) as remote:
+        address, token = remote.url.split("/#")
+
+        async def drive() -> None:
+            async with (
+                aiohttp.ClientSession() as session,
+                session.ws_connect(f"{address}/socket", headers={"Origin": address}) as page,
+            ):
+                for word in (token, "take", "drive 0.25 0.5"):
+                    await page.send_str(word)
+                for _ in range(int(WAIT_S / 0.05)):
+                    if seen:
+                        break
+                    await page.send_str("drive 0.25 0.5")
+                    await asyncio.sleep(0.05)
+
+        seen: list[tuple[float, float]] = []
+        operator = threading.Thread(target=asyncio.run, args=(drive(),))
+        operator.start()
+        reason, armed, until = None, False, time.monotonic() + WAIT_S
+        while reason is None and time.monotonic() < until:
+            wanted = remote.wanted_by_hand()
+            if wanted is not None and wanted.steering:
+                seen.append((wanted.steering, wanted.speed))
+            reason = remote.stop_requested()
+            armed = remote.arm_requested() or armed
+            time.sleep(0.002)
+        operator.join()
+        assert (reason, armed) == ("the web page's button was released", True)
+        assert set(seen) == {(0.25, 0.5)}
+        assert remote.wanted_by_hand() is None
+
+
 def test_a_page_that_dies_stops_what_it_held_and_nothing_else() -> None:
     with WebRemote(CarConfig(), PageOptions(port=0)) as remote:
         remote._process.kill()

@@ -20,6 +20,7 @@ from automodel.web.access import CSP, Access
 from automodel.web.guard import CLIENTS_MAX, MESSAGE_BYTES
 from automodel.web.server import WORDS_PER_S, Page
 from automodel.web.snapshot import Snapshot
+from automodel.web.words import to_bytes
 
 WAIT_S = 20.0  # far beyond what any step takes
 
@@ -27,10 +28,10 @@ WAIT_S = 20.0  # far beyond what any step takes
 class Served:
     """A page that is served, its client, and the words that came through."""
 
-    def __init__(self) -> None:
+    def __init__(self, by_hand: bool) -> None:
         self.access = Access()
         self.words: list[bytes] = []
-        self.page = Page(CarConfig(), self.access, self.words.append)
+        self.page = Page(CarConfig(), self.access, self.words.append, by_hand=by_hand)
         self.server = TestServer(self.page.app())
         self.client = TestClient(self.server)
 
@@ -60,10 +61,10 @@ class Served:
         return self.words
 
 
-def served(test: Callable[[Served], Awaitable[None]]) -> None:
+def served(test: Callable[[Served], Awaitable[None]], by_hand: bool = False) -> None:
     @asynccontextmanager
     async def started() -> AsyncIterator[Served]:
-        made = Served()
+        made = Served(by_hand)
         await made.client.start_server()
         try:
             yield made
@@ -145,6 +146,39 @@ def test_words_reach_the_run() -> None:
         assert await made.heard(4) == [b"A", b"H", b"R", b"S"]
 
     served(test)
+
+
+def test_a_hand_s_words_reach_the_run_where_it_was_started_for_it() -> None:
+    async def test(made: Served) -> None:
+        socket = await made.ready()
+        for word in ("take", "drive 0.5 -1", "release"):
+            await socket.send_str(word)
+        assert await made.heard(3) == [b"T", to_bytes((0.5, -1.0)), b"R"]
+
+    served(test, by_hand=True)
+
+
+@pytest.mark.parametrize("word", ["take", "drive 0 0"])
+def test_nobody_drives_by_hand_where_the_run_was_not_started_for_it(word: str) -> None:
+    async def test(made: Served) -> None:
+        socket = await made.ready()
+        await socket.send_str(word)
+        assert (await socket.receive(WAIT_S)).type is WSMsgType.CLOSE
+        assert made.words == []
+
+    served(test)
+
+
+def test_a_hand_that_did_not_take_the_car_is_not_heard() -> None:
+    async def test(made: Served) -> None:
+        first, second = await made.ready(), await made.ready()
+        await first.send_str("take")
+        await made.heard(1)
+        for word in ("take", "drive 1 1", "release", "stop"):
+            await second.send_str(word)
+        assert await made.heard(2) == [b"T", b"S"]
+
+    served(test, by_hand=True)
 
 
 def test_a_page_that_goes_away_has_let_go_of_the_button() -> None:

@@ -196,7 +196,7 @@ class RaisingRecorder:
         if self._clock.now_ns() >= self._plan.start_ns:
             raise OSError("run.mcap: no space left on the device")
 
-    frame = motion = state = estimate = command = event = close = _put
+    frame = motion = state = estimate = command = driver = event = close = _put
 
 
 class FullDisk(RunFile):

@@ -1,6 +1,10 @@
 "use strict";
-// The car's page: shows what the socket tells, says "stop", "arm", "hold" and "release".
+// The car's page: shows what the socket tells, says "stop", "arm", "take", "hold", "drive STEERING SPEED" and "release".
 const HOLD_MS = 100; // the car stops when it has heard nothing of a held button for five times as long
+const HAND_MS = 50; // between two words of a hand's steering and speed
+const DRAG_PX = 110; // from where a finger came down to the full angle or speed
+const DEAD = 0.08; // of a stick's way
+const KEY_STEER_MS = 300; // from straight to the full angle by a key
 const RECONNECT_MS = 1000;
 const SHOWN_S = 30; // of the plots
 const KEPT = 2400; // rows
@@ -17,7 +21,9 @@ const at = (id) => document.getElementById(id);
 let rows = [];
 let yaw = 0;
 let socket = null;
-let holding = null;
+let holding = null; // the timer that says that a button is held
+let drove = false; // whether the car drove since the button is held
+let hand = null; // who drives by hand: {button, read}, read() gives shares of steering (left +) and speed
 let pictureUrl = "";
 
 const canvases = PLOTS.map(([title]) => {
@@ -55,7 +61,7 @@ function offline(reason) {
   at("mode").textContent = "offline";
   at("mode").dataset.mode = "offline";
   at("reason").textContent = reason;
-  at("hold").disabled = true;
+  at("hold").disabled = at("take").disabled = true;
 }
 
 function show(picture) {
@@ -68,15 +74,22 @@ function show(picture) {
 function told(news) {
   if (news.history) {
     rows = news.history;
+    at("take").hidden = !news.by_hand;
     return;
   }
   rows.push(news.row);
   if (rows.length > KEPT) rows.splice(0, rows.length - KEPT);
   yaw = news.yaw_rad;
-  at("hold").disabled = false;
+  at("hold").disabled = at("take").disabled = false;
+  const driving = ["DRIVING", "HOLD"].includes(news.mode);
+  at("driver").textContent = !driving ? "nobody" : news.by_hand ? "by hand" : "pipeline";
+  if (holding === null) drove = false;
+  else if (driving) drove = true;
+  else if (drove) release(); // the car was stopped: the button has to be pressed anew
   at("mode").textContent = news.mode;
   at("mode").dataset.mode = news.mode;
-  at("reason").textContent = news.reason || "";
+  const stopped = news.mode === "STOPPED" ? news.events.filter((event) => event[1] === "stop").pop() : null;
+  at("reason").textContent = news.reason || (stopped ? stopped[2] : "");
   at("lane").textContent = news.lane || "-";
   at("armed").textContent = [news.armed === null ? "silent" : news.armed ? "armed" : "disarmed", ...news.vehicle_faults].join(", ");
   at("battery").textContent = news.battery_v === null ? "-" : news.battery_v.toFixed(2) + " V" + (news.battery_low ? ", low" : "");
@@ -158,9 +171,15 @@ function drawMap() {
   pen.fillText("1 m", 12, h - 14);
 }
 
-function drawAll() {
-  PLOTS.forEach((what, i) => plot(canvases[i], what));
-  drawMap();
+let drawn = ""; // what is on the canvases
+function drawAll() { // only what has changed: a phone has other things to do
+  const newest = rows.length ? rows[rows.length - 1][T] : -1;
+  const key = [newest, at("map").clientWidth, canvases[0][0].clientWidth, window.devicePixelRatio, ink("--ink")].join();
+  if (key !== drawn) {
+    drawn = key;
+    PLOTS.forEach((what, i) => plot(canvases[i], what));
+    drawMap();
+  }
   requestAnimationFrame(drawAll);
 }
 
@@ -178,10 +197,82 @@ function press(event) {
 function release() {
   if (holding === null) return;
   clearInterval(holding);
-  holding = null;
-  at("hold").className = "";
+  holding = hand = null;
+  at("hold").className = at("take").className = "";
   say("release");
 }
+
+// --- by hand: a finger on the button, a gamepad, the keyboard; whoever came first drives until they let go
+
+function take(driver) {
+  if (holding !== null || at("take").hidden || at("take").disabled) return false;
+  hand = driver;
+  at("take").className = "held";
+  say("take");
+  holding = setInterval(() => {
+    const [steering, speed] = hand.read().map((share) => Math.max(-1, Math.min(1, share || 0)));
+    say("drive " + steering.toFixed(3) + " " + speed.toFixed(3));
+  }, HAND_MS);
+  return true;
+}
+
+let finger = null;
+at("take").addEventListener("pointerdown", (event) => {
+  event.preventDefault();
+  const [x, y] = [event.clientX, event.clientY];
+  finger = [0, 0];
+  if (!take({ name: "finger", read: () => finger })) return;
+  at("take").setPointerCapture(event.pointerId);
+  at("take").onpointermove = (moved) => { finger = [(x - moved.clientX) / DRAG_PX, (y - moved.clientY) / DRAG_PX]; };
+});
+for (const kind of ["pointerup", "pointercancel", "lostpointercapture"]) {
+  at("take").addEventListener(kind, () => { if (hand && hand.name === "finger") release(); });
+}
+at("take").addEventListener("contextmenu", (event) => event.preventDefault());
+
+const beyond = (share) => (Math.abs(share) < DEAD ? 0 : (share - Math.sign(share) * DEAD) / (1 - DEAD));
+let shoulder = false; // whether the gamepad's button was down when it was looked at last
+function lookAtGamepad() { // the standard layout; a pad has no events of its own
+  const pad = [...navigator.getGamepads()].find((one) => one && one.connected && one.mapping === "standard");
+  if (!pad) {
+    shoulder = false;
+    if (hand && hand.name === "gamepad") stop(); // it is gone
+    return;
+  }
+  const down = pad.buttons[5].pressed;
+  if (pad.buttons[0].pressed || pad.buttons[1].pressed) stop();
+  else if (down && !shoulder) take({ name: "gamepad", read: readGamepad });
+  else if (!down && hand && hand.name === "gamepad") release();
+  shoulder = down;
+}
+function readGamepad() {
+  const pad = [...navigator.getGamepads()].find((one) => one && one.connected && one.mapping === "standard");
+  return pad ? [-beyond(pad.axes[0]), pad.buttons[7].value - pad.buttons[6].value] : [0, 0];
+}
+setInterval(lookAtGamepad, HAND_MS);
+
+const keys = new Set();
+let keySteering = 0;
+const pressed = (...names) => Number(names.some((name) => keys.has(name)));
+function readKeys() {
+  const target = pressed("ArrowLeft", "KeyA") - pressed("ArrowRight", "KeyD");
+  const step = (HAND_MS / KEY_STEER_MS) * (target !== 0 && target * keySteering >= 0 ? 1 : 2);
+  keySteering += Math.max(-step, Math.min(step, target - keySteering));
+  return [keySteering, pressed("ArrowUp", "KeyW") - pressed("ArrowDown", "KeyS")];
+}
+document.addEventListener("keydown", (event) => {
+  keys.add(event.code);
+  if (event.code === "ShiftLeft" && !event.repeat) {
+    keySteering = 0;
+    take({ name: "keyboard", read: readKeys });
+  }
+  if (hand && hand.name === "keyboard" && event.code.startsWith("Arrow")) event.preventDefault();
+});
+document.addEventListener("keyup", (event) => {
+  keys.delete(event.code);
+  if (event.code === "ShiftLeft" && hand && hand.name === "keyboard") release();
+});
+window.addEventListener("blur", () => keys.clear());
 
 function stop() {
   say("stop");
@@ -201,6 +292,6 @@ document.addEventListener("keydown", (event) => {
     stop();
   }
 });
-at("hold").disabled = true;
+at("hold").disabled = at("take").disabled = true;
 connect();
 requestAnimationFrame(drawAll);

@@ -1,30 +1,33 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
-from automodel.web.dead_man import HOLD_TIMEOUT_S, DeadMan, Word
+from automodel.manual.dead_man import HOLD_TIMEOUT_S, DeadMan
 
 MS = 1_000_000
+PLACE = "the web page"
 
 
 def held_at(now_ns: int) -> DeadMan:
-    dead_man = DeadMan()
-    assert dead_man.hear(Word.ARM, now_ns) is None
+    dead_man = DeadMan(PLACE)
+    dead_man.press(now_ns)
     return dead_man
 
 
 def test_pressing_arms_once() -> None:
     dead_man = held_at(0)
     assert dead_man.take_arm()
-    dead_man.hear(Word.ARM, 100 * MS)
-    dead_man.hear(Word.HOLD, 200 * MS)
+    dead_man.press(100 * MS)
+    dead_man.hold(200 * MS)
     assert not dead_man.take_arm()
 
 
 def test_a_held_button_that_is_heard_of_never_stops() -> None:
     dead_man = held_at(0)
     for now_ms in range(100, 10_000, 100):
-        assert dead_man.hear(Word.HOLD, now_ms * MS) is None
+        dead_man.hold(now_ms * MS)
         assert dead_man.overdue(now_ms * MS + 99 * MS) is None
 
 
@@ -38,22 +41,22 @@ def test_silence_stops_after_500_ms_and_says_so_once() -> None:
     assert not dead_man.take_arm()  # a request that nobody stands behind any more
 
 
-@pytest.mark.parametrize("word", [Word.RELEASE, Word.STOP])
-def test_letting_go_and_stop_stop_at_once_and_take_the_request_back(word: Word) -> None:
+@pytest.mark.parametrize("end", [DeadMan.release, DeadMan.stop])
+def test_letting_go_and_stop_stop_at_once_and_take_the_request_back(end: Callable[[DeadMan], str | None]) -> None:
     dead_man = held_at(0)
-    assert dead_man.hear(word, 1) is not None
+    assert end(dead_man) is not None
     assert not dead_man.held
     assert not dead_man.take_arm()
     assert dead_man.overdue(10_000 * MS) is None
 
 
 def test_holding_without_a_press_arms_nothing() -> None:
-    dead_man = DeadMan()
-    assert dead_man.hear(Word.HOLD, 0) is None
+    dead_man = DeadMan(PLACE)
+    dead_man.hold(0)
     assert not dead_man.held
     assert not dead_man.take_arm()
-    assert dead_man.hear(Word.RELEASE, 1) is None  # nothing was held: a car armed at the terminal drives on
+    assert dead_man.release() is None  # nothing was held: a car armed at the terminal drives on
 
 
-def test_stop_stops_a_car_that_the_page_did_not_arm() -> None:
-    assert DeadMan().hear(Word.STOP, 0) == "STOP on the web page"
+def test_stop_stops_a_car_that_the_button_did_not_arm() -> None:
+    assert DeadMan(PLACE).stop() == "STOP on the web page"
