@@ -19,7 +19,7 @@ from automodel.doctor import board as doctor_board
 from automodel.doctor import camera as doctor_camera
 from automodel.doctor import examination
 from automodel.signals import BoardSensors, Frame
-from automodel.sources import cameras as csi
+from automodel.sources import csi
 from firmware_link import arduino
 from firmware_link.emulator import logic
 from firmware_link.emulator.board import EmulatedArduino
@@ -85,7 +85,7 @@ class Terminal(io.StringIO):
 
 
 def show(monkeypatch: pytest.MonkeyPatch, image: np.ndarray, **how: int) -> None:
-    monkeypatch.setattr(examination, "make_camera", lambda car: LiveCamera(image, **how))
+    monkeypatch.setattr(examination, "make_camera", lambda car, any_mode: LiveCamera(image, **how))
 
 
 def by_name(said: Said) -> dict[str, dict[str, object]]:
