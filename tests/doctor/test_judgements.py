@@ -255,6 +255,10 @@ def test_packages() -> None:
     lines = ["numpy>=1.26", "tomlkit >= 0.12", 'tomli>=2.0; python_version < "3.11"', 'torch>=2; extra == "train"']
     wanted = machine.wanted_packages(lines)
     assert wanted == {"numpy": "1.26", "tomlkit": "0.12"}
+    assert machine.wanted_packages(lines, frozenset({"train"})) == {**wanted, "torch": "2"}
+    assert machine.needed_extras(CAR) == {"centerline"}
+    can = parse_car('[link]\nkind = "can"\n[pipeline]\nname = "windows"\n', "car.toml")
+    assert machine.needed_extras(can) == {"can"}
 
     def verdict(numpy: str | None) -> Verdict:
         return machine.judge_packages(wanted, {"numpy": numpy, "tomlkit": "0.13.2"}).verdict
