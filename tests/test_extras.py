@@ -53,20 +53,8 @@ def test_a_car_drives_without_any_extra(pipeline: str, tmp_path: Path) -> None:
             "pipeline centerline: the network needs onnxruntime, which is not installed: "
             "pip install 'automodel[centerline]'",
         ),
-        (
-            "report x.mcap --html x.html",
-            "report needs matplotlib, which is not installed: pip install 'automodel[plot]'",
-        ),
-        (
-            "calibrate ground x.png --car car.toml",
-            "calibrate needs matplotlib, which is not installed: pip install 'automodel[plot]'",
-        ),
         ("run --car can.toml", "CAN needs cantools, which is not installed: pip install 'automodel[can]'"),
         ("view x.mcap", "view needs aiohttp, which is not installed: pip install 'automodel[web]'"),
-        (
-            "bench accuracy --plot x.png",
-            "--plot needs matplotlib, which is not installed: pip install 'automodel[plot]'",
-        ),
     ],
 )
 def test_what_needs_an_extra_says_which(words: str, line: str, tmp_path: Path) -> None:
@@ -81,12 +69,12 @@ def test_an_import_that_nobody_looked_for_is_told_too(tmp_path: Path, monkeypatc
     from automodel.cli import main
 
     def broken(**given: object) -> None:
-        raise ModuleNotFoundError("No module named 'matplotlib'", name="matplotlib")
+        raise ModuleNotFoundError("No module named 'onnxruntime'", name="onnxruntime")
 
     monkeypatch.setattr(main.cli, "main", broken)
     assert main.run([]) == 2
     assert capsys.readouterr().err == (
-        "automodel: this needs matplotlib, which is not installed: pip install 'automodel[plot]'\n"
+        "automodel: this needs onnxruntime, which is not installed: pip install 'automodel[centerline]'\n"
     )
 
 

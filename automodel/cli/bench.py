@@ -13,7 +13,6 @@ from automodel import __version__
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, SWEEP, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
-from automodel.config.extras import need_extra
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
 from automodel.sim.random_worlds import KINDS
@@ -93,8 +92,6 @@ def accuracy(
     """
     from automodel.bench import accuracy, centerline_paper, windows_paper
 
-    if plot is not None:
-        need_extra("--plot", "matplotlib")
     check_outputs({"--plot": plot, "--csv": csv_file}, {"--car": car_file, "--monza": chosen["monza"]})
     car = car_of(car_file)
     if world is not None:

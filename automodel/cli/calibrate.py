@@ -10,7 +10,6 @@ import click
 
 from automodel.cli.main import LazyGroup
 from automodel.cli.options import FILE
-from automodel.config.extras import need_extra
 
 COMMANDS = {  # each in automodel/cli/calibrate_<name>.py
     "camera": "The lens: focal lengths, centre and distortion, from images of a board.",
@@ -30,7 +29,6 @@ class Calibrations(LazyGroup):
 @click.group("calibrate", cls=Calibrations)
 def command() -> None:
     """Calibrate the car, and write the results, with date and error, into car.toml."""
-    need_extra("calibrate", "matplotlib")
 
 
 def output_options(command: Callable[..., Any]) -> Callable[..., Any]:

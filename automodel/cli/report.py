@@ -8,7 +8,6 @@ from typing import Any
 import click
 
 from automodel.cli.options import FILE, FROM, PIPELINE, RATE, TO, check_outputs
-from automodel.config.extras import need_extra
 
 COLUMNS = (
     "pipeline", "availability_pct", "disagreement_median_m", "offset_bound_median_m", "misled_pct", "p50_ms", "frames"
@@ -41,7 +40,6 @@ def command(as_json: bool, to_s: float | None, **given: Any) -> int:
     from automodel.console.tables import show
     from automodel.viewer.run_trace import metrics
 
-    need_extra("report", "matplotlib")
     options = ReportOptions(to_s=math.inf if to_s is None else to_s, **given)
     if len(options.sources) > 1 and (options.truth_file or options.motion_file):
         raise click.UsageError("--truth and --motion belong to one RUN; give one")

@@ -11,7 +11,6 @@ EXTRA_OF = {  # module that is imported -> the extra that installs it (pyproject
     "can": "can",
     "cantools": "can",
     "crccheck": "can",
-    "matplotlib": "plot",
     "aiohttp": "web",
     "foxglove": "foxglove",
     "distributed": "cluster",
