@@ -67,6 +67,14 @@ def test_there_are_wheels_for_the_boards(index: None, glibc_minor: int, python: 
 
 
 @pytest.mark.slow
+def test_there_are_wheels_beside_an_older_numpy(index: None, tmp_path: Path) -> None:
+    """Raspberry Pi OS 12: its picamera2 was built for numpy 1."""
+    wheels = resolved(tmp_path, 36, "3.11", [*requirements(), "numpy<2"])
+    assert wheels["numpy"].startswith("numpy-1.")
+    assert "opencv-python-headless" in wheels
+
+
+@pytest.mark.slow
 def test_what_has_no_wheel_is_found(index: None, tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="onnxruntime"):
         resolved(tmp_path, 27, "3.10", ["onnxruntime>=1.24"])  # the last for Python 3.10 is 1.23
