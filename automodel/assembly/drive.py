@@ -179,7 +179,7 @@ def drive_real(
     """Drive the car behind car.toml's camera and port, recorded; a person arms it. Events go to stderr meanwhile."""
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
-        watch = CameraWatch(car.camera.rate_hz)
+        watch = CameraWatch(car.camera.rate_hz, car.safety.frame_timeout_s)
         camera = CaptureThread(make_camera(car), watch)
         leaving.callback(camera.close)
         recorder = make_recorder(options.record or _recording_name(car), text, car)

@@ -68,19 +68,21 @@ class CameraStatus:
 class CameraWatch:
     """Finds out within 100 ms that a camera of `rate_hz` is dead, frozen or slow; all times are passed in.
 
-    - dead: no frame arrives (of a slow camera in 2.5 of its periods);
+    - dead: no frame arrives (for longer than 2.5 of its periods and than `timeout_s`, after which the car holds);
     - frozen: frames arrive, and all are the same to the last bit, which a sensor's noise never allows. An image of one
       single value says nothing: that is a covered lens.
-    - slow: less than half the rate. It is told once, and again only after the camera was at its rate: its frames are
-      right, and opening it anew may not help (in the dark, cameras expose for longer).
+    - slow: less than half the rate, and frames come later than half of `timeout_s`. It is told once, and again only
+      after the camera was at its rate: its frames are right, and opening it anew may not help (in the dark, cameras
+      expose for longer).
 
     A stall is lasting after a second: opening a camera anew takes longer than most stalls. The watch outlives a camera
     that is opened again, and counts over all of them.
     """
 
-    def __init__(self, rate_hz: float) -> None:
+    def __init__(self, rate_hz: float, timeout_s: float = 0.0) -> None:
         self._period_ns = _NS / rate_hz
-        self._patience_ns = max(_NOTICE_S * _NS, _PERIODS * self._period_ns)
+        self._patience_ns = max(_NOTICE_S * _NS, _PERIODS * self._period_ns, timeout_s * _NS)
+        self._long_ns = max(_SLOW_PERIODS * self._period_ns, 0.5 * timeout_s * _NS)
         self._steps = max(2, int(0.5 * _NOTICE_S * rate_hz))  # so many long waits for a frame make a slow camera
         self._times_ns: deque[int] = deque(maxlen=_RATE_FRAMES)  # of capture
         self._opened_ns = 0
@@ -124,10 +126,10 @@ class CameraWatch:
         self._image, self._arrived_ns = image, now_ns
         self._frames += 1
         if self._times_ns:
-            periods = (frame.t_ns - self._times_ns[-1]) / self._period_ns
-            self._lost += max(round(periods) - 1, 0)
-            self._long_waits = self._long_waits + 1 if periods > _SLOW_PERIODS else 0
-            self._slow_reported = self._slow_reported and periods > _SLOW_PERIODS
+            waited_ns = frame.t_ns - self._times_ns[-1]
+            self._lost += max(round(waited_ns / self._period_ns) - 1, 0)
+            self._long_waits = self._long_waits + 1 if waited_ns > self._long_ns else 0
+            self._slow_reported = self._slow_reported and waited_ns > self._long_ns
         self._times_ns.append(frame.t_ns)
 
     def fault(self, now_ns: int) -> SourceStalled | None:

@@ -256,6 +256,16 @@ def test_a_slow_camera_is_told_once_until_it_was_well(rate_hz: float) -> None:
     assert until_told(9, now_ns)[1] is not None
 
 
+def test_what_comes_before_the_car_would_hold_is_no_fault() -> None:
+    watch = CameraWatch(60.0, timeout_s=0.5)
+    watch.opened(0)
+    last_ns = watched(watch, 100, 240_000_000)  # a quarter of a second is far less than half the rate
+    assert watch.fault(last_ns + 490_000_000) is None
+    fault = watch.fault(last_ns + 500_000_000)
+    assert fault is not None
+    assert str(fault) == "no frame for 0.50 s"
+
+
 def test_a_single_lost_frame_is_no_fault_and_is_counted() -> None:
     watch = CameraWatch(60.0)
     watch.opened(0)
