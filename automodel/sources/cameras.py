@@ -172,12 +172,12 @@ class CaptureThread:
         """The newest frame that was not delivered yet, or None if none came within `timeout_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._end is not None, timeout_s)
-            frame, self._newest = self._newest, None
-            if frame is None and self._end is not None:
+            if self._newest is None and self._end is not None:
                 raise self._end
             fault = None if self._watch is None else self._watch.fault(time.monotonic_ns())
             if fault is not None:
-                raise fault
+                raise fault  # a frame that waits is delivered next
+            frame, self._newest = self._newest, None
             return frame
 
     def close(self) -> None:

@@ -123,6 +123,23 @@ def test_a_bug_in_a_source_is_not_silence(monkeypatch: pytest.MonkeyPatch) -> No
     capture.close()
 
 
+def test_what_the_watch_finds_costs_no_frame() -> None:
+    source = Scripted()
+    capture = CaptureThread(source, CameraWatch(60.0))
+    for index in range(3):  # 0.1 s apart: a slow camera, of which the frames are right
+        source.inbox.put(Frame(t_ns=index * 100_000_000, index=index, image=TEXTURE + np.uint8(index)))
+    source.inbox.put(EndOfSource())
+    wait_until_end(capture, source)
+    with pytest.raises(SourceStalled, match="less than half of its 60 frames/s"):
+        capture.read(WAIT_S)
+    with contextlib.suppress(SourceStalled):  # of a machine that is busy
+        newest = capture.read(WAIT_S)
+        assert newest is not None
+        assert newest.index == 2
+    with pytest.raises((EndOfSource, SourceStalled)):
+        capture.read(WAIT_S)
+
+
 @pytest.mark.parametrize(
     ("own_ns", "want_ns"),
     [
