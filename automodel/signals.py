@@ -35,6 +35,13 @@ def _frozen_image(image: Image, name: str) -> Image:
     return view
 
 
+def same_image(a: Image, b: Image) -> bool:
+    """Whether two images are the same to the last bit, which those of a sensor never are."""
+    if a.shape != b.shape:
+        return False
+    return np.array_equal(a[::32], b[::32]) and np.array_equal(a, b)  # a few rows tell nearly always
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
     """One camera image.

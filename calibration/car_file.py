@@ -46,7 +46,8 @@ def write_values(car_file: Path, values: Values, *, residual: str, method: str, 
 def update_car_file(path: Path, values: Values, *, residual: str, date: datetime.date, method: str) -> Path | None:
     """Set keys of car.toml: `values` maps a section ("camera.intrinsics") to its keys. Returns the backup's path.
 
-    Also writes the record `[calibration.<what>]` (date, method, residual) of every section in `RECORD_OF_SECTION`.
+    Also writes the record `[calibration.<what>]` (date, method, residual; the lens's also the camera's mode) of every
+    section in `RECORD_OF_SECTION`.
     Comments and order are kept; missing sections and a missing file are created. The new text must load as a car; it
     then replaces the file in one step, and the old file is kept beside it (`car.toml.bak`, then `car.toml.bak.2`, ...).
 
@@ -63,7 +64,9 @@ def update_car_file(path: Path, values: Values, *, residual: str, date: datetime
     parse_car(text, str(path))
     new = _edited(text, {name: {k: _plain(v) for k, v in keys.items()} for name, keys in wanted.items()}, str(path))
     try:
-        parse_car(new, str(path))
+        car = parse_car(new, str(path))
+        if "camera" in records:  # the lens's figures hold for this mode alone
+            new = _edited(new, {"calibration.camera": {"mode": car.camera.mode}}, str(path))
     except ConfigError as error:
         raise ConfigError(f"{error} (with the new values; {path} is unchanged)") from None
     try:

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from automodel.config.extras import need_extra
 from firmware_link.can_receiver import CanFrame
 from firmware_link.errors import LinkError, PortLost, PortNotFound
 
@@ -65,6 +66,7 @@ class PythonCanPort:
 
     def open(self) -> None:
         """Join the bus; raises PortNotFound."""
+        need_extra("CAN", "can")
         import can
 
         arguments = dict(_EXTRA.get(self._interface, {}))

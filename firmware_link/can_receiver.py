@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from automodel.config import CanConfig, CanMessage, CanSignal, CanValue, ConfigError
+from automodel.config.extras import need_extra
 from automodel.config.toml_reader import MOST_TEXT_BYTES, check_file
 from firmware_link.can_checks import ChecksumFunction, CounterFunction, usual_mask
 
@@ -73,6 +74,7 @@ class MessageCount:
 
 def load_dbc(paths: Sequence[str | Path]) -> Any:
     """The cantools database of these files together (none: our own `automodel.dbc`); raises ConfigError."""
+    need_extra("CAN", "cantools", "crccheck")
     import cantools
     from cantools.database.errors import UnsupportedDatabaseFormatError
 

@@ -7,7 +7,7 @@ import glob
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from automodel.assembly.parts import make_camera, open_source
+from automodel.assembly.parts import is_live_camera, make_camera, open_source
 from automodel.config import CarConfig, ConfigError
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
@@ -26,10 +26,15 @@ _READ_S = 5.0
 
 
 @contextlib.contextmanager
-def open_images(sources: Sequence[str], car_file: Path, car: CarConfig) -> Iterator[ImageFeed]:
-    """The images that the arguments name, `live` for those of the car's camera; raises ConfigError, SourceError."""
+def open_images(
+    sources: Sequence[str], car_file: Path, car: CarConfig, *, any_mode: bool = False
+) -> Iterator[ImageFeed]:
+    """The images that the arguments name, `live` for those of the car's camera; raises ConfigError, SourceError.
+
+    `any_mode` as that of `make_camera`: for the calibration of the lens itself.
+    """
     if tuple(sources) == (LIVE,):
-        with _live_camera(car, car_file) as camera:
+        with _live_camera(car, car_file, any_mode) as camera:
             yield ImageFeed(images=_live_frames(camera), live=True, total=None)
         return
     paths = named_paths(sources)
@@ -87,12 +92,12 @@ def _frames(path: Path, car: CarConfig) -> Iterator[tuple[str, Image]]:
 
 
 @contextlib.contextmanager
-def _live_camera(car: CarConfig, car_file: Path) -> Iterator[Source]:
+def _live_camera(car: CarConfig, car_file: Path, any_mode: bool) -> Iterator[Source]:
     """The camera of car.toml, read in a thread that keeps the newest frame; a file is read frame by frame."""
     if car.camera.source == "sim":
-        raise ConfigError(f'{car_file}: [camera] source "sim" gives no images; live is for "csi" and "usb"')
-    camera = make_camera(car)
-    if car.camera.source in ("csi", "usb"):
+        raise ConfigError(f'{car_file}: [camera] source "sim" gives no images; live is for a camera')
+    camera = make_camera(car, any_mode=any_mode)
+    if is_live_camera(car):
         camera = CaptureThread(camera)
     try:
         yield camera

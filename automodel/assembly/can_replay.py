@@ -15,6 +15,7 @@ import numpy as np
 
 from automodel.assembly.can_parts import can_functions
 from automodel.config import CarConfig, ConfigError, load_car
+from automodel.config.extras import need_extra
 from automodel.console.messages import say
 from automodel.console.progress import progress
 from automodel.control.vehicle_model import yaw_rate_radps
@@ -70,6 +71,7 @@ def read_log(path: Path) -> Iterator[CanFrame]:
 
     A frame whose time lies before the last one's gets that one's. Raises ConfigError for a file that cannot be read.
     """
+    need_extra("CAN", "can")
     import can
 
     if not path.is_file():

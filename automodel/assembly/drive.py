@@ -25,7 +25,7 @@ from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickReco
 from automodel.runtime.runner import Runner
 from automodel.signals import DriverInput, Event
 from automodel.sim.track_files import load_track
-from automodel.sources.cameras import CaptureThread
+from automodel.sources.cameras import CameraStatus, CameraWatch, CaptureThread
 from firmware_link.errors import LinkError, PortNotFound
 from firmware_link.transport import likely_ports
 
@@ -224,7 +224,8 @@ def drive_real(
     """
     with contextlib.ExitStack() as leaving:
         cores = leaving.enter_context(LoopCores())
-        camera = CaptureThread(make_camera(car))
+        watch = CameraWatch(car.camera.rate_hz, car.safety.frame_timeout_s)
+        camera = CaptureThread(make_camera(car), watch)
         leaving.callback(camera.close)
         recorder = make_recorder(options.record or _recording_name(car), text, car)
         leaving.callback(recorder.close)
@@ -242,7 +243,7 @@ def drive_real(
 
         def reopen() -> CaptureThread:
             with cores.elsewhere():
-                return CaptureThread(make_camera(car))
+                return CaptureThread(make_camera(car), watch)
 
         people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operators, viewers)
         runner = Runner(
@@ -263,7 +264,8 @@ def drive_real(
                 raise
             raise LinkError(f"{error}; {likely_ports()}") from None
     say(recorder.summary())
-    return RunReport(row=_row(result), ended=watcher.ending(result), failed=_broken(result))
+    say(f"camera: {watch.status}")
+    return RunReport(row=_row(result, watch.status), ended=watcher.ending(result), failed=_broken(result))
 
 
 def _run(
@@ -298,14 +300,18 @@ def _broken(result: RunResult) -> bool:
     return result.stops > 0 or result.traceback is not None or result.end is RunEnd.SOURCE_FAILED
 
 
-def _row(result: RunResult) -> dict[str, object]:
-    """The metrics of a simulated run, with None for those that need its truth; and the frames."""
+def _row(result: RunResult, camera: CameraStatus) -> dict[str, object]:
+    """The metrics of a simulated run, with None for those that need its truth; the frames, and the camera's."""
     measured = {
         "frames": result.frames,
         "skipped": result.skipped,
         "stops": result.stops,
         "latency_p50_ms": result.latency_ms(50),
         "latency_p99_ms": result.latency_ms(99),
+        "camera_hz": camera.rate_hz,
+        "camera_dropped": camera.dropped,
+        "camera_lost": camera.lost,
+        "camera_restarts": camera.restarts,
     }
     return {**dict.fromkeys(_TRUTH_ONLY), **measured}
 

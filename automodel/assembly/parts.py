@@ -101,9 +101,18 @@ def is_live_camera(car: CarConfig) -> bool:
     return CAMERAS.target(car.camera.source) is not None
 
 
-def make_camera(car: CarConfig) -> Source:
-    """The camera that car.toml names, or what is recorded at the path that it names."""
+def make_camera(car: CarConfig, *, any_mode: bool = False) -> Source:
+    """The camera that car.toml names, or what is recorded at the path that it names.
+
+    Raises ConfigError for a camera in another mode than the one that its lens was calibrated in, unless `any_mode`:
+    that is for who calibrates it, or looks at it.
+    """
     if is_live_camera(car):
+        if car.other_mode is not None and not any_mode:
+            raise ConfigError(
+                f"[camera] is set to {car.camera.mode}, and its lens was calibrated for {car.other_mode}: another "
+                "field of view; set [camera] back, or run automodel calibrate camera"
+            )
         camera: Source = make_part(CAMERAS, car.camera.source, car.camera)
         return camera
     return open_source(Path(car.camera.source), car, car.camera.rate_hz)

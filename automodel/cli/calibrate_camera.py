@@ -46,4 +46,4 @@ def command(sources: tuple[str, ...], car_file: Path, **given: Any) -> int:
     except ValueError as error:
         raise click.UsageError(str(error)) from None
     options = CameraOptions(board=board, car_file=car_file, **given)
-    return calibrate_from_images(options, functools.partial(open_images, sources, car_file))
+    return calibrate_from_images(options, functools.partial(open_images, sources, car_file, any_mode=True))

@@ -21,8 +21,13 @@ _NAME_WIDTH = 20
 @click.option("--car", "car_file", type=FILE, help="car.toml (default: this machine only, and the simulated car).")
 @click.option("--move", is_flag=True, help="Also turn the steering; asks first. Lift the wheels off the ground.")
 @click.option("--yes", is_flag=True, help="With --move: do not ask. The wheels are off the ground.")
+@click.option(
+    "--latency",
+    metavar="LIGHT",
+    help="Also measure the camera's latency, which sees `screen` (this terminal) or an LED of /sys/class/leds blink.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Findings as JSON on stdout.")
-def command(car_file: Path | None, move: bool, yes: bool, as_json: bool) -> int:
+def command(car_file: Path | None, move: bool, yes: bool, latency: str | None, as_json: bool) -> int:
     """Check machine, camera, board and calibration: OK, WARN, FAIL or SKIP, and what to do.
 
     Nothing moves without --move. The exit code is 1 if a check says FAIL, else 0.
@@ -37,13 +42,15 @@ def command(car_file: Path | None, move: bool, yes: bool, as_json: bool) -> int:
 
     if yes and not move:
         raise click.UsageError("--yes: is for --move")
+    if latency is not None and car_file is None:
+        raise click.UsageError("--latency: needs --car, whose camera is looked at")
     car = car_of(car_file)
     if car_file is None:
         say("without --car: this machine, and the simulated car")
     ask = _ask if has_terminal() else None
     consent = Consent(given=yes or car.link.port == "sim", ask=ask) if move else None
     findings = []
-    with contextlib.closing(examine(car, consent)) as coming:
+    with contextlib.closing(examine(car, consent, latency)) as coming:
         for finding in coming:
             findings.append(finding)
             if not as_json:

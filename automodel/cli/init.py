@@ -14,6 +14,9 @@ from calibration.car_file import replace_file
 
 KITS = {  # each in automodel/cli/kits/<name>.toml
     "nano-arduino": "Jetson Nano, CSI camera, Arduino Nano: cars like the AutoModelCar.",
+    "orin-nano-arduino": "Jetson Orin Nano, CSI camera, Arduino Nano.",
+    "usb-camera": "Any machine with a USB camera, Arduino Nano.",
+    "pi5": "Raspberry Pi 5 with its camera, Arduino Nano.",
     "jetracer": "JetRacer: its Jetson and camera; an Arduino Nano replaces its servo driver.",
     "full-size": "A full-size car on a CAN bus; as it is written the simulated one.",
     "sim": "The simulated car, no hardware at all.",

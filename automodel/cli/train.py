@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import click
 
 from automodel.cli.options import ABOVE_ZERO, finite
+from automodel.config.extras import need_extra
 from automodel.config.toml_reader import ConfigError
 from automodel.console.tables import show
 from automodel.perception.markings.unet import SIZES
@@ -61,9 +61,7 @@ def command(
         raise click.UsageError("give --minutes or --steps, not both")
     if rest["resume"] is not None and not rest["resume"].is_file():
         raise ConfigError(f"--resume {rest['resume']}: no such file")
-    for name in ("torch", "onnx"):
-        if importlib.util.find_spec(name) is None:
-            raise ConfigError(f"training needs {name}, which is not installed: pip install 'automodel[train]'")
+    need_extra("training", "torch", "onnx")
     from automodel.training.session import SessionConfig, run_session
 
     minutes = MINUTES if steps is None and minutes is None else minutes

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import math
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 import click
 
 from automodel.cli.options import FILE, FROM, PIPELINE, RATE, TO
-from automodel.config import ConfigError
+from automodel.config.extras import need_extra
 
 
 @click.command("view")
@@ -34,8 +33,7 @@ def command(run: Path, port: int, pipelines: tuple[str, ...], to_s: float | None
 
     automodel view run.mcap --pipeline windows --pipeline contour
     """
-    if importlib.util.find_spec("aiohttp") is None:
-        raise ConfigError("view: needs aiohttp; pip install 'automodel[web]'")
+    need_extra("view", "aiohttp")
     from automodel.web.film import Footage, look_through
     from automodel.web.view import serve
 

@@ -194,11 +194,15 @@ class RecordingConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CalibrationRecord:
-    """What vouches for a calibrated section: when, how, and how large its error was (a text with units)."""
+    """What vouches for a calibrated section: when, how, and how large its error was (a text with units).
+
+    `mode` is the camera's (`CameraConfig.mode`) where the section belongs to one; empty where it is not known.
+    """
 
     date: datetime.date
     method: str
     residual: str
+    mode: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,6 +229,12 @@ class CarConfig:
     safety: SafetyConfig = field(default_factory=SafetyConfig)
     recording: RecordingConfig = field(default_factory=RecordingConfig)
     calibration: CalibrationRecords = field(default_factory=CalibrationRecords)
+
+    @property
+    def other_mode(self) -> str | None:
+        """The camera mode that the intrinsics were calibrated for, where the camera is set to another one."""
+        record = self.calibration.camera
+        return record.mode if record is not None and record.mode not in ("", self.camera.mode) else None
 
 
 def load_car(path: str | Path) -> CarConfig:

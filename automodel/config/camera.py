@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from automodel.config.toml_reader import not_negative, positive
+from automodel.config.toml_reader import not_negative, one_of, positive
+
+PIXEL_FORMATS = ("MJPG", "YUYV", "GREY")
+FLIPS = ("none", "rotate-180", "horizontal", "vertical")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,7 +56,11 @@ class SecondCamera:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraConfig:
-    """The camera: `source` is "sim", "csi", "usb" or a path."""
+    """The camera: `source` is "sim", "csi", "usb", one that an installed package offers, or a path.
+
+    The intrinsics belong to one `mode`. `gain` is the analogue gain as a factor (CSI, Raspberry Pi) or a number of the
+    driver's own (USB).
+    """
 
     source: str = "sim"
     device: int = 0  # the number N of /dev/videoN, or the CSI sensor's id
@@ -61,13 +68,37 @@ class CameraConfig:
     height_px: int = 360
     rate_hz: float = 60.0
     colour: bool = False  # False: frames come grey, which every pipeline is content with
+    latency_s: float = 0.0  # from capture to arrival, for cameras that do not say when they captured
+    sensor_mode: int = -1  # which part of the sensor is read, by the driver's number (CSI); -1: the driver chooses
+    flip: str = "none"
+    pixel_format: str = "MJPG"  # of a USB camera, its FOURCC
+    exposure_s: float = 0.0  # fixed; 0: automatic
+    gain: float = 0.0  # fixed; 0: automatic
+    flicker_hz: int = 0  # of the mains that feed the lamps: 50 or 60; 0: the camera's own choice
     intrinsics: Intrinsics = field(default_factory=Intrinsics)
     extrinsics: Extrinsics = field(default_factory=Extrinsics)
     right: SecondCamera | None = None
 
     def __post_init__(self) -> None:
         positive(self, "width_px", "height_px", "rate_hz")
-        not_negative(self, "device")
+        not_negative(self, "device", "latency_s", "exposure_s", "gain")
+        one_of("flip", self.flip, FLIPS)
+        one_of("pixel_format", self.pixel_format, PIXEL_FORMATS)
+        if self.sensor_mode < -1:
+            raise ValueError(f"sensor_mode: expected -1 (the driver chooses) or 0 and more, got {self.sensor_mode}")
+        if self.flicker_hz not in (0, 50, 60):
+            raise ValueError(f"flicker_hz: expected 50 or 60, or 0 (the camera's own choice), got {self.flicker_hz}")
+        if self.exposure_s > 1.0 / self.rate_hz:
+            raise ValueError(
+                f"exposure_s: {self.exposure_s} is longer than the time between two frames, {1.0 / self.rate_hz:.4f}"
+            )
+
+    @property
+    def mode(self) -> str:
+        """What the intrinsics belong to, in words: another mode has another field of view or another centre."""
+        part = f"sensor mode {self.sensor_mode}" if self.sensor_mode >= 0 else "the driver's sensor mode"
+        turned = "" if self.flip == "none" else f", flip {self.flip}"
+        return f"{self.source} {self.width_px}x{self.height_px}, {part}{turned}"
 
     @property
     def eyes(self) -> tuple[CameraConfig, ...]:

@@ -92,8 +92,8 @@ CAMERAS = PartKind(
     key="[camera] source",
     group="automodel.sources",
     targets={
-        "csi": "automodel.sources.cameras:CsiSource",
-        "usb": "automodel.sources.cameras:UsbSource",
+        "csi": "automodel.sources.csi:csi_source",
+        "usb": "automodel.sources.usb:UsbSource",
     },
     methods=("read", "close"),
 )

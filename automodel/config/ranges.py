@@ -32,6 +32,10 @@ BY_KEY = {
     "lane.marking_width_m": (0.001, 2.0),
     "camera.width_px": (8, 8192),  # what images of a source may have, too
     "camera.height_px": (8, 8192),
+    "camera.latency_s": (1e-4, 0.5),  # a car that acts on older frames is not driven
+    "camera.exposure_s": (1e-5, 1.0),
+    "camera.gain": (0.01, 65_535.0),  # a factor, or a driver's own number
+    "camera.sensor_mode": (1, 255),
     "camera.intrinsics.fx_px": (1.0, 1e5),
     "camera.intrinsics.fy_px": (1.0, 1e5),
     "camera.intrinsics.cx_px": (1e-3, 16_384.0),

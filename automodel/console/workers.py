@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import collections
 import concurrent.futures
-import importlib.util
 import multiprocessing
 import os
 import threading
@@ -21,6 +20,7 @@ from typing import Any, TypeVar
 
 import click
 
+from automodel.config.extras import need_extra
 from automodel.console.kept import KeptResults, code_digest
 from automodel.console.messages import say
 from automodel.console.progress import progress
@@ -211,8 +211,7 @@ def _tick(share: float) -> None:
 
 
 def _on_cluster(address: str, work: Work[Case, Any], todo: Mapping[int, Case], tick: Tick) -> Iterator[tuple[int, Any]]:
-    if importlib.util.find_spec("distributed") is None:
-        raise click.ClickException("--scheduler: needs Dask; pip install 'automodel[cluster]'")
+    need_extra("--scheduler", "distributed")
     import distributed
 
     try:

@@ -56,11 +56,15 @@ _LANE_S = 60.0
 
 @dataclass(slots=True, kw_only=True)
 class Capture:
-    """Time stamps of all frames after the first ones, and the newest frames; `repeated` counts identical ones."""
+    """Time stamps of all frames after the first ones, and the newest frames; `repeated` counts identical ones.
+
+    `own_time` says whether the stamps are the camera's own, None where the source does not tell.
+    """
 
     stamps_ns: list[int] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     repeated: int = 0
+    own_time: bool | None = None
 
     def add(self, frame: Frame, keep: int) -> None:
         """One more frame; the newest `keep` are kept."""
@@ -81,8 +85,8 @@ def judge_resolution(capture: Capture, car: CarConfig) -> Finding:
     return okay(name, f"{width}x{height} pixels")
 
 
-def judge_stamps(capture: Capture) -> Finding:
-    """Whether time stamps rise and images change."""
+def judge_stamps(capture: Capture, latency_s: float = 0.0) -> Finding:
+    """Whether time stamps rise and images change, and whose times they are."""
     name = "time stamps"
     count = len(capture.stamps_ns)
     if count < 2:
@@ -94,7 +98,18 @@ def judge_stamps(capture: Capture) -> Finding:
     if capture.repeated == count - 1:
         do = "plug the camera in again: two live images are never identical (rendered ones are)"
         return warn(name, f"rise, but all {count} images are identical", do)
-    return okay(name, f"{count} rise, and the images change")
+    what = f"{count} rise, and the images change"
+    if capture.own_time is None:
+        return okay(name, what)
+    if capture.own_time:
+        return okay(name, f"{what}; they are the camera's own")
+    what += f"; they are times of arrival, less {1e3 * latency_s:g} ms"
+    if latency_s == 0.0:
+        do = (
+            "measure [camera] latency_s: automodel doctor --latency; the car takes its pictures for newer than they are"
+        )
+        return warn(name, what, do)
+    return okay(name, what)
 
 
 def judge_rate(capture: Capture, car: CarConfig) -> Finding:
@@ -236,7 +251,7 @@ def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: l
     frames += capture.frames
     yield okay("camera", f"{_name(car)} opens, first frame after {first_s:.1f} s")
     yield judge_resolution(capture, car)
-    yield judge_stamps(capture)
+    yield judge_stamps(capture, car.camera.latency_s)
     yield judge_rate(capture, car)
     grey = with_channels(capture.frames[-1].image, False)
     yield judge_exposure(grey)
@@ -281,6 +296,7 @@ def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
                 break
         if not capture.frames:
             capture.add(first, KEPT)
+        capture.own_time = getattr(source, "own_time", None)
         return capture, first_s
     finally:
         source.close()

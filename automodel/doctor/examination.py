@@ -11,9 +11,11 @@ from automodel.assembly.parts import is_live_camera, make_camera, make_link
 from automodel.assembly.simulated_car import Simulation, board_of, lock_step
 from automodel.config import CalibrationRecord, CarConfig, Intrinsics
 from automodel.doctor.board import Board, Consent, board_findings, can_finding, servo_finding
+from automodel.doctor.board_computer import computer_findings
 from automodel.doctor.camera import camera_findings, lane_finding
 from automodel.doctor.can_bus import can_bus_findings
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
+from automodel.doctor.latency import latency_finding
 from automodel.doctor.machine import disk_finding, machine_findings
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, SleepingClock
@@ -28,16 +30,32 @@ COMMANDS = {  # calibration record -> (the command that makes it, what is wrong 
     "odometry": ("automodel calibrate odometry", "speed and distance are wrong"),
 }
 NARROW_RAD, WIDE_RAD = math.radians(25.0), math.radians(150.0)  # fields of view of cameras that see lanes
+ASPECT_OFF = 0.02
+IMX219_MODES = {  # of NVIDIA's driver since JetPack 4.4: width, height [px], most frames/s, share of the sensor's width
+    0: (3280, 2464, 21, 1.0),
+    1: (3280, 1848, 28, 1.0),
+    2: (1920, 1080, 30, 0.585),
+    3: (1640, 1232, 30, 1.0),
+    4: (1280, 720, 60, 0.78),
+    5: (1280, 720, 120, 0.78),
+}
 CENTRE_OFF = 0.12  # share of the image size by which the principal point may be off the middle
 
 
-def examine(car: CarConfig, consent: Consent | None) -> Generator[Finding, None, None]:
-    """All findings, in order, as they come; without `consent` nothing moves."""
+def examine(car: CarConfig, consent: Consent | None, light: str | None = None) -> Generator[Finding, None, None]:
+    """All findings, in order, as they come; without `consent` nothing moves.
+
+    `light` blinks for the camera's latency: "screen", or an LED.
+    """
     yield from machine_findings(car)
+    yield from computer_findings()
     frames: list[Frame] = []
     yield from _device_findings(car, consent, frames)
+    if light is not None:
+        yield latency_finding(car, lambda: make_camera(car, any_mode=True), light)
     yield disk_finding(car, frames[-1].image if frames else None)
     yield judge_lens(car)
+    yield judge_mode(car)
     yield judge_steering(car)
     yield from judge_records(car, datetime.date.today())
 
@@ -94,7 +112,7 @@ def _devices(car: CarConfig, leaving: contextlib.ExitStack) -> tuple[Callable[[]
         return lambda: simulated.source, simulated.link, simulated.clock
     link = make_link(car)
     leaving.callback(link.close)
-    return lambda: make_camera(car), link, MonotonicClock()
+    return lambda: make_camera(car, any_mode=True), link, MonotonicClock()
 
 
 def judge_records(car: CarConfig, today: datetime.date) -> list[Finding]:
@@ -136,6 +154,30 @@ def judge_lens(car: CarConfig) -> Finding:
         differ = f"fx {lens.fx_px:.0f} and fy {lens.fy_px:.0f} px differ"
         return warn(name, f"{differ}: right only where the camera squeezes its images", do)
     return okay(name, f"field of view {math.degrees(view):.0f} deg, centre {lens.cx_px:.0f}, {lens.cy_px:.0f}")
+
+
+def judge_mode(car: CarConfig) -> Finding:
+    """Whether the lens was calibrated in the camera's mode, and the mode is one that is sure and fits."""
+    name, camera, record = "camera mode", car.camera, car.calibration.camera
+    if camera.source == "sim":
+        return skip(name, "a simulated camera has one only")
+    if car.other_mode is not None:
+        do = f"set [camera] back, or {COMMANDS['camera'][0]}: the car does not drive like this"
+        return fail(name, f"{camera.mode}, and the lens was calibrated for {car.other_mode}", do)
+    what = camera.mode + ("" if record is None or record.mode else "; the calibration does not say for which")
+    if camera.source == "csi" and camera.sensor_mode < 0:
+        do = "set [camera] sensor_mode: which part of the sensor is read would follow from size and rate"
+        return warn(name, what, do)
+    known = IMX219_MODES.get(camera.sensor_mode) if camera.source == "csi" else None
+    if known is None:
+        return okay(name, what)
+    width_px, height_px, most_hz, share = known
+    what += f"; of an IMX219 {width_px}x{height_px}, up to {most_hz} Hz, {share:.0%} of its width"
+    if camera.rate_hz > most_hz:
+        return warn(name, what, f"[camera] rate_hz = {most_hz}, or another sensor_mode (4 has 60 Hz)")
+    if abs(camera.width_px * height_px / (camera.height_px * width_px) - 1.0) > ASPECT_OFF:
+        return warn(name, what, "the picture is stretched: choose a size of the same shape as the mode's")
+    return okay(name, what)
 
 
 def judge_steering(car: CarConfig) -> Finding:

@@ -44,10 +44,17 @@ def judge_scheduling(cores: int, denied: Sequence[str]) -> Finding:
     return warn("scheduling", "; ".join(denied), f"{do}, and log in anew")
 
 
-def wanted_packages(requirements: Sequence[str]) -> dict[str, str]:
-    """Name -> least version of the requirements without a condition, which hold on every machine."""
-    plain = (re.fullmatch(r"\s*([\w.-]+)\s*>=\s*([\d.]+)\s*", line) for line in requirements)
-    return {match[1]: match[2] for match in plain if match}
+def needed_extras(car: CarConfig) -> frozenset[str]:
+    """The extras of the package that this car cannot drive without."""
+    network = car.pipeline.name == "centerline" and car.pipeline.centerline.markings == "unet"
+    return frozenset(["centerline"] * network + ["can"] * (car.link.kind == "can"))
+
+
+def wanted_packages(requirements: Sequence[str], extras: frozenset[str] = frozenset()) -> dict[str, str]:
+    """Name -> least version of the requirements that hold on every machine, and of those of some `extras`."""
+    pattern = r"\s*([\w.-]+)\s*>=\s*([\d.]+)\s*(?:;\s*extra\s*==\s*[\"'](\w+)[\"']\s*)?"
+    plain = (re.fullmatch(pattern, line) for line in requirements)
+    return {match[1]: match[2] for match in plain if match and (match[3] is None or match[3] in extras)}
 
 
 def judge_packages(wanted: Mapping[str, str], installed: Mapping[str, str | None]) -> Finding:
@@ -158,7 +165,9 @@ def machine_findings(car: CarConfig) -> Iterator[Finding]:
     source = car.camera.source
     yield okay("python", f"{platform.python_version()}, {platform.machine()}, {os.cpu_count()} cores")
     yield judge_scheduling(usable_cores(), denied())
-    yield bounded("packages", _packages, 10.0, "make a new virtual environment: python3 -m venv, pip install")
+    yield bounded(
+        "packages", lambda: _packages(car), 10.0, "make a new virtual environment: python3 -m venv, pip install"
+    )
     yield judge_opencv(cv2.__version__, cv2.getBuildInformation(), source)
     yield bounded(
         "gstreamer", lambda: _gstreamer(source), 20.0, "gst-inspect-1.0 nvarguscamerasrc hangs: restart the machine"
@@ -179,12 +188,12 @@ def disk_finding(car: CarConfig, image: Image | None) -> Finding:
     return bounded("disk", look, 20.0, "set [recording] directory to a folder that can be written")
 
 
-def _packages() -> Finding:
+def _packages(car: CarConfig) -> Finding:
     try:
         requirements = importlib.metadata.requires("automodel") or []
     except importlib.metadata.PackageNotFoundError:
         return skip("packages", "automodel is not installed by pip: its requirements are unknown", "pip install .")
-    wanted = wanted_packages(requirements)
+    wanted = wanted_packages(requirements, needed_extras(car))
     return judge_packages(wanted, {package: _version_of(package) for package in wanted})
 
 

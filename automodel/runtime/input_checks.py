@@ -24,6 +24,7 @@ from automodel.signals import (
     MotionSource,
     StereoFrame,
     VehicleState,
+    same_image,
 )
 from automodel.types import Image
 
@@ -175,7 +176,7 @@ class ImageCheck:
         before, self._before = self._before, image
         if contrast(image) < FLAT_LEVELS:
             return "the image is blank"
-        if before is not None and not self._noiseless and _same(before, image):
+        if before is not None and not self._noiseless and same_image(before, image):
             return "the camera repeats the same image"
         return None
 
@@ -184,12 +185,6 @@ def contrast(image: Image) -> int:
     """Grey levels between the brightest and the darkest part of a image, of the channel with the most."""
     coarse = cv2.resize(image, _COARSE_PX, interpolation=cv2.INTER_AREA).reshape(_COARSE_PX[0] * _COARSE_PX[1], -1)
     return int((coarse.max(axis=0).astype(np.int64) - coarse.min(axis=0)).max())
-
-
-def _same(a: Image, b: Image) -> bool:
-    if a.shape != b.shape:
-        return False
-    return np.array_equal(a[::32], b[::32]) and np.array_equal(a, b)  # a few rows tell nearly always
 
 
 MIN_MPS = 0.4  # a slower car turns too little to tell

@@ -9,6 +9,7 @@ from automodel.interfaces import Source
 from automodel.runtime.clocks import NS_PER_S, SleepingClock
 from automodel.runtime.run_log import RunLog
 from automodel.signals import Event, Frame, StereoFrame
+from automodel.sources.errors import SourceStalled
 
 REOPEN_S = 0.2  # between two tries to open a source that failed
 START_S = 5.0  # for the first frame of a camera opened again: the sensor and its exposure take 1 to 3 s
@@ -29,6 +30,7 @@ class SupervisedSource:
         self._run_log = run_log
         self._reopen = reopen
         self._failed = False
+        self._stalled = False  # it gives nothing for now, and may go on by itself
         self._awaited = False  # opened again, and no frame has come yet
         self._tried_ns: int | None = None  # when it was opened again last
 
@@ -40,20 +42,22 @@ class SupervisedSource:
     def read(self, timeout_s: float, at_rest: bool) -> Frame | StereoFrame | None:
         """A frame, or None after `timeout_s` on the clock, also where the source has failed.
 
-        A failed source is only replaced `at_rest`, because opening a camera takes seconds.
+        A failed source, or one whose stall lasts, is only replaced `at_rest`, because opening a camera takes seconds.
         """
         if at_rest and (self._failed or self._late()):
             self._replace()
         try:
             frame = self._source.read(timeout_s)
         except (OSError, ValueError) as error:
-            self._failed = True
+            self._stalled = True
+            self._failed = self._failed or not isinstance(error, SourceStalled) or error.lasting
             self._run_log.report("source-failed", str(error), self._clock.now_ns())
             self._clock.sleep(timeout_s)  # a broken source fails at once
             return None
-        if frame is not None and (self._failed or self._awaited):
-            self._failed = self._awaited = False
-            event = Event(t_ns=self._clock.now_ns(), kind="source-back", text="frames come again; arm to drive on")
+        if frame is not None and (self._failed or self._stalled or self._awaited):
+            self._failed = self._stalled = self._awaited = False
+            text = "frames come again; arm to drive on" if at_rest else "frames come again"
+            event = Event(t_ns=self._clock.now_ns(), kind="source-back", text=text)
             self._run_log.note(event)
         return frame
 
@@ -74,4 +78,4 @@ class SupervisedSource:
         self.close()
         with contextlib.suppress(OSError):  # the fault has been reported already
             self._source = self._reopen()
-            self._failed, self._awaited = False, True
+            self._failed, self._stalled, self._awaited = False, False, True

@@ -1,224 +1,170 @@
-"""Cameras as sources: USB (V4L2), CSI on a Jetson, and a capture thread that always has the newest frame."""
+"""What all live cameras share: capture times, a watch for those that fail, and a thread that has the newest frame."""
 
 from __future__ import annotations
 
-import fcntl
-import os
-import select
-import subprocess
-import tempfile
 import threading
 import time
+from collections import deque
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from automodel.config import CameraConfig
 from automodel.interfaces import Source
-from automodel.signals import Frame, StereoFrame
-from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.images import opencv_silenced, with_channels
+from automodel.signals import Frame, StereoFrame, same_image
+from automodel.sources.errors import EndOfSource, SourceError, SourceStalled
 from automodel.types import Image
 
-_OLDEST_NS = 1_000_000_000  # a driver's capture time older than this is on another clock
-_PIPE_BYTES = 1 << 20  # room for a whole frame; with the kernel's 64 KiB, every piece costs a context switch
-_STOP_S = 2.0
+_NS = 1_000_000_000
+_OLDEST_NS = _NS  # a driver's capture time older than this is on another clock
 _POLL_S = 0.1  # timeout of a read in the capture thread, after which it checks whether to stop
 _JOIN_S = 2.0
+_NOTICE_S = 0.08  # a camera that fails is noticed within 0.1 s, as the loop looks every 0.02 s
+_LASTING_S = 1.0
+_SLOW_PERIODS = 2.25  # between two frames; a frame that was lost makes it 2
+_PERIODS = 2.5  # without a new frame, where that is longer: one lost frame is no failure
+_START_S = 5.0  # until the first frame: sensor and exposure take 1 to 3 s
+_RATE_FRAMES = 120  # of which the rate is the mean
+_FLIP_CODES = {"rotate-180": -1, "horizontal": 1, "vertical": 0}  # OpenCV's
 
 
-class UsbSource:
-    """Frames of /dev/videoN with the driver's capture time, or the time of arrival if the driver has none.
+def captured_ns(own_ns: float | None, now_ns: int, latency_s: float) -> int:
+    """When a frame was captured [ns]: `own_ns`, what the camera says, or `latency_s` before it arrived at `now_ns`.
 
-    Requests MJPG (`fourcc` "YUYV" for cameras without MJPG) and a single buffer, so that no old frame is queued. Raises
-    SourceError for a camera that is missing, has another size, or stops. `read` may block for the driver's timeout;
-    wrap the source in a `CaptureThread` to limit the wait.
+    A time of the camera's that lies ahead, or more than a second back, is on another clock and not used.
+    """
+    if own_ns is not None and np.isfinite(own_ns) and 0 <= now_ns - round(own_ns) <= _OLDEST_NS:
+        return round(own_ns)
+    return now_ns - round(latency_s * _NS)
+
+
+def flipped(image: Image, flip: str) -> Image:
+    """The image turned as `[camera] flip` says, where the camera does not do it itself."""
+    if flip == "none":
+        return image
+    return np.asarray(cv2.flip(image, _FLIP_CODES[flip]), dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraStatus:
+    """What a camera has done so far.
+
+    `rate_hz` is the measured rate, None before the second frame. `dropped` frames arrived and were replaced by newer
+    ones before anybody took them, `lost` frames are missing in the capture times and never arrived.
     """
 
-    def __init__(self, camera: CameraConfig, fourcc: str = "MJPG") -> None:
-        self.device = f"/dev/video{camera.device}"
-        self.colour = camera.colour
-        with opencv_silenced():
-            self._capture = cv2.VideoCapture(camera.device, cv2.CAP_V4L2)
-        if not self._capture.isOpened():
-            raise SourceError(f"{self.device}: cannot be opened; is the camera plugged in, and [camera] device right?")
-        self._configure(camera, fourcc)
-        self._next = 0
+    rate_hz: float | None
+    frames: int
+    dropped: int
+    lost: int
+    restarts: int
 
-    def read(self, timeout_s: float) -> Frame:
-        """The next frame."""
-        there, image = False, None
-        with opencv_silenced():
-            if self._capture.grab():
-                now_ns = time.monotonic_ns()
-                t_ns = captured_ns(float(self._capture.get(cv2.CAP_PROP_POS_MSEC)), now_ns)
-                there, image = self._capture.retrieve()
-        if not there or image is None:
-            raise SourceError(f"{self.device}: no more frames; is the camera still plugged in?")
-        frame = Frame(t_ns=t_ns, index=self._next, image=with_channels(np.asarray(image, dtype=np.uint8), self.colour))
-        self._next += 1
-        return frame
-
-    def close(self) -> None:
-        """Release the camera; may be called twice."""
-        self._capture.release()
-
-    def _configure(self, camera: CameraConfig, fourcc: str) -> None:
-        size = (camera.width_px, camera.height_px)
-        for key, value in (
-            (cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*fourcc)),
-            (cv2.CAP_PROP_FRAME_WIDTH, size[0]),
-            (cv2.CAP_PROP_FRAME_HEIGHT, size[1]),
-            (cv2.CAP_PROP_FPS, camera.rate_hz),
-            (cv2.CAP_PROP_BUFFERSIZE, 1),
-        ):
-            self._capture.set(key, value)
-        got = tuple(int(self._capture.get(k)) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        if got != size:
-            self.close()
-            raise SourceError(
-                f"{self.device}: expected {size[0]}x{size[1]} pixels (car.toml), got {got[0]}x{got[1]}; "
-                f"choose a size that the camera supports (v4l2-ctl --list-formats-ext) and calibrate for it"
-            )
+    def __str__(self) -> str:
+        rate = "no rate" if self.rate_hz is None else f"{self.rate_hz:.1f} frames/s"
+        again = f", opened again {self.restarts} times" if self.restarts else ""
+        return f"{rate}, {self.frames} frames, {self.dropped} dropped, {self.lost} lost{again}"
 
 
-def captured_ns(driver_ms: float, now_ns: int) -> int:
-    """The driver's capture time [ns] if it is on the monotonic clock, else the time of arrival."""
-    if not np.isfinite(driver_ms):
-        return now_ns
-    driver_ns = round(driver_ms * 1e6)
-    return driver_ns if 0 <= now_ns - driver_ns <= _OLDEST_NS else now_ns
+class CameraWatch:
+    """Finds out within 100 ms that a camera of `rate_hz` is dead, frozen or slow; all times are passed in.
 
+    - dead: no frame arrives (for longer than 2.5 of its periods and than `timeout_s`, after which the car holds);
+    - frozen: frames arrive, and all are the same to the last bit, which a sensor's noise never allows. An image of one
+      single value says nothing: that is a covered lens.
+    - slow: less than half the rate, and frames come later than half of `timeout_s`. It is told once, and again only
+      after the camera was at its rate: its frames are right, and opening it anew may not help (in the dark, cameras
+      expose for longer).
 
-def jetson_elements(camera: CameraConfig) -> str:
-    """The head of the pipeline on a Jetson: the sensor, and its frames copied from the ISP's memory."""
-    return (
-        f"nvarguscamerasrc sensor-id={camera.device} "
-        f"! video/x-raw(memory:NVMM),width={camera.width_px},height={camera.height_px},"
-        f"framerate={_fraction(camera.rate_hz)} ! nvvidconv"
-    )
-
-
-def synthetic_elements(camera: CameraConfig) -> str:
-    """The head of the pipeline on any machine: GStreamer's test image at the camera's rate."""
-    return f"videotestsrc is-live=true ! video/x-raw,framerate={_fraction(camera.rate_hz)} ! videoconvert"
-
-
-def gst_command(camera: CameraConfig, elements: str, fd: int) -> list[str]:
-    """The whole command: `elements`, conversion to the configured format, and the newest frame to descriptor `fd`."""
-    pixel = "BGRx" if camera.colour else "GRAY8"
-    caps = f"video/x-raw,format={pixel},width={camera.width_px},height={camera.height_px}"
-    tail = f"! {caps} ! queue leaky=downstream max-size-buffers=1 ! fdsink fd={fd} sync=false"
-    return ["gst-launch-1.0", "--quiet", *elements.split(), *tail.split()]
-
-
-class CsiSource:
-    """Frames of a CSI camera with the monotonic time of arrival, through a pipe from a `gst-launch-1.0` process.
-
-    (The pip wheels of OpenCV are built without GStreamer.) The pipe is the pictures' own: NVIDIA's camera plugin prints
-    its messages on stdout, where they would shift every picture after them; they go to the log instead. Raises
-    SourceError with GStreamer's error message where GStreamer is missing, cannot open the camera, or stops.
+    A stall is lasting after a second: opening a camera anew takes longer than most stalls. The watch outlives a camera
+    that is opened again, and counts over all of them.
     """
 
-    def __init__(self, camera: CameraConfig, elements: str | None = None) -> None:
-        self.colour = camera.colour
-        self._name = f"CSI camera {camera.device}"
-        # GStreamer pads the rows of raw video to multiples of 4 bytes
-        self._row_bytes = (camera.width_px * (4 if self.colour else 1) + 3) // 4 * 4
-        self._width, self._height = camera.width_px, camera.height_px
-        self._buffer, self._filled, self._next = self._empty(), 0, 0
-        self._log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process that writes to it
-        reading, writing = os.pipe()
-        self._pipe = open(reading, "rb", buffering=0)  # noqa: SIM115 - closed by close()
-        try:
-            self._process = subprocess.Popen(
-                gst_command(camera, elements or jetson_elements(camera), writing),
-                stdin=subprocess.DEVNULL,
-                stdout=self._log,
-                stderr=subprocess.STDOUT,
-                pass_fds=[writing],
-            )
-        except FileNotFoundError:
-            self._pipe.close()
-            self._log.close()
-            raise SourceError(
-                "gst-launch-1.0: not found; a CSI camera needs GStreamer (apt-get install gstreamer1.0-tools)"
-            ) from None
-        finally:
-            os.close(writing)  # held by GStreamer alone, so that the pipe ends when it ends
-        fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
-        os.set_blocking(self._pipe.fileno(), False)
+    def __init__(self, rate_hz: float, timeout_s: float = 0.0) -> None:
+        self._period_ns = _NS / rate_hz
+        self._patience_ns = max(_NOTICE_S * _NS, _PERIODS * self._period_ns, timeout_s * _NS)
+        self._long_ns = max(_SLOW_PERIODS * self._period_ns, 0.5 * timeout_s * _NS)
+        self._steps = max(2, int(0.5 * _NOTICE_S * rate_hz))  # so many long waits for a frame make a slow camera
+        self._times_ns: deque[int] = deque(maxlen=_RATE_FRAMES)  # of capture
+        self._opened_ns = 0
+        self._arrived_ns: int | None = None
+        self._new_ns = 0  # when the newest image arrived that was not the one before
+        self._image: Image | None = None
+        self._long_waits = 0  # in a row
+        self._slow_reported = False
+        self._frames = self._dropped = self._lost = self._opened = 0
 
-    def read(self, timeout_s: float) -> Frame | None:
-        """The next frame, or None if it was not complete within `timeout_s`; the part received so far is kept."""
-        if self._pipe.closed:
-            raise SourceError(f"{self._name}: closed")
-        deadline_ns = time.monotonic_ns() + round(timeout_s * 1e9)
-        while self._filled < len(self._buffer):
-            left_s = max(deadline_ns - time.monotonic_ns(), 0) * 1e-9
-            if not select.select([self._pipe], [], [], left_s)[0]:
-                return None
-            got = os.readv(self._pipe.fileno(), [self._buffer[self._filled :].data])
-            if got == 0:
-                raise SourceError(f"{self._name}: no more frames: {self._error_text()}")
-            self._filled += got
-        frame = Frame(t_ns=time.monotonic_ns(), index=self._next, image=self._image())
-        self._buffer, self._filled = self._empty(), 0
-        self._next += 1
-        return frame
+    @property
+    def status(self) -> CameraStatus:
+        """What the camera has done so far."""
+        times, rate_hz = self._times_ns, None
+        if len(times) > 1 and times[-1] > times[0]:
+            rate_hz = (len(times) - 1) * _NS / (times[-1] - times[0])
+        return CameraStatus(
+            rate_hz=rate_hz,
+            frames=self._frames,
+            dropped=self._dropped,
+            lost=self._lost,
+            restarts=max(self._opened - 1, 0),
+        )
 
-    def close(self) -> None:
-        """Stop GStreamer and release the camera; may be called twice."""
-        self._pipe.close()
-        if self._process.poll() is None:
-            self._process.terminate()
-            try:
-                self._process.wait(_STOP_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
-        self._log.close()
+    def opened(self, now_ns: int) -> None:
+        """The camera was opened, or opened again."""
+        self._opened += 1
+        self._opened_ns, self._arrived_ns, self._image = now_ns, None, None
+        self._times_ns.clear()
+        self._long_waits = 0
 
-    def _empty(self) -> Image:
-        return np.empty(self._row_bytes * self._height, np.uint8)
+    def dropped(self) -> None:
+        """A frame was replaced before it was taken."""
+        self._dropped += 1
 
-    def _image(self) -> Image:
-        rows = self._buffer.reshape(self._height, self._row_bytes)
-        if not self.colour:
-            return np.ascontiguousarray(rows[:, : self._width])
-        return np.ascontiguousarray(rows.reshape(self._height, self._width, 4)[:, :, :3])
+    def arrived(self, frame: Frame | StereoFrame, now_ns: int) -> None:
+        """A frame arrived."""
+        image = frame.left if isinstance(frame, StereoFrame) else frame.image
+        if self._image is None or not same_image(self._image, image) or image.min() == image.max():
+            self._new_ns = now_ns
+        self._image, self._arrived_ns = image, now_ns
+        self._frames += 1
+        if self._times_ns:
+            waited_ns = frame.t_ns - self._times_ns[-1]
+            self._lost += max(round(waited_ns / self._period_ns) - 1, 0)
+            self._long_waits = self._long_waits + 1 if waited_ns > self._long_ns else 0
+            self._slow_reported = self._slow_reported and waited_ns > self._long_ns
+        self._times_ns.append(frame.t_ns)
 
-    def _error_text(self) -> str:
-        try:
-            self._process.wait(_STOP_S)
-        except subprocess.TimeoutExpired:
-            return "GStreamer closed the pipe"
-        self._log.seek(0)
-        lines = self._log.read().decode("utf-8", "replace").splitlines()
-        errors = [line for line in lines if "error" in line.lower() or "erroneous" in line]
-        return errors[0].strip() if errors else f"GStreamer ended with code {self._process.returncode}"
-
-
-def _fraction(rate_hz: float) -> str:
-    milli = round(rate_hz * 1000)
-    return f"{milli // 1000}/1" if milli % 1000 == 0 else f"{milli}/1000"
+    def fault(self, now_ns: int) -> SourceStalled | None:
+        """What is wrong with the camera, None where nothing is."""
+        if self._arrived_ns is None:
+            waited_ns = now_ns - self._opened_ns
+            return SourceStalled(f"no first frame within {_START_S:g} s", True) if waited_ns >= _START_S * _NS else None
+        for what, since_ns in (("no frame", self._arrived_ns), ("the same frame again and again", self._new_ns)):
+            if now_ns - since_ns >= self._patience_ns:
+                age_s = (now_ns - since_ns) / _NS
+                return SourceStalled(f"{what} for {age_s:.2f} s", age_s >= _LASTING_S)
+        if self._long_waits >= self._steps and not self._slow_reported:
+            self._slow_reported = True
+            rate_hz = _NS / self._period_ns
+            return SourceStalled(f"less than half of its {rate_hz:g} frames/s; more light, or another USB port?", True)
+        return None
 
 
 class CaptureThread:
     """Reads a source in a daemon thread and delivers only the newest frame.
 
     `drops` counts the frames that were replaced before they were read. `read` passes on an error or the end of the
-    wrapped source after its last frame. The thread itself closes the wrapped source, so that a driver is never closed
-    during a read.
+    wrapped source after its last frame, and raises SourceStalled for what the `watch` finds; frames that come later are
+    delivered again. The thread itself closes the wrapped source, so that a driver is never closed during a read.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, watch: CameraWatch | None = None) -> None:
         self.drops = 0
-        self._source = source
+        self._source, self._watch = source, watch
         self._changed = threading.Condition()
         self._newest: Frame | StereoFrame | None = None
         self._end: OSError | EndOfSource | None = None
         self._stopping = False
+        if watch is not None:
+            watch.opened(time.monotonic_ns())
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
         self._thread.start()
 
@@ -226,9 +172,12 @@ class CaptureThread:
         """The newest frame that was not delivered yet, or None if none came within `timeout_s`."""
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None or self._end is not None, timeout_s)
-            frame, self._newest = self._newest, None
-            if frame is None and self._end is not None:
+            if self._newest is None and self._end is not None:
                 raise self._end
+            fault = None if self._watch is None else self._watch.fault(time.monotonic_ns())
+            if fault is not None:
+                raise fault  # a frame that waits is delivered next
+            frame, self._newest = self._newest, None
             return frame
 
     def close(self) -> None:
@@ -255,7 +204,11 @@ class CaptureThread:
 
     def _put(self, frame: Frame | StereoFrame) -> None:
         with self._changed:
+            if self._watch is not None and not self._stopping:
+                self._watch.arrived(frame, time.monotonic_ns())
             if self._newest is not None:
                 self.drops += 1
+                if self._watch is not None:
+                    self._watch.dropped()
             self._newest = frame
             self._changed.notify_all()

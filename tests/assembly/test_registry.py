@@ -136,3 +136,13 @@ def test_a_module_that_is_not_there_gets_one_line(team: str) -> None:
 def test_a_path_is_no_camera() -> None:
     for source in ("sim", "videos/drive.mp4", "/data/tub"):
         assert not is_live_camera(parse_car(f'[camera]\nsource = "{source}"\n', "car.toml"))
+
+
+def test_a_camera_in_another_mode_than_its_lens_was_calibrated_in_is_not_made(team: str) -> None:
+    text = f'[camera]\nsource = "{team}:Webcam"\nsensor_mode = 4\n[calibration.camera]\ndate = 2026-01-01\n'
+    car = parse_car(f'{text}method = "board"\nresidual = "0.3 px"\nmode = "csi 640x360, sensor mode 2"\n', "car.toml")
+    with pytest.raises(
+        ConfigError, match=r"is set to .*sensor mode 4, and its lens was calibrated for csi 640x360, sen"
+    ):
+        make_camera(car)
+    assert make_camera(car, any_mode=True).size == (640, 360)  # type: ignore[attr-defined]

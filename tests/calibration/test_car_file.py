@@ -50,18 +50,31 @@ def test_values_change_and_all_else_stays_line_by_line(car: Path) -> None:
     assert backup.read_text() == TEXT
     assert car.read_text() == TEXT.replace("fx_px = 480.0 ", "fx_px = 500.5 ").replace(
         "# a guess\n", "# a guess\nfy_px = 501.0\n"
-    ) + ('\n[calibration.camera]\ndate = 2026-02-03\nmethod = "board"\nresidual = "0.3 px"\n')
+    ) + (
+        '\n[calibration.camera]\ndate = 2026-02-03\nmethod = "board"\nresidual = "0.3 px"\n'
+        'mode = "usb 640x360, the driver\'s sensor mode"\n'
+    )
     assert sorted(p.name for p in car.parent.iterdir()) == ["car.toml", "car.toml.bak"]
 
 
 def test_the_record_can_be_read(car: Path) -> None:
     update(car, residual="0.84 px rms", method="chessboard 9x6, 15 views")
     found = load_car(car)
-    record = CalibrationRecord(date=DAY, method="chessboard 9x6, 15 views", residual="0.84 px rms")
+    record = CalibrationRecord(
+        date=DAY, method="chessboard 9x6, 15 views", residual="0.84 px rms", mode=found.camera.mode
+    )
     assert found.calibration.camera == record
+    assert found.other_mode is None
     assert found.calibration.ground is None
     assert found.camera.intrinsics.fy_px == 501.0
     assert found.lane.width_m == 0.42
+
+
+def test_only_the_lens_belongs_to_a_mode(car: Path) -> None:
+    update(car, {"link.servo": {"pulse_us": (1000.0, 1500.0), "steering_rad": (0.3, 0.0)}})
+    servo = load_car(car).calibration.servo
+    assert servo is not None
+    assert servo.mode == ""
 
 
 def test_a_new_section_stands_with_its_relatives(car: Path) -> None:

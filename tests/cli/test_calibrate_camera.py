@@ -127,7 +127,7 @@ REFUSED = {
     "pictures --board 9x6 --square-mm 25 --car locked.toml": "locked.toml: cannot be written; look at the permissions "
     "of the file and its folder",
     "pictures --board 9x6 --square-mm 25 --out small.toml": "--out small.toml: small.toml is not a folder",
-    "live --board 9x6 --square-mm 25": 'car.toml: [camera] source "sim" gives no images; live is for "csi" and "usb"',
+    "live --board 9x6 --square-mm 25": 'car.toml: [camera] source "sim" gives no images; live is for a camera',
 }
 
 

@@ -164,7 +164,7 @@ REFUSED = {
     "none.png --points points.csv": "none.png: no such file or folder",
     "bad.png --points points.csv": "bad.png: not an image, or a damaged one; replace or remove it",
     f"floor.png {' '.join(POINTS.split()[:15])}": "expected at least four ground points, better six, got 3",
-    "live --points points.csv": 'car.toml: [camera] source "sim" gives no images; live is for "csi" and "usb"',
+    "live --points points.csv": 'car.toml: [camera] source "sim" gives no images; live is for a camera',
 }
 
 

@@ -19,21 +19,23 @@ from automodel.doctor import board as doctor_board
 from automodel.doctor import camera as doctor_camera
 from automodel.doctor import examination
 from automodel.signals import BoardSensors, Frame
-from automodel.sources import cameras as csi
+from automodel.sources import csi
 from firmware_link import arduino
 from firmware_link.emulator import logic
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
+from tests.support.blinking import BlinkingCamera
 from tests.support.command_line import Said
 from tests.support.fake_cars import StillCamera, road
 from tests.support.fake_cars import car_toml as written
 from tests.support.wide_limits import WIDE_LIMITS
 
-MACHINE = ["python", "scheduling", "packages", "opencv", "gstreamer", "network", "clock"]
+COMPUTER = ["temperature", "power mode", "supply", "service"]
+MACHINE = ["python", "scheduling", "packages", "opencv", "gstreamer", "network", "clock", *COMPUTER]
 BOARD = ["serial port", "board", "board start", "wire", "board faults", "battery", "ranges", "odometry", "servo", "can"]
 CAMERA = ["camera", "resolution", "time stamps", "frame rate", "exposure", "sharpness", "lane width"]
-FILE = ["disk", "lens", "servo table"]
+FILE = ["disk", "lens", "camera mode", "servo table"]
 CALIBRATIONS = ["camera calibration", "ground calibration", "servo calibration", "odometry calibration"]
 
 
@@ -85,7 +87,7 @@ class Terminal(io.StringIO):
 
 
 def show(monkeypatch: pytest.MonkeyPatch, image: np.ndarray, **how: int) -> None:
-    monkeypatch.setattr(examination, "make_camera", lambda car: LiveCamera(image, **how))
+    monkeypatch.setattr(examination, "make_camera", lambda car, any_mode: LiveCamera(image, **how))
 
 
 def by_name(said: Said) -> dict[str, dict[str, object]]:
@@ -106,7 +108,7 @@ def test_without_a_car_all_is_well_with_the_simulated_one(cli, tmp_path: Path) -
     rows = by_name(said)
     assert list(rows) == [*MACHINE[:5], "providers", *MACHINE[5:], *BOARD, *CAMERA, *FILE, "calibration"]
     not_well = {name for name, row in rows.items() if row["verdict"] not in ("OK", "SKIP")}
-    assert not_well <= {"network", "disk"}  # of a machine that is slow or full
+    assert not_well <= {"network", "disk", *COMPUTER}  # of a machine that is slow or full
     assert of(said, *CAMERA) == ["OK"] * len(CAMERA)
     assert "0.40 m in car.toml" in str(rows["lane width"]["what"]).replace("0.400", "0.40")
     assert list(tmp_path.iterdir()) == []
@@ -278,6 +280,29 @@ def test_a_csi_camera_by_gstreamers_test_picture(cli, tmp_path: Path, monkeypatc
     assert by_name(said)["gstreamer"]["what"] == "gst-launch-1.0 yes, nvarguscamerasrc no"
 
 
+@pytest.mark.realtime
+def test_the_latency_of_a_camera_that_sees_an_led(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stand-in looks at the LED's file, and delivers what it saw 40 ms later."""
+    folder = tmp_path / "led"
+    folder.mkdir()
+    for name, text in (("trigger", "none [mmc0] timer"), ("brightness", "3"), ("max_brightness", "255\n")):
+        (folder / name).write_text(text)
+    monkeypatch.setattr(examination, "make_camera", lambda car, any_mode: BlinkingCamera(folder / "brightness", 0.04))
+    (tmp_path / "car.toml").write_text(
+        '[camera]\nsource = "usb"\nwidth_px = 160\nheight_px = 90\n[link]\nport = "none"\n'
+        '[pipeline]\nname = "windows"\n'
+    )
+    row = by_name(cli("doctor", "--car", "car.toml", "--latency", folder, "--json"))["camera latency"]
+    assert row["verdict"] == "WARN"
+    assert "set [camera] latency_s = 0.0" in str(row["do"])
+    assert 0.03 < float(str(row["do"]).split("=")[1].split()[0]) < 0.1  # of a machine that is busy
+    assert [(folder / name).read_text() for name in ("trigger", "brightness")] == ["mmc0", "3"]
+    row = by_name(cli("doctor", "--car", "car.toml", "--latency", "nowhere", "--json"))["camera latency"]
+    assert (row["verdict"], "nowhere" in str(row["what"])) == ("FAIL", True)
+    row = by_name(cli("doctor", "--car", "car.toml", "--latency", "screen", "--json"))["camera latency"]
+    assert (row["verdict"], row["what"]) == ("FAIL", "this is no terminal")
+
+
 def test_a_folder_that_cannot_be_written(cli, tmp_path: Path) -> None:
     (tmp_path / "car.toml").write_text('[pipeline]\nname = "contour"\n[recording]\ndirectory = "/proc/recordings"\n')
     said = cli("doctor", "--car", "car.toml", "--json")
@@ -289,6 +314,10 @@ def test_a_folder_that_cannot_be_written(cli, tmp_path: Path) -> None:
     ("arguments", "said_so"),
     [
         ("--yes", "automodel doctor: --yes: is for --move (see automodel doctor --help)"),
+        (
+            "--latency screen",
+            "automodel doctor: --latency: needs --car, whose camera is looked at (see automodel doctor --help)",
+        ),
         ("--car missing.toml", "automodel: missing.toml: no such file"),
     ],
 )

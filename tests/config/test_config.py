@@ -219,6 +219,7 @@ def test_units_are_in_every_name() -> None:
         "override_accelerator",
     }
     plain |= {"providers", "threads", "threshold", "nodes"}
+    plain |= {"sensor_mode", "gain"}
     for path, value in leaves(CarConfig()):
         if isinstance(value, float | int | tuple) and not isinstance(value, bool):
             assert path[-1].endswith(units) or path[-1] in plain, ".".join(path)
@@ -254,3 +255,37 @@ def test_markings_and_its_older_key(given: str, markings: str) -> None:
     lane = parse_car(f"[lane]\n{given}\n", "car.toml").lane
     assert lane.markings == markings
     assert dataclasses.replace(lane, width_m=0.5).markings == markings
+
+
+@pytest.mark.parametrize(
+    ("line", "wrong"),
+    [
+        ("latency_s = 0.6", "latency_s: expected at most 0.5, got 0.6"),
+        ("latency_s = -0.01", "latency_s: expected a number >= 0, got -0.01"),
+        ("sensor_mode = -2", "sensor_mode: expected -1 (the driver chooses) or 0 and more, got -2"),
+        ('flip = "rotate"', "flip: expected one of none, rotate-180, horizontal, vertical, got 'rotate'"),
+        ('pixel_format = "H264"', "pixel_format: expected one of MJPG, YUYV, GREY, got 'H264'"),
+        ("flicker_hz = 55", "flicker_hz: expected 50 or 60, or 0 (the camera's own choice), got 55"),
+        ("exposure_s = 0.02", "exposure_s: 0.02 is longer than the time between two frames, 0.0167"),
+        ("gain = 1e6", "gain: expected at most 65535, got 1000000.0"),
+    ],
+)
+def test_a_wrong_camera_is_one_line(line: str, wrong: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        parse_car(f"[camera]\n{line}\n", "car.toml")
+    assert str(raised.value).startswith(f"car.toml:2: [camera] {wrong}")
+
+
+def test_the_mode_of_a_camera_is_what_its_lens_was_calibrated_for() -> None:
+    def other(camera: str, record: str) -> str | None:
+        text = f'[camera]\n{camera}\n[calibration.camera]\ndate = 2026-01-01\nmethod = "x"\nresidual = "y"\n{record}'
+        return parse_car(text, "car.toml").other_mode
+
+    mode = parse_car('[camera]\nsource = "csi"\nsensor_mode = 4\n', "car.toml").camera.mode
+    assert mode == "csi 640x360, sensor mode 4"
+    record = f'mode = "{mode}"\n'
+    assert other('source = "csi"\nsensor_mode = 4\nrate_hz = 30', record) is None
+    assert other('source = "csi"\nsensor_mode = 4', "") is None  # of before modes were noted down
+    for changed in ("sensor_mode = 3", "", "sensor_mode = 4\nwidth_px = 320", 'sensor_mode = 4\nflip = "vertical"'):
+        assert other(f'source = "csi"\n{changed}', record) == mode
+    assert CarConfig().other_mode is None

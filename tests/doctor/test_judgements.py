@@ -33,7 +33,7 @@ from automodel.doctor.camera import (
     judge_width,
     line_distance_m,
 )
-from automodel.doctor.examination import judge_lens, judge_records, judge_steering
+from automodel.doctor.examination import judge_lens, judge_mode, judge_records, judge_steering
 from automodel.doctor.findings import Finding, Verdict, failed, summary
 from automodel.signals import Frame, VehicleState
 from tests.support.fake_cars import road
@@ -255,6 +255,10 @@ def test_packages() -> None:
     lines = ["numpy>=1.26", "tomlkit >= 0.12", 'tomli>=2.0; python_version < "3.11"', 'torch>=2; extra == "train"']
     wanted = machine.wanted_packages(lines)
     assert wanted == {"numpy": "1.26", "tomlkit": "0.12"}
+    assert machine.wanted_packages(lines, frozenset({"train"})) == {**wanted, "torch": "2"}
+    assert machine.needed_extras(CAR) == {"centerline"}
+    can = parse_car('[link]\nkind = "can"\n[pipeline]\nname = "windows"\n', "car.toml")
+    assert machine.needed_extras(can) == {"can"}
 
     def verdict(numpy: str | None) -> Verdict:
         return machine.judge_packages(wanted, {"numpy": numpy, "tomlkit": "0.13.2"}).verdict
@@ -303,3 +307,39 @@ def test_disk() -> None:
 
     assert [verdict(60, 100), verdict(10, 100), verdict(1, 100)] == [OK, WARN, FAIL]
     assert [verdict(60, 7), verdict(60, 5)] == [WARN, FAIL]
+
+
+def test_whose_times_the_stamps_are() -> None:
+    capture = captured([16.7] * 10)
+    for own, latency_s, verdict in ((True, 0.0, OK), (False, 0.0, WARN), (False, 0.03, OK), (None, 0.0, OK)):
+        capture.own_time = own
+        assert judge_stamps(capture, latency_s).verdict is verdict
+    assert "less 30 ms" in judge_stamps(dataclasses.replace(capture, own_time=False), 0.03).what
+
+
+@pytest.mark.parametrize(
+    ("camera", "mode", "verdict", "said"),
+    [
+        ('source = "csi"\nsensor_mode = 4', "csi 640x360, sensor mode 4", OK, "78% of its width"),
+        (
+            'source = "csi"\nsensor_mode = 4',
+            "csi 640x360, sensor mode 3",
+            FAIL,
+            "was calibrated for csi 640x360, sensor",
+        ),
+        ('source = "csi"\nsensor_mode = 4', "", OK, "does not say for which"),
+        ('source = "csi"', None, WARN, "the driver's sensor mode"),
+        ('source = "csi"\nsensor_mode = 2', None, WARN, "up to 30 Hz"),
+        ('source = "csi"\nsensor_mode = 3\nrate_hz = 30', None, WARN, "1640x1232"),
+        ('source = "csi"\nsensor_mode = 3\nrate_hz = 30\nheight_px = 480', None, OK, "1640x1232"),
+        ('source = "csi"\nsensor_mode = 9', None, OK, "sensor mode 9"),  # of another sensor
+        ('source = "usb"', None, OK, "usb 640x360"),
+        ('source = "sim"', None, SKIP, "simulated"),
+    ],
+)
+def test_camera_mode(camera: str, mode: str | None, verdict: Verdict, said: str) -> None:
+    text = f"[camera]\n{camera}\n"
+    if mode is not None:
+        text += f'[calibration.camera]\ndate = 2026-01-01\nmethod = "x"\nresidual = "y"\nmode = "{mode}"\n'
+    found = judge_mode(parse_car(text, "car.toml"))
+    assert (found.verdict, said in found.what) == (verdict, True), found

@@ -129,7 +129,7 @@ SAFETY = (
         "automodel/runtime/input_checks.py",
         "tests/runtime/test_input_checks.py",
         ("blank-images-pass", "FLAT_LEVELS = 6 ", "FLAT_LEVELS = 0 "),
-        ("repeated-images-pass", "not self._noiseless and _same(before, image)", "False"),
+        ("repeated-images-pass", "not self._noiseless and same_image(before, image)", "False"),
         ("other-sizes-pass", "if (height, width) == self._shape:", "if True:"),
         ("lane-jumps-pass", "if abs(sideways_m) > most_m:", "if False:"),
         ("lane-turns-pass", "if abs(turn_rad) > most_rad:", "if False:"),
@@ -422,5 +422,36 @@ JUDGE = (
     ),
 )
 
+CAMERAS = (
+    *_of(
+        "automodel/sources/cameras.py",
+        "tests/sources/test_cameras.py",
+        ("arrival-is-capture", "    return now_ns - round(latency_s * _NS)", "    return now_ns"),
+        ("any-clock-is-ours", "0 <= now_ns - round(own_ns) <= _OLDEST_NS", "True"),
+        ("dead-camera-unnoticed", '("no frame", self._arrived_ns), ', ""),
+        ("frozen-camera-unnoticed", ', ("the same frame again and again", self._new_ns)', ""),
+        ("slow-camera-unnoticed", "if self._long_waits >= self._steps and", "if False and"),
+        ("slow-camera-opened-for-ever", "            self._slow_reported = True\n", ""),
+        ("stall-that-never-lasts", "age_s >= _LASTING_S", "False"),
+    ),
+    *_of(
+        "automodel/runtime/supervised_source.py",
+        "tests/runtime/test_supervised_source.py",
+        ("camera-opened-for-every-stall", "not isinstance(error, SourceStalled) or error.lasting", "True"),
+        ("camera-opened-while-driving", "if at_rest and (self._failed", "if (self._failed"),
+    ),
+    *_of(
+        "automodel/sources/csi.py",
+        "tests/sources/test_csi.py",
+        ("pictures-on-stdout", 'f"fd={fd}", "sync=false"', '"fd=1", "sync=false"'),
+        ("damaged-frames-delivered", "return ends == (self._header, _END)", "return True"),
+        ("frames-lost-after-damage", "start = start if start > 0 else", "start ="),
+    ),
+    *_of(
+        "automodel/assembly/parts.py",
+        "tests/assembly/test_registry.py",
+        ("lens-of-another-mode", "if car.other_mode is not None and not any_mode:", "if False:"),
+    ),
+)
 
-MUTATIONS = (*SAFETY, *BY_HAND, *LIMITS, *WIRE, *BOARD, *JUDGE)
+MUTATIONS = (*SAFETY, *BY_HAND, *LIMITS, *WIRE, *BOARD, *CAMERAS, *JUDGE)

@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import itertools
 
-from automodel.runtime.clocks import VirtualClock
+import numpy as np
+import pytest
+
+from automodel.runtime.clocks import NS_PER_S, VirtualClock
 from automodel.runtime.run_log import RunLog
 from automodel.runtime.supervised_source import START_S, SupervisedSource
 from automodel.signals import Frame
-from automodel.sources.errors import SourceError
+from automodel.sources.errors import SourceError, SourceStalled
 
 
 class Broken:
@@ -45,3 +48,55 @@ def test_a_camera_opened_again_has_its_time_to_start() -> None:
         assert source.read(0.02, at_rest=True) is None
     assert len(opened) == 3
     assert all(b - a >= START_S for a, b in itertools.pairwise(opened))
+
+
+class Stalling:
+    """A camera without frames from a time on, as a watch tells it; and with frames again from another one on."""
+
+    def __init__(self, clock: VirtualClock, back_ns: int | None) -> None:
+        self.clock, self.back_ns = clock, back_ns
+
+    def read(self, timeout_s: float) -> Frame | None:
+        self.clock.sleep(timeout_s)
+        now_ns = self.clock.now_ns()
+        if self.back_ns is not None and now_ns >= self.back_ns:
+            return Frame(t_ns=now_ns, index=1, image=np.zeros((2, 2), np.uint8))
+        raise SourceStalled("no frame for some time", lasting=now_ns >= NS_PER_S)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize("back_s", [0.5, None])
+def test_a_stall_is_reported_at_once_and_the_camera_opened_again_where_it_lasts(back_s: float | None) -> None:
+    clock = VirtualClock()
+    log = RunLog(None, None)
+    opened: list[int] = []
+
+    def reopen() -> Stalling:
+        opened.append(clock.now_ns())
+        return Stalling(clock, 0)
+
+    back_ns = None if back_s is None else round(back_s * NS_PER_S)
+    source = SupervisedSource(Stalling(clock, back_ns), clock, log, reopen)
+    frames = 0
+    for _ in range(100):
+        frames += source.read(0.02, at_rest=True) is not None
+    assert frames > 10
+    assert (len(opened) == 1 and opened[0] >= NS_PER_S) if back_s is None else opened == []
+    assert [event.kind for event in log.events][:1] == ["source-failed"]
+    assert log.events[0].t_ns <= 0.02 * NS_PER_S
+    assert [event.text for event in log.events][-1] == "frames come again; arm to drive on"
+
+
+def test_a_stall_while_the_car_drives_opens_nothing() -> None:
+    clock = VirtualClock()
+
+    def reopen() -> Stalling:
+        raise AssertionError("opening a camera takes seconds")
+
+    log = RunLog(None, None)
+    source = SupervisedSource(Stalling(clock, 3 * NS_PER_S), clock, log, reopen)
+    while source.read(0.02, at_rest=False) is None:
+        assert not source.dead
+    assert log.events[-1].text == "frames come again"

@@ -1,250 +1,16 @@
 from __future__ import annotations
 
-import itertools
+import contextlib
 import queue
-import shutil
-import sys
 import threading
-from pathlib import Path
-from typing import Any
+import time
 
-import cv2
 import numpy as np
 import pytest
 
-from automodel.config import CameraConfig
-from automodel.signals import Frame
-from automodel.sources.cameras import (
-    CaptureThread,
-    CsiSource,
-    UsbSource,
-    captured_ns,
-    gst_command,
-    jetson_elements,
-    synthetic_elements,
-)
-from automodel.sources.errors import EndOfSource, SourceError
-
-CAMERA = CameraConfig(source="csi", device=1, width_px=320, height_px=180, rate_hz=59.94)
-needs_gstreamer = pytest.mark.skipif(
-    shutil.which("gst-launch-1.0") is None,
-    reason="gst-launch-1.0 is not installed (apt-get install gstreamer1.0-tools gstreamer1.0-plugins-base)",
-)
-
-# --- CSI --------------------------------------------------------------------------------------------------------------
-
-
-def test_the_jetson_pipeline_is_what_gstreamer_wants() -> None:
-    assert " ".join(gst_command(CAMERA, jetson_elements(CAMERA), 7)) == (
-        "gst-launch-1.0 --quiet nvarguscamerasrc sensor-id=1 "
-        "! video/x-raw(memory:NVMM),width=320,height=180,framerate=59940/1000 ! nvvidconv "
-        "! video/x-raw,format=GRAY8,width=320,height=180 "
-        "! queue leaky=downstream max-size-buffers=1 ! fdsink fd=7 sync=false"
-    )
-
-
-def test_colour_and_whole_rates() -> None:
-    camera = CameraConfig(colour=True, rate_hz=30.0)
-    command = " ".join(gst_command(camera, jetson_elements(camera), 7))
-    assert "format=BGRx,width=640,height=360" in command
-    assert "framerate=30/1" in command
-
-
-def next_frame(source: CsiSource | CaptureThread) -> Frame:
-    for _ in range(100):
-        frame = source.read(0.2)
-        if frame is not None:
-            assert isinstance(frame, Frame)
-            return frame
-    raise AssertionError("no frame within 20 s")
-
-
-@needs_gstreamer
-@pytest.mark.parametrize("width", [320, 161])  # 161: rows are padded
-def test_frames_come_whole_and_in_order(width: int) -> None:
-    camera = CameraConfig(width_px=width, height_px=90, rate_hz=30.0)
-    source = CsiSource(camera, synthetic_elements(camera))
-    try:
-        frames = [next_frame(source) for _ in range(4)]
-    finally:
-        source.close()
-        source.close()
-    assert [f.index for f in frames] == [0, 1, 2, 3]
-    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(frames))
-    for frame in frames:
-        assert frame.image.shape == (90, width)
-        bars = frame.image[:50].astype(int)  # the test picture's colour bars: rows alike, falling from left to right
-        assert np.abs(bars - bars[0]).max() <= 2
-        thirds = [bars[:, int(width * (i + 0.5) / 7)].mean() for i in range(7)]
-        assert all(a > b for a, b in itertools.pairwise(thirds))
-    with pytest.raises(SourceError, match="closed"):
-        source.read(0.0)
-
-
-@needs_gstreamer
-def test_colour_frames_are_bgr() -> None:
-    camera = CameraConfig(width_px=322, height_px=90, rate_hz=30.0, colour=True)
-    source = CaptureThread(CsiSource(camera, synthetic_elements(camera)))
-    try:
-        image = next_frame(source).image
-    finally:
-        source.close()
-    assert image.shape == (90, 322, 3)
-    yellow = image[20, int(322 * 1.5 / 7)]
-    assert yellow[0] < 60 < 150 < min(yellow[1], yellow[2])
-
-
-def read_to_the_end(source: CsiSource) -> None:
-    for _ in range(30):
-        source.read(1.0)
-
-
-@needs_gstreamer
-def test_a_camera_that_stops_says_why() -> None:
-    source = CsiSource(CAMERA, "videotestsrc num-buffers=2")
-    with pytest.raises(SourceError, match="CSI camera 1: no more frames"):
-        read_to_the_end(source)
-    source.close()
-
-
-@needs_gstreamer
-def test_an_element_that_is_not_there_is_named() -> None:
-    source = CsiSource(CAMERA, "nosuchcamerasrc")
-    with pytest.raises(SourceError, match="nosuchcamerasrc"):
-        read_to_the_end(source)
-    source.close()
-
-
-def test_without_gstreamer_the_user_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("PATH", "/nonexistent")
-    with pytest.raises(SourceError, match=r"apt-get install gstreamer1\.0-tools"):
-        CsiSource(CAMERA)
-
-
-TALKING_GST = """#!{python}
-import os, re, sys
-fd = int(re.search(r"fdsink fd=(\\d+)", " ".join(sys.argv))[1])
-print("GST_ARGUS: Creating output stream", flush=True)
-for shade in range(1, 4):
-    os.write(1, b"CONSUMER: Producer has connected; continuing.\\n")
-    picture = bytes([shade]) * (320 * 180)
-    while picture:
-        picture = picture[os.write(fd, picture) :]
-os.write(fd, b"half a picture")
-print("Error generated. gstnvarguscamerasrc.cpp, execute:751 Failed to create CaptureSession", flush=True)
-"""
-
-
-def test_what_the_plugin_prints_on_stdout_shifts_no_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fake = tmp_path / "gst-launch-1.0"
-    fake.write_text(TALKING_GST.format(python=sys.executable))
-    fake.chmod(0o755)
-    monkeypatch.setenv("PATH", str(tmp_path))
-    source = CsiSource(CAMERA)
-    try:
-        for shade in (1, 2, 3):
-            image = next_frame(source).image
-            assert (image == shade).all()
-        with pytest.raises(SourceError, match="no more frames: Error generated"):
-            read_to_the_end(source)
-    finally:
-        source.close()
-
-
-# --- USB --------------------------------------------------------------------------------------------------------------
-
-
-class FakeCapture:
-    """Stands for OpenCV's V4L2 capture: says what it was asked for, gives scripted frames."""
-
-    sizes = (320, 180)
-    opened = True
-    frames = 3
-    driver_ms = float("nan")
-
-    def __init__(self, device: int, backend: int) -> None:
-        self.device, self.backend = device, backend
-        self.asked: dict[int, float] = {}
-        self.released = 0
-
-    def isOpened(self) -> bool:
-        return self.opened
-
-    def set(self, key: int, value: float) -> bool:
-        self.asked[key] = value
-        return True
-
-    def get(self, key: int) -> float:
-        known = {cv2.CAP_PROP_FRAME_WIDTH: self.sizes[0], cv2.CAP_PROP_FRAME_HEIGHT: self.sizes[1]}
-        return self.driver_ms if key == cv2.CAP_PROP_POS_MSEC else known[key]
-
-    def grab(self) -> bool:
-        self.frames -= 1
-        return self.frames >= 0
-
-    def retrieve(self) -> tuple[bool, Any]:
-        return True, np.full((self.sizes[1], self.sizes[0], 3), 77, np.uint8)
-
-    def release(self) -> None:
-        self.released += 1
-
-
-@pytest.fixture
-def fake(monkeypatch: pytest.MonkeyPatch) -> type[FakeCapture]:
-    class Fresh(FakeCapture):
-        pass
-
-    monkeypatch.setattr(cv2, "VideoCapture", Fresh)
-    return Fresh
-
-
-def test_a_usb_camera_is_asked_for_size_rate_and_one_buffer(fake: type[FakeCapture]) -> None:
-    source = UsbSource(CAMERA)
-    capture: Any = source._capture
-    assert (capture.device, capture.backend) == (1, cv2.CAP_V4L2)
-    assert capture.asked == {
-        cv2.CAP_PROP_FOURCC: cv2.VideoWriter.fourcc(*"MJPG"),
-        cv2.CAP_PROP_FRAME_WIDTH: 320,
-        cv2.CAP_PROP_FRAME_HEIGHT: 180,
-        cv2.CAP_PROP_FPS: 59.94,
-        cv2.CAP_PROP_BUFFERSIZE: 1,
-    }
-    frames = [source.read(1.0) for _ in range(3)]
-    assert [f.index for f in frames] == [0, 1, 2]
-    assert all(f.image.shape == (180, 320) for f in frames)
-    assert all(a.t_ns < b.t_ns for a, b in itertools.pairwise(frames))
-    with pytest.raises(SourceError, match="/dev/video1: no more frames"):
-        source.read(1.0)
-    source.close()
-    assert capture.released == 1
-
-
-def test_a_usb_camera_of_another_size_is_refused(fake: type[FakeCapture]) -> None:
-    fake.sizes = (640, 480)
-    with pytest.raises(SourceError, match=r"expected 320x180 pixels \(car\.toml\), got 640x480"):
-        UsbSource(CAMERA)
-
-
-def test_a_usb_camera_that_is_not_there(capfd: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SourceError, match=r"/dev/video97: cannot be opened"):
-        UsbSource(CameraConfig(device=97))
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize(
-    ("driver_ms", "want_ns"),
-    [
-        (4_990.0, 4_990_000_000),  # 10 ms ago on the same clock
-        (5_000.5, 5_000_000_000),  # in the future: another clock
-        (1_000.0, 5_000_000_000),  # 4 s ago: another clock
-        (0.0, 5_000_000_000),
-        (-1.0, 5_000_000_000),
-        (float("nan"), 5_000_000_000),
-    ],
-)
-def test_the_drivers_time_counts_where_it_can_be_right(driver_ms: float, want_ns: int) -> None:
-    assert captured_ns(driver_ms, 5_000_000_000) == want_ns
-
+from automodel.signals import Frame, StereoFrame
+from automodel.sources.cameras import CameraWatch, CaptureThread, captured_ns, flipped
+from automodel.sources.errors import EndOfSource, SourceError, SourceStalled
 
 WAIT_S = 20.0  # far beyond what any step takes; nothing waits for it when all is well
 
@@ -354,4 +120,210 @@ def test_a_bug_in_a_source_is_not_silence(monkeypatch: pytest.MonkeyPatch) -> No
     capture = CaptureThread(source)
     with pytest.raises(SourceError, match="died"):
         capture.read(WAIT_S)
+    capture.close()
+
+
+def test_what_the_watch_finds_costs_no_frame() -> None:
+    source = Scripted()
+    capture = CaptureThread(source, CameraWatch(60.0))
+    for index in range(3):  # 0.1 s apart: a slow camera, of which the frames are right
+        source.inbox.put(Frame(t_ns=index * 100_000_000, index=index, image=TEXTURE + np.uint8(index)))
+    source.inbox.put(EndOfSource())
+    wait_until_end(capture, source)
+    with pytest.raises(SourceStalled, match="less than half of its 60 frames/s"):
+        capture.read(WAIT_S)
+    with contextlib.suppress(SourceStalled):  # of a machine that is busy
+        newest = capture.read(WAIT_S)
+        assert newest is not None
+        assert newest.index == 2
+    with pytest.raises((EndOfSource, SourceStalled)):
+        capture.read(WAIT_S)
+
+
+@pytest.mark.parametrize(
+    ("own_ns", "want_ns"),
+    [
+        (4_990e6, 4_990_000_000),  # 10 ms ago on the same clock
+        (4_990_000_000, 4_990_000_000),
+        (5_000.5e6, 4_960_000_000),  # in the future: another clock
+        (1_000e6, 4_960_000_000),  # 4 s ago: another clock
+        (0.0, 4_960_000_000),
+        (-1e6, 4_960_000_000),
+        (float("nan"), 4_960_000_000),
+        (None, 4_960_000_000),
+    ],
+)
+def test_the_cameras_time_counts_where_it_can_be_right(own_ns: float | None, want_ns: int) -> None:
+    assert captured_ns(own_ns, 5_000_000_000, 0.04) == want_ns
+
+
+def test_flips_of_an_image_with_a_corner() -> None:
+    image = np.zeros((2, 3), np.uint8)
+    image[0, 0] = 9
+    corners = {"none": (0, 0), "rotate-180": (1, 2), "horizontal": (0, 2), "vertical": (1, 0)}
+    for flip, corner in corners.items():
+        turned = flipped(image, flip)
+        assert (turned.shape, turned[corner], turned.sum()) == ((2, 3), 9, 9)
+
+
+# --- the watch: times are given, nothing waits ----------------------------------------------------------------------
+
+PERIOD_NS = 16_666_667
+TEXTURE = np.arange(64 * 64, dtype=np.uint8).reshape(64, 64)
+
+
+def watched(watch: CameraWatch, count: int, period_ns: int = PERIOD_NS, start_ns: int = 0, same: bool = False) -> int:
+    """Frames of a camera, one a period; the time of the last one."""
+    t_ns = start_ns
+    for index in range(count):
+        image = TEXTURE if same else TEXTURE + np.uint8(t_ns // 1_000_000 % 250)
+        t_ns = start_ns + (index + 1) * period_ns
+        watch.arrived(Frame(t_ns=t_ns, index=index, image=image), t_ns)
+        if not same:
+            assert watch.fault(t_ns) is None
+    return t_ns
+
+
+def first_fault_s(watch: CameraWatch, since_ns: int) -> tuple[float, str]:
+    """How long after `since_ns` a loop that looks every 20 ms is told, and what."""
+    for step in range(1, 1000):
+        fault = watch.fault(since_ns + step * 20_000_000)
+        if fault is not None:
+            assert not fault.lasting
+            return step * 0.02, str(fault)
+    raise AssertionError("no fault")
+
+
+def test_a_dead_camera_is_noticed_within_100_ms() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(0)
+    last_ns = watched(watch, 100)
+    after_s, fault = first_fault_s(watch, last_ns)
+    assert after_s <= 0.1
+    assert fault.startswith("no frame for 0.")
+    watched(watch, 100, start_ns=last_ns + 500_000_000)  # it comes back by itself
+    assert watch.status.restarts == 0
+    assert watch.status.lost == 30
+
+
+def test_a_stall_is_lasting_after_a_second() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(0)
+    last_ns = watched(watch, 10)
+    lasting = {}
+    for after_s in (0.5, 0.99, 1.0, 3.0):
+        fault = watch.fault(last_ns + round(after_s * 1e9))
+        assert fault is not None
+        lasting[after_s] = fault.lasting
+    assert lasting == {0.5: False, 0.99: False, 1.0: True, 3.0: True}
+
+
+def test_a_frozen_camera_is_noticed_within_100_ms_though_frames_come() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(0)
+    watched(watch, 10)
+    frozen_ns = watched(watch, 1, start_ns=10 * PERIOD_NS, same=True)
+    for step in range(1, 7):
+        now_ns = frozen_ns + step * PERIOD_NS
+        watch.arrived(Frame(t_ns=now_ns, index=step, image=TEXTURE), now_ns)
+        fault = watch.fault(now_ns)
+        assert (fault is not None) == (step * PERIOD_NS >= 80_000_000)
+    assert now_ns - frozen_ns <= 100_000_000 + 2
+    assert fault is not None
+    assert "the same frame" in str(fault)
+    watched(watch, 3, start_ns=now_ns)
+
+
+def test_a_covered_lens_is_not_a_frozen_camera() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(0)
+    for step in range(1, 60):
+        t_ns = step * PERIOD_NS
+        watch.arrived(StereoFrame(t_ns=t_ns, index=step, left=TEXTURE * 0, right=TEXTURE), t_ns)
+        assert watch.fault(t_ns) is None
+
+
+@pytest.mark.parametrize("rate_hz", [20.0, 30.0, 60.0, 120.0])
+def test_a_slow_camera_is_told_once_until_it_was_well(rate_hz: float) -> None:
+    watch = CameraWatch(rate_hz)
+    period_ns, slow_ns = round(1e9 / rate_hz), round(2.3e9 / rate_hz)
+    watch.opened(0)
+    last_ns = watched(watch, 50, period_ns)
+
+    def until_told(count: int, now_ns: int) -> tuple[int, SourceStalled | None]:
+        for index in range(count):
+            now_ns += slow_ns
+            watch.arrived(Frame(t_ns=now_ns, index=index, image=TEXTURE + np.uint8(index)), now_ns)
+            fault = watch.fault(now_ns)
+            if fault is not None:
+                return now_ns, fault
+        return now_ns, None
+
+    now_ns, fault = until_told(99, last_ns)
+    assert fault is not None
+    assert fault.lasting  # opened anew, once
+    assert f"less than half of its {rate_hz:g} frames/s" in str(fault)
+    assert now_ns - last_ns <= max(100_000_000, 2 * slow_ns)
+    now_ns, fault = until_told(30, now_ns)
+    assert fault is None
+    watch.opened(now_ns + 500_000_000)
+    now_ns, fault = until_told(30, now_ns + 600_000_000)
+    assert fault is None  # nor is one opened again that is slow as before
+    now_ns = watched(watch, 3, period_ns, now_ns)
+    assert until_told(9, now_ns)[1] is not None
+
+
+def test_what_comes_before_the_car_would_hold_is_no_fault() -> None:
+    watch = CameraWatch(60.0, timeout_s=0.5)
+    watch.opened(0)
+    last_ns = watched(watch, 100, 240_000_000)  # a quarter of a second is far less than half the rate
+    assert watch.fault(last_ns + 490_000_000) is None
+    fault = watch.fault(last_ns + 500_000_000)
+    assert fault is not None
+    assert str(fault) == "no frame for 0.50 s"
+
+
+def test_a_single_lost_frame_is_no_fault_and_is_counted() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(0)
+    last_ns = watched(watch, 60)
+    watched(watch, 60, start_ns=last_ns + PERIOD_NS)
+    watch.dropped()
+    status = watch.status
+    assert (status.frames, status.dropped, status.lost, status.restarts) == (120, 1, 1, 0)
+    assert status.rate_hz == pytest.approx(60.0 * 119 / 120, rel=1e-6)
+    assert str(status) == "59.5 frames/s, 120 frames, 1 dropped, 1 lost"
+
+
+def test_a_camera_that_never_starts() -> None:
+    watch = CameraWatch(60.0)
+    watch.opened(7_000_000_000)
+    assert watch.fault(11_900_000_000) is None
+    fault = watch.fault(12_000_000_000)
+    assert fault is not None
+    assert (str(fault), fault.lasting) == ("no first frame within 5 s", True)
+    watch.opened(13_000_000_000)
+    assert watch.fault(17_000_000_000) is None
+    assert str(watch.status) == "no rate, 0 frames, 0 dropped, 0 lost, opened again 1 times"
+
+
+def test_the_thread_raises_what_the_watch_finds_and_goes_on() -> None:
+    source = Scripted()
+    capture = CaptureThread(source, CameraWatch(60.0))
+    now_ns = time.monotonic_ns()
+    source.inbox.put(Frame(t_ns=now_ns, index=0, image=TEXTURE))
+    assert capture.read(WAIT_S) is not None
+
+    def wait() -> None:
+        while capture.read(0.02) is None:
+            pass
+
+    with pytest.raises(SourceStalled, match="no frame for"):
+        wait()
+    source.inbox.put(Frame(t_ns=now_ns + 1, index=1, image=TEXTURE + np.uint8(1)))
+    again = None
+    while again is None:
+        with contextlib.suppress(SourceStalled):  # of a machine that is busy
+            again = capture.read(WAIT_S)
+    assert again.index == 1
     capture.close()

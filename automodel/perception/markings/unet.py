@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from automodel.config.extras import need_extra
 from automodel.config.toml_reader import ConfigError, not_negative
 from automodel.perception.markings.onnx_check import INPUT, OUTPUT, ROWS, STRIDE, check_onnx
 from automodel.types import Image
@@ -204,6 +205,7 @@ def session_errors() -> tuple[type[Exception], ...]:
 
 def _runtime() -> Any:
     """onnxruntime, imported when first needed (it is slow to import), with its telemetry off."""
+    need_extra("the network", "onnxruntime")
     os.environ["ORT_DISABLE_TELEMETRY"] = "1"  # effective before the first import only
     import onnxruntime
 

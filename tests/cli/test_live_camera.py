@@ -1,0 +1,168 @@
+"""`run` with cameras as they are on a car: GStreamer's own process, and a camera that freezes."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from automodel.assembly import drive
+from automodel.assembly.parts import make_camera
+from automodel.config import CarConfig, load_car
+from automodel.recording.reader import Recording
+from automodel.signals import Event, Frame
+from automodel.sources import csi
+from automodel.sources.csi import GstPipeSource
+from automodel.sources.errors import SourceError
+from firmware_link.emulator.board import EmulatedArduino
+from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
+from tests.support.fake_cars import StillCamera, car_toml, road
+
+TURNS = 1500  # of the loop, at most 20 ms each: a test that hangs ends
+
+
+@pytest.fixture
+def port() -> Iterator[PtyBoard]:
+    with PtyBoard(EmulatedArduino(BenchPeripherals(), 115200)) as board:
+        yield board
+
+
+class Bystander:
+    """Looks at every turn of a car that nobody arms, and ends the run when `until` says so."""
+
+    def __init__(self, until: Callable[[list[str]], bool]) -> None:
+        self.kinds: list[str] = []
+        self._until, self._turns = until, 0
+
+    def on_tick(self, record: object) -> None:
+        pass
+
+    def on_event(self, event: Event) -> None:
+        self.kinds.append(event.kind)
+
+    def arm_requested(self) -> bool:
+        return False
+
+    def stop_requested(self) -> str | None:
+        self._turns += 1
+        if self._until(self.kinds) or self._turns > TURNS:
+            signal.raise_signal(signal.SIGINT)
+        return None
+
+
+def drive_until(car_file: Path, until: Callable[[list[str]], bool]) -> tuple[dict[str, object], list[Event]]:
+    """The run's row, and the events in its recording."""
+    car_file.write_text(car_file.read_text().replace("frame_timeout_s = 2.0", "frame_timeout_s = 0.06"))
+    options = drive.RunOptions(record=car_file.parent / "run.mcap")
+    report = drive.drive_real(load_car(car_file), car_file.read_text(), options, Bystander(until))
+    recording = Recording(car_file.parent / "run.mcap")
+    return report.row, [message.value for message in recording if isinstance(message.value, Event)]
+
+
+def settled(turns: int) -> Callable[[bool], bool]:
+    """Whether what is passed has been true so often."""
+    count = [0]
+
+    def step(true: bool) -> bool:
+        count[0] += true
+        return count[0] >= turns
+
+    return step
+
+
+@pytest.mark.realtime
+@pytest.mark.skipif(shutil.which("gst-launch-1.0") is None, reason="needs GStreamer")
+def test_frames_of_gstreamer_are_driven_on_and_a_killed_one_is_started_again(
+    port: PtyBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(csi, "jetson_elements", csi.synthetic_elements)
+    monkeypatch.setattr(csi, "_gstreamer", lambda: None)
+    sources: list[GstPipeSource] = []
+
+    class Kept(GstPipeSource):
+        def __init__(self, *arguments: object) -> None:
+            super().__init__(*arguments)  # type: ignore[arg-type]
+            sources.append(self)
+
+    monkeypatch.setattr(csi, "GstPipeSource", Kept)
+    path = car_toml(tmp_path, port.path)
+    path.write_text(path.read_text().replace('source = "usb"', 'source = "csi"\nrate_hz = 30\nlatency_s = 0.02'))
+    flowing, again = settled(60), settled(60)
+
+    def until(kinds: list[str]) -> bool:
+        if flowing(True) and sources[0]._process.poll() is None and "source-failed" not in kinds:
+            os.kill(sources[0]._process.pid, signal.SIGKILL)
+        return again("source-back" in kinds)
+
+    row, events = drive_until(path, until)
+    kinds = [event.kind for event in events]
+    assert kinds.index("source-failed") < kinds.index("source-back")
+    failed = next(event for event in events if event.kind == "source-failed")
+    assert "CSI camera 0: no more frames" in failed.text
+    assert len(sources) == 2
+    assert sources[0]._process.poll() is not None
+    assert sources[1]._process.poll() is not None  # nothing is left behind
+    assert row["camera_restarts"] == 1
+    assert isinstance(row["camera_hz"], float)
+    frames = [message.value for message in Recording(tmp_path / "run.mcap") if isinstance(message.value, Frame)]
+    assert len(frames) > 20
+    assert all(frame.image.shape == (360, 640) for frame in frames)
+    assert sum(b.t_ns > a.t_ns for a, b in itertools.pairwise(frames)) == len(frames) - 1
+
+
+class FreezingCamera(StillCamera):
+    """From a frame on it gives the same one again and again, with success, as some drivers do."""
+
+    def __init__(self, freezes_at: int | None) -> None:
+        super().__init__(road())
+        self._freezes_at, self._frozen = freezes_at, np.zeros(0, np.uint8)
+
+    def read(self, timeout_s: float) -> Frame:
+        frame = super().read(timeout_s)
+        if self._freezes_at is None or frame.index < self._freezes_at:
+            self._frozen = frame.image
+            return frame
+        return Frame(t_ns=frame.t_ns, index=frame.index, image=self._frozen)
+
+
+@pytest.mark.realtime
+def test_a_camera_that_repeats_its_last_frame_is_started_again(
+    port: PtyBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[FreezingCamera] = []
+
+    def freezing(car: CarConfig) -> FreezingCamera:
+        opened.append(FreezingCamera(None if opened else 60))
+        return opened[-1]
+
+    monkeypatch.setattr(drive, "make_camera", freezing)
+    again = settled(20)
+    row, events = drive_until(car_toml(tmp_path, port.path), lambda kinds: again("source-back" in kinds))
+    failed = next(event for event in events if event.kind == "source-failed")
+    assert failed.text.startswith("the same frame again and again for 0.")
+    assert len(opened) == row["camera_restarts"] + 1 == 2  # type: ignore[operator]
+
+
+def test_a_camera_in_another_mode_than_its_lens_was_calibrated_in_is_refused(tmp_path: Path, cli) -> None:
+    path = car_toml(tmp_path, "/dev/ttyMISSING")
+    mode = load_car(path).camera.mode
+    record = '[calibration.camera]\ndate = 2026-01-01\nmethod = "board"\nresidual = "0.3 px"\n'
+    path.write_text(f'{path.read_text()}{record}mode = "csi 640x360, sensor mode 2"\n')
+    said = cli("run", "--car", path)
+    assert (said.code, said.out) == (2, "")
+    assert said.err.splitlines()[-1] == (
+        f"automodel: [camera] is set to {mode}, and its lens was calibrated for csi 640x360, sensor mode 2: another "
+        "field of view; set [camera] back, or run automodel calibrate camera"
+    )
+    assert not list((tmp_path / "recordings").glob("*"))
+    said = cli("calibrate", "camera", "live", "--board", "9x6", "--square-mm", "25", "--car", path)
+    assert (said.code, "/dev/video0: cannot be opened" in said.err) == (2, True)  # that it may
+    path.write_text(path.read_text().replace("csi 640x360, sensor mode 2", mode))
+    with pytest.raises(SourceError, match="/dev/video0: cannot be opened"):  # the same mode comes as far as that
+        make_camera(load_car(path))
