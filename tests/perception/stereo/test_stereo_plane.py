@@ -20,8 +20,8 @@ LEVEL_PLANE = Plane()
 
 def look(rig: StereoRig, pair: tuple[np.ndarray, ...], plane: Plane = LEVEL_PLANE) -> list[Stripes]:
     height, width = pair[0].shape
-    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (height, width))
-    return [search.look(image, eye, *straight_ahead(rig)) for image, eye in zip(pair, rig.over(plane), strict=True)]
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (height, width), rows=128)
+    return [search.look(image, eye, straight_ahead(rig)) for image, eye in zip(pair, rig.over(plane), strict=True)]
 
 
 def measure(rig: StereoRig, pair: tuple[np.ndarray, ...], known: PlaneFilter) -> tuple[Matches, PlaneFit]:
