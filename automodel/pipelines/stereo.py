@@ -18,7 +18,7 @@ from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
 from automodel.estimation.parabola.plane_filter import PlaneFilter
 from automodel.geometry import GroundCamera, View
 from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
-from automodel.perception.line_scan import LineScan, ScanConfig
+from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import ReflectionConfig, Reflections
 from automodel.perception.stereo.ground_plane import fit_plane
@@ -35,9 +35,10 @@ from automodel.types import Bools, FloatArray, Image
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
+ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
 PIECES = 9  # of the view's length, in each of which paint is told from reflections
-BEND_LANES = 5.0  # lane widths of road over which the curvature gets as large as the tightest bend's
+BEND_LANES = 25.0  # lane widths of road over which the curvature gets as large as the tightest bend's
 
 
 class Stereo:
@@ -147,7 +148,7 @@ class Stereo:
         followed = self._fit(lines)  # parabola pair
         self.stages.lap("lane")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
-            anew = self._tracking.judge(self._scan.of_stripes(lines), followed)
+            anew = self._tracking.judge(self._sighted(lines), followed)
             if anew is not None:
                 self._pair.start(anew.mean, anew.spread)
                 followed = self._fit(lines)
@@ -237,9 +238,15 @@ class Stereo:
         last = np.array((self._size[1] - 1.0, self._size[0] - 1.0))
         return np.asarray(((ends >= 0.0) & (ends <= last)).all(axis=(0, 2)), dtype=np.bool_)
 
+    def _sighted(self, lines: list[FloatArray]) -> tuple[SightedLine, ...]:
+        """The lines of the whole view among which the lane's are looked for: none that leads across."""
+        ends = [points[-1] - points[0] for points in lines]
+        ahead = [points for points, (x, y) in zip(lines, ends, strict=True) if abs(y) < ACROSS * abs(x)]
+        return self._scan.of_stripes(ahead)
+
     def _start(self, t_ns: int, image: Image, lines: list[FloatArray]) -> LaneBelief | None:
         """A lane to start with: the pair that the lines in view make, or line integrals where all bends are wide."""
-        start = self._tracking.start(t_ns, self._scan.of_stripes(lines))
+        start = self._tracking.start(t_ns, self._sighted(lines))
         gentle = self._gentle.step(image)
         self.stages.lap("start")
         if gentle is None:

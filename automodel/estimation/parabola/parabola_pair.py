@@ -32,6 +32,7 @@ from automodel.types import Bools, Complexes, FloatArray, Floats
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
 CUT_LANES = 0.06  # distance at which Tukey's biweight becomes 0
 SECTIONS = 6  # of the view, between stations
+ANY_BEND = 0.3  # sigma of a road's curvature [1 / lane width], as far ahead as nothing is known
 FORGOTTEN = 0.1  # share of the walk by which what was seen of the road is uncertain again
 TURNED = 0.4  # sine of the angle between a stripe and its line, at most, beyond what is uncertain
 
@@ -186,8 +187,8 @@ class ParabolaPair:
         self.state: FloatArray = spread @ mean
         self.covariance: FloatArray = spread @ covariance @ spread.T
         self.covariance[TAPER, TAPER] = ROAD_TAPER**2
-        ahead = np.arange(STATIONS)
-        self.covariance[ROAD:, ROAD:] += self._bend * self._section_m * np.minimum(ahead[:, None], ahead)
+        for last in range(ROAD, SIZE - 1):
+            self._go_on(last)
 
     @property
     def curvature_per_m(self) -> float:
@@ -234,8 +235,16 @@ class ParabolaPair:
         """Forget the first station, and add one where the road goes on."""
         order = np.array([*range(ROAD), *range(ROAD + 1, SIZE), SIZE - 1])
         self.state, self.covariance = self.state[order], self.covariance[np.ix_(order, order)]
-        self.covariance[-1, -1] += self._bend * self._section_m
+        self._go_on(SIZE - 2)
         self.start_m -= self._section_m
+
+    def _go_on(self, last: int) -> None:
+        """The station after the `last` one: the road goes on as there, and turns straight after a while."""
+        kept = math.exp(-self._section_m * self._bend * self._unit**2 / (2.0 * ANY_BEND**2) * self._unit)
+        self.state[last + 1] = kept * self.state[last]
+        self.covariance[last + 1] = kept * self.covariance[last]
+        self.covariance[:, last + 1] = self.covariance[last + 1]
+        self.covariance[last + 1, last + 1] = kept**2 * self.covariance[last, last] + self._bend * self._section_m
 
     def update(self, points_m: FloatArray, side: FloatArray, sigma_m: FloatArray) -> Bools:
         """Take points (n, 2) [m] of the lines on `side` (n,), +1 left or -1 right; returns the inliers (n,).

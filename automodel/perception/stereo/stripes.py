@@ -111,7 +111,8 @@ class StripeSearch:
         knots = np.linspace(0.0, self._size[1] - 1.0, _KNOTS)
         pixels = np.column_stack((np.tile(knots, len(rows)), np.repeat(rows, _KNOTS).astype(np.float64)))
         ground = on_ground(eye, bearings(eye, pixels)).reshape(len(rows), _KNOTS, 2)
-        scale = _scales(ground, place, self._half_m, knots[1])
+        foot = complex(eye.centre_m[0], eye.centre_m[1])
+        scale = _scales(ground, foot, place, self._half_m, knots[1])
         sample_m = self._marking_m / PER_MARKING
         row, at, width_px, ends = _ridges(grey, rows, scale, sample_m, self._noises, self._contrast, self._dark)
         pixels = np.column_stack((at, rows[row].astype(np.float64)))
@@ -156,15 +157,18 @@ def _laid_rows(eye: Eye, place: Complexes, half_m: float, size: tuple[int, int],
 
 
 @compiled
-def _scales(ground: FloatArray, place: Complexes, half_m: float, apart_px: float) -> FloatArray:
-    """Pixels a metre (r, knots) along rows whose knots show the `ground` (r, knots, 2); 0: not near the centerline."""
+def _scales(ground: FloatArray, foot: complex, place: Complexes, half_m: float, apart_px: float) -> FloatArray:
+    """Pixels a metre (r, knots) along rows whose knots show the `ground` (r, knots, 2).
+
+    0 where it is not near the centerline, or farther than that reaches from the `foot` below the camera.
+    """
     rows, knots = ground.shape[:2]
-    found = np.zeros((rows, knots))
+    found, reach = np.zeros((rows, knots)), np.abs(place - foot).max()
     for r in range(rows):
         for j in range(knots):
             x, y = ground[r, j]
             near = False
-            for k in range(len(place)):
+            for k in range(len(place) if math.hypot(x - foot.real, y - foot.imag) <= reach else 0):
                 if (place[k].real - x) ** 2 + (place[k].imag - y) ** 2 < half_m * half_m:
                     near = True
                     break
