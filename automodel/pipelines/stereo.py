@@ -7,6 +7,9 @@ Nothing is rectified or warped. Where one camera shows nothing the plane is held
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -15,22 +18,27 @@ from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
 from automodel.estimation.parabola.plane_filter import PlaneFilter
 from automodel.geometry import GroundCamera, View
 from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
-from automodel.perception.line_scan import LineScan, ScanConfig
+from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.reflections import ReflectionConfig, Reflections
 from automodel.perception.stereo.ground_plane import fit_plane
-from automodel.perception.stereo.matching import match
-from automodel.perception.stereo.reconstruction import reconstruct
+from automodel.perception.stereo.matching import match, mirrored, witnesses
+from automodel.perception.stereo.reconstruction import log_odds, radial, reconstruct
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
-from automodel.types import FloatArray, Image
+from automodel.types import Bools, FloatArray, Image
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
+SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
-BEND_LANES = 5.0  # lane widths of road over which the curvature gets as large as the tightest bend's
+ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
+ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
+PIECES = 9  # of the view's length, in each of which paint is told from reflections
+BEND_LANES = 25.0  # lane widths of road over which the curvature gets as large as the tightest bend's
 
 
 class Stereo:
@@ -50,9 +58,9 @@ class Stereo:
         near_m = max(near - self._reference_x_m, 0.2 * unit)
         self._far_m = near_m + options.look_ahead_lanes * unit
         self._rows_m = self._stations(near_m)
-        self._pair = ParabolaPair(unit, self._reference_x_m, self._far_m)
         # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
-        self._bend_walk = 1.0 / (car.pipeline.contour.radius_lanes**2 * BEND_LANES)
+        bend_walk = 1.0 / (car.pipeline.contour.radius_lanes**2 * BEND_LANES)
+        self._pair = ParabolaPair(unit, self._reference_x_m, self._far_m, bend_walk)
         self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
@@ -65,7 +73,7 @@ class Stereo:
         options, unit, markings = self._options, self._unit, self._lane.markings
         self._marking_m = marking_m
         self._searches = [
-            StripeSearch(marking_m, unit, options.view_half_lanes, options.contrast, self._size, dark)
+            StripeSearch(marking_m, unit, options.view_half_lanes, options.contrast, self._size, options.rows, dark)
             for dark in (False, True)
             if markings in ("both", "dark" if dark else "light")
         ]
@@ -78,6 +86,10 @@ class Stereo:
             m_per_row=self._spacing_m,
         )
         self._scan = LineScan(view, unit, marking_m)
+        nothing = np.zeros((0, 0), np.uint8)
+        self._reflections = [
+            Reflections(eye, view, nothing, marking_m, markings, PIECES) for eye in (self._rig.left, self._rig.right)
+        ]
         self._gentle.look_for(marking_m)
 
     @property
@@ -123,9 +135,10 @@ class Stereo:
         if self._width.step(images[0]):
             self._look_for(self._width.width_m)
         self.stages.lap("width")
-        left, right = self._stripes(images)  # marking extraction, stripe models
+        grey = [None if image is None else _grey(image) for image in images]
+        left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
-        lines = self._on_ground(left, right)  # epipolar matching, ground plane, re-projection onto it
+        lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
         if self._tracking.lost:
             belief = self._start(frame.t_ns, images[0], lines)
             if belief is None:
@@ -135,7 +148,7 @@ class Stereo:
         followed = self._fit(lines)  # parabola pair
         self.stages.lap("lane")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
-            anew = self._tracking.judge(self._scan.of_stripes(lines), followed)
+            anew = self._tracking.judge(self._sighted(lines), followed)
             if anew is not None:
                 self._pair.start(anew.mean, anew.spread)
                 followed = self._fit(lines)
@@ -152,18 +165,17 @@ class Stereo:
         if moved is None or self._tracking.lost:
             self._pair.forget()
         else:
-            self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known, self._bend_walk)
+            self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
         self._plane.predict(self._plane.config.settles_s if moved is None else moved.dt_s, self._one_eyed)
 
-    def _stripes(self, images: tuple[Image, Image | None]) -> tuple[Stripes, Stripes]:
+    def _stripes(self, images: Sequence[Image | None]) -> tuple[Stripes, Stripes]:
         """The stripes of both images, of that polarity that shows more of them."""
-        place, along = self._pair.ahead(self._rows_m)
+        place = self._pair.ahead(self._rows_m)
         eyes = self._rig.over(self._plane.plane)
-        grey = [None if image is None else _grey(image) for image in images]
         pairs = [
             tuple(
-                Stripes.none(eye) if image is None else search.look(image, eye, place, along)
-                for image, eye in zip(grey, eyes, strict=True)
+                Stripes.none(eye) if image is None else search.look(image, eye, place)
+                for image, eye in zip(images, eyes, strict=True)
             )
             for search in self._searches
         ]
@@ -173,7 +185,7 @@ class Stereo:
             self._blind = [n + (not one.count) for n, one in zip(self._blind, (left, right), strict=True)]
         return left, right
 
-    def _on_ground(self, left: Stripes, right: Stripes) -> list[FloatArray]:
+    def _on_ground(self, images: Sequence[Image | None], left: Stripes, right: Stripes) -> list[FloatArray]:
         """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""
         middle = self._rig.middle_m
         known_m = self._plane.height_sigma_m(on_ground(left.eye, left.directions) - middle[:2])
@@ -185,18 +197,56 @@ class Stereo:
         before = self._plane.plane.level_from_body
         self._plane.update(fit.step, fit.covariance)
         turn = self._plane.plane.level_from_body @ before.T
-        for stripes in (left, right):
-            stripes.directions = stripes.directions @ turn.T
+        for stripes, camera in zip((left, right), self._rig.over(self._plane.plane), strict=True):
+            stripes.directions, stripes.eye = stripes.directions @ turn.T, Eye.of(camera)
         self.stages.lap("plane")
-        cameras = self._rig.over(self._plane.plane)
-        eyes = Eye.of(cameras[0]), Eye.of(cameras[1])
-        lines = reconstruct(left, right, eyes, matches, fit.inliers, self._spacing_m)
+        odds = np.concatenate([self._odds(eye, (left, right), images) for eye in (0, 1)])
+        lines = reconstruct(left, right, matches, fit.inliers, odds, self._spacing_m)
         self.stages.lap("lines")
         return lines
 
+    def _odds(self, eye: int, stripes: tuple[Stripes, Stripes], images: Sequence[Image | None]) -> FloatArray:
+        """Log-odds (k,) [nats] that the stripes of one eye (0: left, 1: right) are paint on the ground.
+
+        The other image tells; where that says little, whether a stripe is the reflection of a lamp.
+        """
+        (one, other), (image, other_image) = (stripes[eye], stripes[1 - eye]), (images[eye], images[1 - eye])
+        odds = np.zeros(one.count)
+        if image is None:
+            return odds
+        if other.count:  # else it may be blind
+            known_m = self._plane.height_sigma_m(on_ground(one.eye, one.directions) - self._rig.middle_m[:2])
+            odds = log_odds(one, witnesses(one, other, known_m, NOISE_PX))
+        camera, reflections = (self._rig.left, self._rig.right)[eye], self._reflections[eye]
+        ground = camera.px_to_ground(one.pixels)
+        for k in np.flatnonzero((odds >= 0.0) & (odds < SURE)).tolist():
+            its = one.stripe == k
+            if radial(ground[its] - camera.centre_m[:2], reflections.config.pointing_rad) < 0.5:
+                continue
+            if other_image is not None and mirrored(one, its, image, other.eye, other_image) > ALIKE:
+                odds[k] = -math.inf
+            else:
+                profiles = ground[its][self._in_view(camera, ground[its])][::2]
+                if len(profiles) and reflections.on_streaks(image, profiles).mean() > 0.5:
+                    odds[k] = -math.inf
+        return odds
+
+    def _in_view(self, camera: GroundCamera, ground_m: FloatArray) -> Bools:
+        """Whether all of a profile across the ground (n, 2) [m] is in view (n,)."""
+        aside = np.array((0.0, (ReflectionConfig().reach + 0.5) * self._marking_m))
+        ends = np.stack((camera.ground_to_px(ground_m + aside), camera.ground_to_px(ground_m - aside)))
+        last = np.array((self._size[1] - 1.0, self._size[0] - 1.0))
+        return np.asarray(((ends >= 0.0) & (ends <= last)).all(axis=(0, 2)), dtype=np.bool_)
+
+    def _sighted(self, lines: list[FloatArray]) -> tuple[SightedLine, ...]:
+        """The lines of the whole view among which the lane's are looked for: none that leads across."""
+        ends = [points[-1] - points[0] for points in lines]
+        ahead = [points for points, (x, y) in zip(lines, ends, strict=True) if abs(y) < ACROSS * abs(x)]
+        return self._scan.of_stripes(ahead)
+
     def _start(self, t_ns: int, image: Image, lines: list[FloatArray]) -> LaneBelief | None:
         """A lane to start with: the pair that the lines in view make, or line integrals where all bends are wide."""
-        start = self._tracking.start(t_ns, self._scan.of_stripes(lines))
+        start = self._tracking.start(t_ns, self._sighted(lines))
         gentle = self._gentle.step(image)
         self.stages.lap("start")
         if gentle is None:
@@ -207,12 +257,11 @@ class Stereo:
 
     def _fit(self, lines: list[FloatArray]) -> Followed:
         """The parabola pair fitted to the lines on it, and what is seen of it."""
-        bend_walk = self._bend_walk
-        sides = [self._pair.side_of(points, bend_walk) for points in lines]
+        sides = [self._pair.side_of(points) for points in lines]
         mine = [k for k, side in enumerate(sides) if side]
         points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
         side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])
-        good = self._pair.update(points, side, self._sigma_m(points), bend_walk)
+        good = self._pair.update(points, side, self._sigma_m(points))
         left, right = points[good & (side > 0.0)], points[good & (side < 0.0)]
         state, covariance = self._pair.state, self._pair.covariance
         sign = np.array((1.0, -1.0, 1.0))
@@ -222,7 +271,7 @@ class Stereo:
                 offset_m=float(state[Part.OFFSET]),
                 heading_rad=-float(state[Part.THETA]),
                 width_m=float(state[Part.WIDTH]),
-                curvature_per_m=float(state[Part.KAPPA]),
+                curvature_per_m=self._pair.curvature_per_m,
                 covariance=covariance[order] * np.outer(sign, sign),
             ),
             left=self._line(left, +0.5),

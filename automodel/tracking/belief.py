@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from automodel.curves.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, innovation, log_likelihood, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, line_beside, moved
-from automodel.tracking.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.types import FloatArray
 
 STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later

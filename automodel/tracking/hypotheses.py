@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from automodel.curves.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
-from automodel.tracking.lane_path import OFFSET, THETA
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
 STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new

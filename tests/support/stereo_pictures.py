@@ -39,8 +39,7 @@ def draw_pair(rig: StereoRig, plane: Plane | None = None, lines: tuple[Line, ...
     return tuple(draw(eye, lines, seed=seed + k, **road) for k, eye in enumerate((left, right)))
 
 
-def straight_ahead(rig: StereoRig, far_m: float = 45.0, count: int = 80) -> tuple[np.ndarray, np.ndarray]:
-    """The predicted centerline of a car that knows nothing: places and tangents, as complex numbers."""
+def straight_ahead(rig: StereoRig, far_m: float = 45.0, count: int = 80) -> np.ndarray:
+    """The predicted centerline of a car that knows nothing: places as complex numbers."""
     near = min(rig.left.first_visible_x_m(), rig.right.first_visible_x_m())
-    place = np.geomspace(near, far_m, count) + 0j
-    return place, np.ones_like(place)
+    return np.geomspace(near, far_m, count) + 0j

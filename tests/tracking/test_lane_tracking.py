@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from automodel.config import CarConfig
-from automodel.curves import GraphCurve
+from automodel.curves import GraphCurve, lane_path
+from automodel.curves.lane_path import ROAD
 from automodel.estimation.checked_odometry import DISSENT
 from automodel.estimation.road import MAX_GAP_S
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
-from automodel.tracking import evidence, lane_motion, lane_path
+from automodel.tracking import evidence, lane_motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
-from automodel.tracking.lane_path import ROAD
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from tests.support.drawn_roads import Road
 from tests.support.sighted_lines import line_of

@@ -3,13 +3,13 @@
 After the stereo paper's stages 5 and 6. Its models are nested, and so they are here one model whose prior says how
 much each next one must explain: parallel lines (offset, heading, width), independent lines (taper), parabolas
 (curvature). A parabola in the lane's own coordinates is an arc: the same near the car, and right in a tight bend too.
-A lone line says nothing of width and taper: they are held, and the lane keeps its width.
+A lone line says nothing of width and taper: the lane keeps its width.
 
 State: the car's offset d from the centerline (left positive) [m], the lane's heading theta in the body frame [rad], its
-curvature kappa [1/m], width w [m] and taper w' [m/m], at the foot of the reference point. Further ahead a road may
-bend in another way than beside the car. How, is estimated in each frame from its prior, a random walk of the curvature:
-both lines do it alike, so that the far ones tell width and taper, but little of the arc; and the arc follows the bends
-as the car comes to them.
+width w [m] and taper w' [m/m], at the foot of the reference point, and its curvature [1/m] at stations of the road:
+linear in between, a random walk before it is seen. Both lines bend alike, so that the far ones tell width and taper,
+but little of the arc beside the car. The stations stay where they are while the car drives past them, so that what was
+seen of a bend is known when it gets there.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves import DeferredCurve
+from automodel.curves.lane_path import curvature, foot_on, lane_path, path_row, place_on, station
 from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
@@ -31,78 +31,56 @@ from automodel.types import Bools, Complexes, FloatArray, Floats
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
 CUT_LANES = 0.06  # distance at which Tukey's biweight becomes 0
-BENDS = 4  # sections of the view in which the curvature may change, linearly in each
+SECTIONS = 6  # of the view, between stations
+ANY_BEND = 0.3  # sigma of a road's curvature [1 / lane width], as far ahead as nothing is known
+FORGOTTEN = 0.1  # share of the walk by which what was seen of the road is uncertain again
+TURNED = 0.4  # sine of the angle between a stripe and its line, at most, beyond what is uncertain
 
 
 class Part(IntEnum):
-    """Indices of the state."""
+    """Indices of the state; from the last one on, the stations."""
 
     OFFSET = 0  # [m]
     THETA = 1  # [rad]
-    KAPPA = 2  # [1/m]
-    WIDTH = 3  # [m]
-    TAPER = 4  # [m/m]
+    WIDTH = 2  # [m]
+    TAPER = 3  # [m/m]
+    ROAD = 4  # [1/m]
 
 
-OFFSET, THETA, KAPPA, WIDTH, TAPER = (int(part) for part in Part)  # for compiled functions
-
-
-class Foot(NamedTuple):
-    """A point beside an arc: its distance to the left [m], the foot's arc length [m], the turn up to there [rad]."""
-
-    left_m: float
-    s_m: float
-    turn_rad: float
-
-
-@compiled
-def foot_on_arc(state: Floats, reference_x_m: float, x: float, y: float) -> Foot:
-    """The foot of a body point (x, y) [m] on the centerline.
-
-    With t, l the point's place along and beside the tangent at the start: left = (2 l - kappa (t^2 + l^2)) / (1 + q),
-    q = sqrt((1 - kappa l)^2 + kappa^2 t^2), which holds for a straight line too.
-    """
-    cos, sin, kappa = math.cos(state[THETA]), math.sin(state[THETA]), state[KAPPA]
-    dx, dy = x - reference_x_m, y
-    t, left = dx * cos + dy * sin, dy * cos - dx * sin + state[OFFSET]
-    q = math.hypot(1.0 - kappa * left, kappa * t)
-    away = (2.0 * left - kappa * (t * t + left * left)) / (1.0 + q)
-    turn = math.atan2(kappa * t, 1.0 - kappa * left)
-    s = turn / kappa if abs(turn) > 1e-6 else t / max(1.0 - kappa * left, 0.05)
-    return Foot(away, s, turn)
+OFFSET, THETA, WIDTH, TAPER, ROAD = (int(part) for part in Part)  # for compiled functions
+STATIONS = SECTIONS + 2  # one of them behind the car
+SIZE = ROAD + STATIONS  # of the state
 
 
 @compiled
 def residual(
-    state: Floats, reference_x_m: float, x: float, y: float, side: float, slope: Floats
+    path: FloatArray,
+    state: Floats,
+    start_m: float,
+    section_m: float,
+    reference_x_m: float,
+    point: FloatArray,
+    side: float,
+    slope: FloatArray,
 ) -> tuple[float, float]:
-    """How far a body point lies to the left of the line on a `side` (+1 left, -1 right) [m], and the foot's s [m].
+    """How far a body point (2,) [m] lies to the left of the line on a `side` (+1 left, -1 right) [m], and its foot's
+    arc length [m].
 
-    `slope` (5,) is filled with its derivatives.
+    `path`: `lane_path` of the state, whose first station lies `start_m` behind the reference point's foot. `slope`
+    (SIZE,) is filled with the derivatives.
     """
-    foot = foot_on_arc(state, reference_x_m, x, y)
-    s, turn, kappa = foot.s_m, foot.turn_rad, state[KAPPA]
-    cos, sin = math.cos(turn), math.sin(turn)
-    ahead = (x - reference_x_m) * math.cos(state[THETA]) + y * math.sin(state[THETA])
-    left = y * math.cos(state[THETA]) - (x - reference_x_m) * math.sin(state[THETA])
-    slope[OFFSET] = cos
-    slope[THETA] = -sin * left - cos * ahead
-    slope[KAPPA] = -(1.0 - cos) / (kappa * kappa) if abs(turn) > 1e-3 else -0.5 * s * s
+    s, left = foot_on(path, point[0], point[1])
+    path_row(slope, path, start_m, section_m, reference_x_m, s)
+    for i in range(len(slope)):
+        slope[i] = -slope[i]
     slope[WIDTH], slope[TAPER] = -0.5 * side, -0.5 * side * s
-    return foot.left_m - 0.5 * side * (state[WIDTH] + state[TAPER] * s), s
+    return left - 0.5 * side * (state[WIDTH] + state[TAPER] * s), s
 
 
 @compiled
-def _beside_bend(s: float, section: int, section_m: float) -> float:
-    """How far to the left [m] a road lies at arc length s whose curvature rises by 1 / m in a section, and stays."""
-    since, after = max(s - section * section_m, 0.0), max(s - (section + 1) * section_m, 0.0)
-    return (since**3 - after**3) / (6.0 * section_m)
-
-
-@compiled
-def _spread(slope: Floats, covariance: Floats, s: float, bend: float) -> float:
-    """Variance [m^2] of a line's place at arc length s by that of the state, and by the road's bends."""
-    spread = bend * abs(s) ** 5 / 20.0
+def _spread(slope: Floats, covariance: Floats) -> float:
+    """Variance [m^2] of a line's place by that of the state."""
+    spread = 0.0
     for i in range(len(covariance)):
         for j in range(len(covariance)):
             spread += slope[i] * covariance[i, j] * slope[j]
@@ -118,39 +96,32 @@ def _updated(
     side: FloatArray,
     sigma: FloatArray,
     bend: float,
+    start_m: float,
     section_m: float,
     cut: float,
 ) -> tuple[FloatArray, FloatArray, Bools]:
-    """State and bends (5 + BENDS,), the state's covariance (5, 5), and inliers (n,) after points (n, 2).
+    """The state (SIZE,), its covariance, and the inliers (n,) after points (n, 2).
 
-    Robust Gauss-Newton with the prior. `bend` [1/m^3]: variance that the curvature gains per metre of road, in sections
-    of `section_m`. Its integral is the variance, bend s^5 / 20, by which a road leaves its arc.
+    Robust Gauss-Newton with the prior. `bend` [1/m^3]: variance that the curvature gains per metre of road, also
+    within a section of `section_m`, where that is taken to be linear.
     """
-    count, parts = len(points), len(prior)
-    size = parts + BENDS
-    known = np.zeros((size, size))
-    known[:parts, :parts] = solve(covariance.copy(), np.eye(parts))
-    for j in range(parts, size):
-        known[j, j] = 1.0 / (bend * section_m)
-    state, keep, limit = np.zeros(size), np.zeros(count), np.zeros(count)
-    mean = np.zeros(size)
-    mean[:parts] = state[:parts] = prior
+    count, size = len(points), len(prior)
+    known = solve(covariance.copy(), np.eye(size))
+    state, keep, limit = prior.copy(), np.zeros(count), np.zeros(count)
     slope, variance = np.zeros(size), np.empty(count)
     information = known.copy()
     for turn in range(ROUNDS):
+        path = lane_path(state, start_m, section_m, reference_x_m)
         information, gradient = known.copy(), np.zeros((size, 1))
         for i in range(size):
             for j in range(size):
-                gradient[i, 0] += known[i, j] * (state[j] - mean[j])
+                gradient[i, 0] += known[i, j] * (state[j] - prior[j])
         for k in range(count):
-            rest, s = residual(state, reference_x_m, points[k, 0], points[k, 1], side[k], slope)
-            for j in range(BENDS):
-                slope[parts + j] = -_beside_bend(s, j, section_m)
-                rest += slope[parts + j] * state[parts + j]
+            rest, s = residual(path, state, start_m, section_m, reference_x_m, points[k], side[k], slope)
             if turn == 0:
                 within = bend * min(abs(s), section_m) ** 5 / 45.0  # of a walk about its chord
                 variance[k] = sigma[k] ** 2 + within
-                limit[k] = 3.0 * math.sqrt(variance[k] + _spread(slope, covariance, s, bend))
+                limit[k] = 3.0 * math.sqrt(variance[k] + _spread(slope, covariance))
             room = max(limit[k] * 0.5**turn, cut, 3.0 * math.sqrt(variance[k]))
             keep[k] = max(1.0 - (rest / room) ** 2, 0.0) ** 2
             weight = keep[k] / variance[k]
@@ -161,7 +132,7 @@ def _updated(
         step = solve(information.copy(), gradient)
         for i in range(size):
             state[i] -= step[i, 0]
-    return state, solve(information, np.eye(size))[:parts, :parts].copy(), keep > 0.1
+    return state, solve(information, np.eye(size)).astype(np.float64), keep > 0.1
 
 
 @compiled
@@ -170,28 +141,38 @@ def _off_lines(
     covariance: FloatArray,
     reference_x_m: float,
     points: FloatArray,
-    bend: float,
+    start_m: float,
+    section_m: float,
     cut: float,
     most: float,
 ) -> FloatArray:
-    """How far points (n, 2) lie off the left and the right line (n, 2), over the distance at which they may."""
-    off, slope = np.empty((len(points), 2)), np.empty(len(covariance))
-    for k in range(len(points)):
-        for column in range(2):
-            side = 1.0 - 2.0 * column
-            rest, s = residual(state, reference_x_m, points[k, 0], points[k, 1], side, slope)
-            room = 3.0 * math.sqrt(_spread(slope, covariance, s, bend))
-            off[k, column] = abs(rest) / min(max(cut, room), most)
-    return off
+    """How far points (n, 2) lie off the left and the right line (2,), over the distance at which they may: the median.
+
+    Infinite for points along a line that leads elsewhere.
+    """
+    count = len(points)
+    off, rest, slope = np.empty(count), np.empty(count), np.empty(len(covariance))
+    path, found = lane_path(state, start_m, section_m, reference_x_m), np.empty(2)
+    for column in range(2):
+        side, room = 1.0 - 2.0 * column, 0.0
+        for k in range(count):
+            rest[k] = residual(path, state, start_m, section_m, reference_x_m, points[k], side, slope)[0]
+            room = 3.0 * math.sqrt(_spread(slope, covariance))
+            off[k] = abs(rest[k]) / min(max(cut, room), most)
+        length = math.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
+        away = abs(rest[count - 1] - rest[0]) > TURNED * length + max(room, cut)
+        found[column] = math.inf if away else np.median(off)
+    return found
 
 
 class ParabolaPair:
-    """One lane, tracked from frame to frame: `state` (5,) and `covariance` (5, 5) in the order of `Part`."""
+    """One lane, tracked from frame to frame: `state` and `covariance`, of `SIZE`, in the order of `Part`."""
 
-    def __init__(self, lane_width_m: float, reference_x_m: float, far_m: float) -> None:
-        """`far_m`: arc length up to which points are given [m]."""
+    def __init__(self, lane_width_m: float, reference_x_m: float, far_m: float, bend_walk: float) -> None:
+        """`far_m`: arc length up to which points are given [m]; `bend_walk`: variance that the curvature gains per lane
+        width of road [1 / lane width^2]."""
         self._unit, self._reference_x_m, self._far_m = lane_width_m, reference_x_m, far_m
-        self._section_m = far_m / BENDS
+        self._section_m, self._bend = far_m / SECTIONS, bend_walk / lane_width_m**3
         self.forget()
 
     def forget(self) -> None:
@@ -200,114 +181,130 @@ class ParabolaPair:
 
     def start(self, mean: FloatArray, covariance: FloatArray) -> None:
         """Start about a lane: (offset, theta, curvature, width) (4,) and its covariance (4, 4)."""
-        self.state: FloatArray = np.append(mean, 0.0)
-        self._bends: FloatArray = np.zeros(BENDS)
-        self.covariance: FloatArray = np.zeros((len(Part), len(Part)))
-        self.covariance[:TAPER, :TAPER] = covariance
+        spread = np.zeros((SIZE, 4))
+        spread[[OFFSET, THETA, WIDTH], [0, 1, 3]] = spread[ROAD:, 2] = 1.0
+        self.start_m = 0.0  # from the first station to the reference point's foot
+        self.state: FloatArray = spread @ mean
+        self.covariance: FloatArray = spread @ covariance @ spread.T
         self.covariance[TAPER, TAPER] = ROAD_TAPER**2
+        for last in range(ROAD, SIZE - 1):
+            self._go_on(last)
 
-    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool, bend_walk: float) -> None:
-        """Move the lane into the body frame after a motion along an arc; an unknown motion counts as none.
+    @property
+    def curvature_per_m(self) -> float:
+        """The centerline's curvature beside the car [1/m]."""
+        return curvature(self.state, self.start_m, self._section_m)
 
-        `bend_walk`: variance that the curvature gains per lane width of road [1 / lane width^2].
-        """
+    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
+        """Move the lane into the body frame after a motion along an arc; an unknown motion counts as none."""
         unit, way = self._unit, abs(distance_m) / self._unit + dt_s  # noise and light are new to a car that stands
         if known:
             self._advance(distance_m, turn_rad)
         else:
             way += LOST_PACE * dt_s
-        walk = np.square((WALK * unit, WALK, 0.0, WALK * unit, ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES))) * way
-        walk[KAPPA] = bend_walk / unit**2 * way
+        walk = np.full(SIZE, FORGOTTEN * self._bend * unit * way)
+        walk[:ROAD] = np.square((WALK * unit, WALK, WALK * unit, ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES))) * way
         if not known:
             walk[[OFFSET, THETA]] += dt_s * (LOST_STEP * unit) ** 2, dt_s * LOST_TURN_RAD**2
-        self.covariance[np.diag_indices(len(Part))] += walk
-        self._bends = np.zeros(BENDS)
+            walk[ROAD:] += self._bend * unit * way
+        self.covariance[np.diag_indices(SIZE)] += walk
 
     def _advance(self, distance_m: float, turn_rad: float) -> None:
         """The rear axle's centre drives an arc; the reference point is carried along with the body."""
-        half, reference = 0.5 * turn_rad, self._reference_x_m
+        half, reference, section = 0.5 * turn_rad, self._reference_x_m, self._section_m
         chord = distance_m * (math.sin(half) / half if abs(half) > 1e-9 else 1.0)
-        x = chord * math.cos(half) + reference * math.cos(turn_rad)
-        y = chord * math.sin(half) + reference * math.sin(turn_rad)
-        slope = np.empty(len(Part))
-        residual(self.state, reference, x, y, 0.0, slope)
-        foot = foot_on_arc(self.state, reference, x, y)
-        kept = math.exp(-abs(foot.s_m) / (TAPER_LANES * self._unit))
-        change = np.eye(len(Part))
-        change[OFFSET, : KAPPA + 1] = slope[: KAPPA + 1]
-        change[THETA, KAPPA] = foot.s_m
-        change[WIDTH, TAPER], change[TAPER, TAPER] = foot.s_m, kept
-        self.state = np.array(
-            (
-                foot.left_m,
-                self.state[THETA] + foot.turn_rad - turn_rad,
-                self.state[KAPPA] + float(self._bends[0]) * min(max(foot.s_m / self._section_m, 0.0), 1.0),
-                self.state[WIDTH] + foot.s_m * self.state[TAPER],
-                kept * self.state[TAPER],
-            )
-        )
-        self.covariance = change @ self.covariance @ change.T
+        point = np.array((chord * math.cos(half) + reference * math.cos(turn_rad), 0.0))
+        point[1] = chord * math.sin(half) + reference * math.sin(turn_rad)
+        path, slope = lane_path(self.state, self.start_m, section, reference), np.empty(SIZE)
+        left, s = residual(path, self.state, self.start_m, section, reference, point, 0.0, slope)
+        kept = math.exp(-abs(s) / (TAPER_LANES * self._unit))
+        first, share = station(self.start_m + 0.5 * s, section, STATIONS)
+        change = np.eye(SIZE)
+        change[OFFSET] = slope
+        change[THETA, ROAD + first : ROAD + first + 2] = s * (1.0 - share), s * share
+        change[WIDTH, TAPER], change[TAPER, TAPER] = s, kept
+        state = change @ self.state
+        state[OFFSET], state[THETA] = left, place_on(path, s)[2] - turn_rad
+        self.state, self.covariance = state, change @ self.covariance @ change.T
+        self.start_m += s
+        while self.start_m > section:
+            self._leave_station()
+        self.start_m = max(self.start_m, 0.0)
 
-    def update(self, points_m: FloatArray, side: FloatArray, sigma_m: FloatArray, bend_walk: float) -> Bools:
+    def _leave_station(self) -> None:
+        """Forget the first station, and add one where the road goes on."""
+        order = np.array([*range(ROAD), *range(ROAD + 1, SIZE), SIZE - 1])
+        self.state, self.covariance = self.state[order], self.covariance[np.ix_(order, order)]
+        self._go_on(SIZE - 2)
+        self.start_m -= self._section_m
+
+    def _go_on(self, last: int) -> None:
+        """The station after the `last` one: the road goes on as there, and turns straight after a while."""
+        kept = math.exp(-self._section_m * self._bend * self._unit**2 / (2.0 * ANY_BEND**2) * self._unit)
+        self.state[last + 1] = kept * self.state[last]
+        self.covariance[last + 1] = kept * self.covariance[last]
+        self.covariance[:, last + 1] = self.covariance[last + 1]
+        self.covariance[last + 1, last + 1] = kept**2 * self.covariance[last, last] + self._bend * self._section_m
+
+    def update(self, points_m: FloatArray, side: FloatArray, sigma_m: FloatArray) -> Bools:
         """Take points (n, 2) [m] of the lines on `side` (n,), +1 left or -1 right; returns the inliers (n,).
 
-        `sigma_m` (n,): standard deviations; `bend_walk` as in `move`.
+        `sigma_m` (n,): standard deviations.
         """
-        unit, before = self._unit, self.state
-        bend, cut = bend_walk / unit**3, CUT_LANES * unit
-        both, covariance, inliers = _updated(
-            before, self.covariance, self._reference_x_m, points_m, side, sigma_m, bend, self._section_m, cut
+        before = self.state
+        after, self.covariance, inliers = _updated(
+            before,
+            self.covariance,
+            self._reference_x_m,
+            points_m,
+            side,
+            sigma_m,
+            self._bend,
+            self.start_m,
+            self._section_m,
+            CUT_LANES * self._unit,
         )
-        after, self._bends = both[: len(Part)], both[len(Part) :]
         sides = np.unique(side[inliers])
-        if len(sides) == 1:  # the line stays where it is, and the width as it was
-            width, taper = (before - after)[[WIDTH, TAPER]].tolist()
-            after = after + np.array((-0.5 * sides[0] * width, 0.5 * sides[0] * taper, 0.0, width, taper))
-        self.state, self.covariance = after, covariance
+        if len(sides) == 1:  # the line stays where it is, the width as it was, and the other line parallel
+            width, taper = float(before[WIDTH] - after[WIDTH]), -float(after[TAPER])
+            after[:ROAD] += (-0.5 * sides[0] * width, 0.5 * sides[0] * taper, width, taper)
+        self.state = after
         return inliers
 
-    def ahead(self, s_m: FloatArray) -> tuple[Complexes, Complexes]:
-        """The centerline at arc lengths (n,): places x + i y [m] in the body frame, and unit tangents."""
-        d, theta, kappa = self.state[: KAPPA + 1].tolist()
-        start = self._reference_x_m - 1j * d * np.exp(1j * theta)
-        turn = kappa * s_m
-        chord = s_m * np.sinc(turn / (2.0 * np.pi)) * np.exp(1j * (theta + 0.5 * turn))
-        return start + chord, np.exp(1j * (theta + turn))
+    def ahead(self, s_m: FloatArray) -> Complexes:
+        """The centerline's places (n,) x + i y [m] at arc lengths (n,), in the body frame."""
+        path = lane_path(self.state, self.start_m, self._section_m, self._reference_x_m)
+        return np.array([complex(*place_on(path, s)[:2]) for s in s_m.tolist()])
 
-    def side_of(self, points_m: FloatArray, bend_walk: float) -> float:
-        """Which line the points (n, 2) [m] of a stripe lie on: +1 left, -1 right, 0 neither; `bend_walk` as in `move`.
+    def side_of(self, points_m: FloatArray) -> float:
+        """Which line the points (n, 2) [m] of a stripe lie on: +1 left, -1 right, 0 neither.
 
         The points come near to far. Its near half decides, where bends are known best: it lies on a line where most of
-        it is within three sigmas of the predicted one, and nearer to it than a quarter lane.
+        it is within three sigmas of the predicted one, and nearer to it than a quarter lane, and leads where that does.
         """
-        bend, reference, unit = bend_walk / self._unit**3, self._reference_x_m, self._unit
-        off = _off_lines(
+        left, right = _off_lines(
             self.state,
             self.covariance,
-            reference,
+            self._reference_x_m,
             points_m[: (len(points_m) + 1) // 2],
-            bend,
-            CUT_LANES * unit,
-            0.25 * unit,
-        )
-        left, right = np.median(off, axis=0).tolist()
+            self.start_m,
+            self._section_m,
+            CUT_LANES * self._unit,
+            0.25 * self._unit,
+        ).tolist()
         return 0.0 if min(left, right) > 1.0 else 1.0 if left < right else -1.0
 
     def curve(self, lanes: float) -> DeferredCurve:
         """The curve so many `lanes` widths left of the centerline, from behind the car to the farthest points."""
-        return DeferredCurve(partial(self._table, self.state, self._bends, lanes))
+        return DeferredCurve(partial(self._table, self.state, self.start_m, lanes))
 
-    def _table(self, state: FloatArray, bends: FloatArray, lanes: float) -> Table:
-        behind = BEHIND * self._unit
+    def _table(self, state: FloatArray, start_m: float, lanes: float) -> Table:
+        behind, section = BEHIND * self._unit, self._section_m
         zero = math.ceil(BEHIND / NODE) * 2
         step = behind / zero
         s = np.arange(-zero, math.ceil(self._far_m / step) + 1) * step
-        ramp = np.clip(s[:, None] / self._section_m - np.arange(BENDS), 0.0, 1.0)
-        kappa = state[KAPPA] + ramp @ bends
-        turn = np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * step)))
-        theta = state[THETA] + turn - turn[zero]
-        chords = step * np.exp(0.5j * (theta[1:] + theta[:-1]))
-        place = np.concatenate(([0.0], np.cumsum(chords)))
-        place += self._reference_x_m - 1j * state[OFFSET] * np.exp(1j * state[THETA]) - place[zero]
-        table = s - s[0], np.column_stack((place.real, place.imag)), theta, kappa
+        path = lane_path(state, start_m, section, self._reference_x_m)
+        places = np.array([place_on(path, one) for one in s.tolist()])
+        kappa = np.interp(s + start_m, section * np.arange(STATIONS), state[ROAD:])
+        table = s - s[0], places[:, :2], places[:, 2], kappa
         return beside(table, lanes * float(state[WIDTH])) if lanes else table

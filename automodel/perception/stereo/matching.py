@@ -15,9 +15,12 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.geometry.stereo_rig import Eye, image_of
 from automodel.perception.stereo.stripes import Stripes
-from automodel.types import FloatArray, Ints
+from automodel.types import Bools, FloatArray, Image, Ints
 
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
+_FAR_M = 1e4  # as good as infinitely far
+_PROFILE, _REACH = 8, 1.5  # samples of a profile on each side of a ridge, and its length there in the ridge's widths
+_LEAST = 0.7  # share of a profile that both images must show
 _STEP = 1e-3  # share of a ray's length over which its image is taken to be straight
 
 
@@ -49,6 +52,124 @@ def match(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: f
         height_sigma_m, noise_px,
     )  # fmt: skip
     return Matches(*found)
+
+
+def witnesses(one: Stripes, other: Stripes, height_sigma_m: FloatArray, noise_px: float) -> Ints:
+    """What the other image says of each ridge (n,) of an image: 1, it shows one where the ground puts this one;
+    -1, it shows that place without one; 0, the place is out of its view, or the epipolar line runs along the stripe.
+
+    `height_sigma_m` (n,): how well the height of the ground is known at each ridge.
+    """
+    return _borne_out(
+        one.eye, other.eye, one.directions, one.stripe, other.traces.pixels, other.traces.chain, other.field.rows,
+        other.field.ends, height_sigma_m, noise_px,
+    )  # fmt: skip
+
+
+def mirrored(one: Stripes, ridges: Bools, image: Image, other: Eye, other_image: Image) -> float:
+    """How much the other image looks like this one about some ridges (n,), seen as infinitely far: correlation -1 .. 1.
+
+    Both images show the reflection of a lamp so, on whatever floor; 0 where the other one does not reach.
+    """
+    alike = _likeness(image, other_image, one.pixels[ridges], one.width_px[ridges], one.directions[ridges], other)
+    known = alike[np.isfinite(alike)]
+    return float(known.mean()) if len(known) else 0.0
+
+
+@compiled
+def _likeness(
+    image: Image, other_image: Image, pixels: FloatArray, width_px: FloatArray, directions: FloatArray, other: Eye
+) -> FloatArray:
+    """The correlation (n,) of both images about each ridge; NaN where the other one does not reach. See `mirrored`."""
+    found, samples = np.full(len(pixels), math.nan), 2 * _PROFILE + 1
+    profiles, last = np.empty((2, samples)), image.shape[1] - 1
+    for i in range(len(pixels)):
+        way = directions[i] * _FAR_M
+        u, v = image_of(other, other.centre_m[0] + way[0], other.centre_m[1] + way[1], other.centre_m[2] + way[2])
+        if not (0.0 <= v <= image.shape[0] - 1.0 and 0.0 <= u <= last):
+            continue
+        count = 0
+        for k in range(samples):
+            away = _REACH * width_px[i] * (k - _PROFILE) / _PROFILE
+            here, there = math.floor(pixels[i, 0] + away + 0.5), math.floor(u + away + 0.5)
+            if min(here, there) >= 0 and max(here, there) <= last:
+                profiles[0, count] = image[int(pixels[i, 1]), here]
+                profiles[1, count] = other_image[int(v + 0.5), there]
+                count += 1
+        if count < _LEAST * samples:
+            continue
+        one_mean, other_mean = profiles[0, :count].mean(), profiles[1, :count].mean()
+        both = one = another = 0.0
+        for k in range(count):
+            a, b = profiles[0, k] - one_mean, profiles[1, k] - other_mean
+            both, one, another = both + a * b, one + a * a, another + b * b
+        found[i] = both / math.sqrt(max(one * another, 1.0))
+    return found
+
+
+@compiled
+def _in_view(u: float, v: float, rows: FloatArray, ends: FloatArray) -> bool:
+    """Whether a ridge would be found at a pixel: between two rows, `rows` (r,) from below, and their ends (r, 2)."""
+    for r in range(len(rows) - 1):
+        if rows[r + 1] <= v <= rows[r]:
+            low = max(ends[r, 0], ends[r + 1, 0])
+            return low <= u <= min(ends[r, 1], ends[r + 1, 1])
+    return False
+
+
+@compiled
+def _borne_out(
+    one: Eye,
+    other: Eye,
+    directions: FloatArray,
+    stripe: Ints,
+    pixels: FloatArray,
+    chain: Ints,
+    rows: FloatArray,
+    ends: FloatArray,
+    height_sigma_m: FloatArray,
+    noise_px: float,
+) -> Ints:
+    """See `witnesses`."""
+    n = len(directions)
+    found, there = np.zeros(n, np.intp), np.full((n, 2), math.nan)
+    eye = one.centre_m
+    for i in range(n):
+        ray = directions[i]
+        if ray[2] < 0.0:
+            away = -eye[2] / ray[2]
+            there[i] = image_of(other, eye[0] + away * ray[0], eye[1] + away * ray[1], 0.0)
+    for i in range(n):
+        u, v = there[i]
+        if not _in_view(u, v, rows, ends):
+            continue
+        ray, near = directions[i], -(1.0 - _STEP) * eye[2] / directions[i, 2]
+        u1, v1 = image_of(other, eye[0] + near * ray[0], eye[1] + near * ray[1], eye[2] + near * ray[2])
+        along_u, along_v = u1 - u, v1 - v
+        length = math.hypot(along_u, along_v)
+        if not length > 0.0:
+            continue
+        along_u, along_v = along_u / length, along_v / length
+        before, after = max(i - 1, 0), min(i + 1, n - 1)
+        before, after = before if stripe[before] == stripe[i] else i, after if stripe[after] == stripe[i] else i
+        du, dv = there[after, 0] - there[before, 0], there[after, 1] - there[before, 1]
+        if not abs(along_u * dv - along_v * du) > GLANCING * math.hypot(du, dv):
+            continue
+        room = 3.0 * math.hypot(length / (_STEP * eye[2]) * height_sigma_m[i], noise_px)
+        found[i] = -1
+        for k in range(len(pixels) - 1):
+            if chain[k] != chain[k + 1]:
+                continue
+            du, dv = pixels[k, 0] - u, pixels[k, 1] - v
+            eu, ev = pixels[k + 1, 0] - u, pixels[k + 1, 1] - v
+            side, beyond = along_u * dv - along_v * du, along_u * ev - along_v * eu
+            if side * beyond > 0.0 or side == beyond:
+                continue
+            share = side / (side - beyond)
+            if abs(along_u * (du + share * (eu - du)) + along_v * (dv + share * (ev - dv))) <= room:
+                found[i] = 1
+                break
+    return found
 
 
 @compiled

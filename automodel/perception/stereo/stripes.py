@@ -1,48 +1,63 @@
 """Stripes of one image: ridges as wide as a marking on rows about the predicted lane, linked from row to row.
 
-After the stereo paper's stages 1 and 2 (marking extraction in image space, stripe models). The filter's width is that
-which a marking has on the row by the camera and the predicted ground plane. Rows lie about evenly in the image, so that
-ridges that continue each other make the mid-line of a blob: a stripe. What is short, round or lies across the lane has
-too few of them.
+After the stereo paper's stages 1 and 2 (marking extraction in image space, stripe models). Rows are read as far as the
+road about the predicted lane reaches, whatever its direction there: a stripe that runs across the image is the wider on
+a row the flatter it lies, and filters of several widths find it. Rows lie evenly in the image, so that ridges that
+continue each other make the mid-line of a blob: a stripe. Its width across its own direction is a marking's; what is
+short or round has too few ridges.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry import GroundCamera
-from automodel.geometry.line_projection import LineProjection
-from automodel.geometry.stereo_rig import Eye, bearings, on_ground
+from automodel.geometry.stereo_rig import Eye, bearings, image_of, on_ground
 from automodel.perception.line_scan import ScanConfig
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
-from automodel.perception.rows.row_ridges import AROUND, LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WINDOW, measure_ridges
+from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WINDOW, measure_ridges
 from automodel.perception.rows.row_search import MAX_TURN
-from automodel.types import Complexes, FloatArray, Floats, Image, Ints
+from automodel.types import Complexes, FloatArray, Image, Ints
 
+SLANTS = (
+    1.0,
+    1.8,
+    3.2,
+)  # widths of the filters, in markings straight ahead: the last finds what lies 75 degrees across
+WIDTHS = (0.5, 1.7)  # of a stripe across its direction, in markings: the width in use may be wrong by a third
 THIN = 4  # every so many-th sample measures a row's noise: as long as the filter's windows
+NARROW_PX = 0.75  # rows on which a marking is narrower show none
+_KNOTS = 33  # columns of a row whose ground is computed; linear in between
 
 
 @dataclass(slots=True, eq=False)
 class Stripes:
     """The stripes of an image: their ridges (n,), stripe by stripe, each from near to far.
 
-    `pixels` (n, 2), `directions` (n, 3) in the level body frame; `stripe` (n,) counts from 0. `eye`: the camera that
-    saw them, over the predicted ground.
+    `pixels` (n, 2), `directions` (n, 3) in the level body frame; `width_px` (n,) along the row; `stripe` (n,) counts
+    from 0. `eye`: the camera that saw them, over the predicted ground. `traces`: also what is too short for a stripe.
+    `field`: where it was looked for.
     """
 
     pixels: FloatArray
+    width_px: FloatArray
     directions: FloatArray
     stripe: Ints
     eye: Eye
+    traces: Traces
+    field: Field
 
     @classmethod
     def none(cls, camera: GroundCamera) -> Stripes:
         """Of a camera that shows nothing."""
-        return cls(np.empty((0, 2)), np.empty((0, 3)), np.empty(0, np.intp), Eye.of(camera))
+        nothing = np.empty((0, 2))
+        traces, field = Traces(nothing, np.empty(0, np.intp)), Field(np.empty(0), nothing)
+        return cls(nothing, np.empty(0), np.empty((0, 3)), np.empty(0, np.intp), Eye.of(camera), traces, field)
 
     @property
     def count(self) -> int:
@@ -50,8 +65,22 @@ class Stripes:
         return int(self.stripe[-1]) + 1 if len(self.stripe) else 0
 
 
+class Traces(NamedTuple):
+    """All ridges of an image that another one continues: `pixels` (n, 2), and the `chain` (n,) that each is of."""
+
+    pixels: FloatArray
+    chain: Ints
+
+
+class Field(NamedTuple):
+    """The part of an image in which a ridge would be found: `rows` (r,), from below, and their `ends` (r, 2) [px]."""
+
+    rows: FloatArray
+    ends: FloatArray
+
+
 class StripeSearch:
-    """Finds stripes on up to `rows` rows in images of `size` (height, width) px.
+    """Finds stripes on `rows` rows in images of `size` (height, width) px.
 
     It looks up to `half_lanes` lane widths to each side of the predicted lane. `contrast` [grey levels] is a ridge's
     minimum; 0: it follows the noise. `dark`: markings are darker than the ground.
@@ -64,138 +93,247 @@ class StripeSearch:
         half_lanes: float,
         contrast: float,
         size: tuple[int, int],
+        rows: int = 64,
         dark: bool = False,
     ) -> None:
-        self._sample_m = marking_m / PER_MARKING
-        self._reach = math.ceil(half_lanes * lane_width_m / self._sample_m)
-        self._contrast, self._size, self._dark = contrast, size, dark
+        self._marking_m, self._half_m = marking_m, half_lanes * lane_width_m
+        self._contrast, self._size, self._rows, self._dark = contrast, size, rows, dark
         self._least_m = ScanConfig().least_lanes * lane_width_m
-        self._link_m = 0.5 * marking_m
+        self._noises = least_ridge(rows * 2.0 * self._half_m / marking_m * PER_MARKING / FALSE_SAMPLES)
 
-    def look(self, grey: Image, camera: GroundCamera, place: Complexes, along: Complexes) -> Stripes:
+    def look(self, grey: Image, camera: GroundCamera, place: Complexes) -> Stripes:
         """The stripes of a grey image by a camera over the predicted ground.
 
-        `place` (k,), near to far, and the unit tangents `along` (k,) are the predicted centerline x + i y [m].
+        `place` (k,), near to far, is the predicted centerline x + i y [m].
         """
-        line = LineProjection(camera).project(place, along, 0.0)
-        rows, middle, step = _laid_rows(line.values[:, : len(place)], self._sample_m, self._size)
         eye = Eye.of(camera)
-        noises = least_ridge(len(rows) * 2 * self._reach / FALSE_SAMPLES) if len(rows) else math.inf
-        row, at = _ridges(grey, rows, middle, step, self._reach, noises, self._contrast, self._dark)
-        pixels = np.column_stack((middle[row] + at * step[row], rows[row].astype(np.float64)))
+        rows = _laid_rows(eye, place, self._half_m, self._size, self._rows)
+        knots = np.linspace(0.0, self._size[1] - 1.0, _KNOTS)
+        pixels = np.column_stack((np.tile(knots, len(rows)), np.repeat(rows, _KNOTS).astype(np.float64)))
+        ground = on_ground(eye, bearings(eye, pixels)).reshape(len(rows), _KNOTS, 2)
+        foot = complex(eye.centre_m[0], eye.centre_m[1])
+        scale = _scales(ground, foot, place, self._half_m, knots[1])
+        sample_m = self._marking_m / PER_MARKING
+        row, at, width_px, ends = _ridges(grey, rows, scale, sample_m, self._noises, self._contrast, self._dark)
+        pixels = np.column_stack((at, rows[row].astype(np.float64)))
         directions = bearings(eye, pixels)
-        ground = on_ground(eye, directions)
-        chain = _linked(row, ground, self._link_m)
-        order, stripe = _long_ones(chain, ground, self._least_m)
-        return Stripes(pixels=pixels[order], directions=directions[order], stripe=stripe, eye=eye)
+        found = on_ground(eye, directions)
+        half = np.column_stack((0.5 * width_px, np.zeros(len(at))))
+        wide = on_ground(eye, bearings(eye, pixels + half)) - on_ground(eye, bearings(eye, pixels - half))
+        chain = _linked(row, found, wide, self._marking_m)
+        order, stripe = _long_ones(chain, found, wide, self._least_m, self._marking_m)
+        return Stripes(
+            pixels=pixels[order],
+            width_px=width_px[order],
+            directions=directions[order],
+            stripe=stripe,
+            eye=eye,
+            traces=Traces(*_continued(chain, pixels)),
+            field=Field(rows.astype(np.float64), ends),
+        )
 
 
 @compiled
-def _laid_rows(line: Floats, sample_m: float, size: tuple[int, int]) -> tuple[Ints, FloatArray, FloatArray]:
-    """The image rows (r,) that show the centerline (5, k) of `LineProjection`, near to far; each once.
+def _laid_rows(eye: Eye, place: Complexes, half_m: float, size: tuple[int, int], most: int) -> Ints:
+    """The image rows (r,), from below, on which ground is that lies within `half_m` of the centerline."""
+    top = size[0]
+    for k in range(len(place)):
+        before = place[max(k - 1, 0)]
+        along = place[min(k + 1, len(place) - 1)] - before
+        aside = 1j * along / max(abs(along), 1e-9) * half_m
+        for side in (-1.0, 0.0, 1.0):
+            point = place[k] + side * aside
+            u, v = image_of(eye, point.real, point.imag, 0.0)
+            if 0.0 <= u <= size[1] - 1.0 and 0.0 <= v < top:
+                top = int(v)
+    height = size[0] - 1 - top
+    if height < 1:
+        return np.empty(0, np.intp)
+    count = min(most, height + 1)
+    rows = np.empty(count, np.intp)
+    for r in range(count):
+        rows[r] = size[0] - 1 - int(np.rint(height * r / max(count - 1, 1)))
+    return rows
 
-    With the column (r,) of the centerline, and the columns (r,) by which a sample further to the left lies away.
+
+@compiled
+def _scales(ground: FloatArray, foot: complex, place: Complexes, half_m: float, apart_px: float) -> FloatArray:
+    """Pixels a metre (r, knots) along rows whose knots show the `ground` (r, knots, 2).
+
+    0 where it is not near the centerline, or farther than that reaches from the `foot` below the camera.
     """
-    rows, middle, step = np.empty(line.shape[1], np.intp), np.empty(line.shape[1]), np.empty(line.shape[1])
-    count = 0
-    for i in range(line.shape[1]):
-        u, v, along_u, along_v, area = line[:, i]
-        if not (0.0 <= v <= size[0] - 1.0 and along_v < 0.0):
-            continue
-        row = int(np.rint(v))
-        if count and rows[count - 1] <= row:
-            continue
-        rows[count], middle[count] = row, u + (row - v) * along_u / along_v
-        step[count] = -sample_m * area / along_v
+    rows, knots = ground.shape[:2]
+    found, reach = np.zeros((rows, knots)), np.abs(place - foot).max()
+    for r in range(rows):
+        for j in range(knots):
+            x, y = ground[r, j]
+            near = False
+            for k in range(len(place) if math.hypot(x - foot.real, y - foot.imag) <= reach else 0):
+                if (place[k].real - x) ** 2 + (place[k].imag - y) ** 2 < half_m * half_m:
+                    near = True
+                    break
+            if near:
+                one, other = max(j - 1, 0), min(j + 1, knots - 1)
+                dx, dy = ground[r, other, 0] - ground[r, one, 0], ground[r, other, 1] - ground[r, one, 1]
+                length = math.hypot(dx, dy)
+                if length > 0.0:  # not beyond the horizon
+                    found[r, j] = (other - one) * apart_px / length
+    return found
+
+
+@compiled
+def _sampled(
+    sums: FloatArray, scale: FloatArray, first: int, last: int, sample_m: float, at: FloatArray, values: FloatArray
+) -> int:
+    """Fill in samples `values` (1, n) of a row and their columns `at` (n,), between two knots; returns their number.
+
+    `sums` (w + 1,): the row's cumulative sums. A sample is the mean of as many pixels as it is long.
+    """
+    apart = (len(sums) - 2) / (len(scale) - 1)
+    u, end, count = first * apart, last * apart, 0
+    while u <= end and count < len(at):
+        knot = min(int(u / apart), last - 1)
+        share = u / apart - knot
+        step = sample_m * ((1.0 - share) * scale[knot] + share * scale[knot + 1])
+        half = max(0.5 * step, 0.5)
+        low, high = max(u + 0.5 - half, 0.0), min(u + 0.5 + half, len(sums) - 1.0)
+        a, b = int(low), min(int(high), len(sums) - 2)
+        below = sums[a] + (low - a) * (sums[a + 1] - sums[a])
+        above = sums[b] + (high - b) * (sums[b + 1] - sums[b])
+        at[count], values[0, count] = u, (above - below) / (high - low)
+        u += step
         count += 1
-    return rows[:count], middle[:count], step[:count]
+    return count
+
+
+@compiled
+def _half_width(values: FloatArray, best: int, count: int) -> tuple[float, float]:
+    """Where a ridge falls to half its height [samples], on both sides of sample `best`."""
+    half = WINDOW // 2
+    top = ground = 0.0
+    for k in range(-half, half + 1):
+        top += values[0, best + k] / WINDOW
+        ground += 0.5 * (values[0, best + k - SIDE] + values[0, best + k + SIDE]) / WINDOW
+    level = 0.5 * (top + ground)
+    edges = (0.0, 0.0)
+    for side in (-1, 1):
+        k = best
+        while 0 < k < count - 1 and values[0, k] > level:
+            k += side
+        inner, outer = values[0, k - side], values[0, k]
+        edge = k - side + side * ((inner - level) / (inner - outer) if inner > level > outer else 1.0)
+        edges = (edge, edges[1]) if side < 0 else (edges[0], edge)
+    return edges
 
 
 @compiled
 def _ridges(
-    grey: Image,
-    rows: Ints,
-    middle: FloatArray,
-    step: FloatArray,
-    reach: int,
-    noises: float,
-    contrast: float,
-    dark: bool,
-) -> tuple[Ints, FloatArray]:
-    """The ridges (n,) of a marking's width, by row: index of the row, and samples to the left of its middle."""
-    samples, width = 2 * (reach + AROUND) + 1, grey.shape[1]
-    found_row, found_at = np.empty(len(rows) * (samples // WINDOW + 1), np.intp), np.empty(0)
-    found_at = np.empty(len(found_row))
-    values = np.empty((1, samples), np.float32)
-    sums, height = np.empty(samples + 1), np.zeros(samples)
-    size, zero, least = np.empty(samples), np.zeros(1, np.intp), np.empty(1, np.float32)
-    count = 0
+    grey: Image, rows: Ints, scale: FloatArray, sample_m: float, noises: float, contrast: float, dark: bool
+) -> tuple[Ints, FloatArray, FloatArray, FloatArray]:
+    """The ridges (n,) of a marking's width, by row: index of the row, column and width [px]; and the field's ends."""
+    width = grey.shape[1]
+    most = len(rows) * (width // 2)
+    found_row, found_at, found_width = np.empty(most, np.intp), np.empty(most), np.empty(most)
+    ends = np.full((len(rows), 2), math.nan)
+    samples = 8 * width
+    at, values = np.empty(samples), np.empty((1, samples), np.float32)
+    sums, lengths, height, size = np.empty(width + 1), np.empty(samples + 1), np.empty(samples), np.empty(samples)
+    zero, least, place = np.zeros(1, np.intp), np.empty(1, np.float32), np.empty(1, np.intp)
+    half, count, sign = WINDOW // 2, 0, -1.0 if dark else 1.0
     for r in range(len(rows)):
-        first, last = samples, -1  # of those that lie in the image
-        for k in range(samples):
-            u = middle[r] + (k - reach - AROUND) * step[r]
-            if 0.0 <= u <= width - 1.0:
-                first, last = min(first, k), max(last, k)
-            u = min(max(u, 0.0), width - 1.001)
-            c = int(u)
-            share = u - c
-            value = (1.0 - share) * grey[rows[r], c] + share * grey[rows[r], min(c + 1, width - 1)]
-            values[0, k] = -value if dark else value
-        sums[0] = 0.0
-        for k in range(samples):
-            sums[k + 1] = sums[k] + values[0, k]
-        first, last, sizes = first + MARGIN, last - MARGIN, 0
-        if last - first < PER_MARKING:
+        first, last = 0, _KNOTS - 1
+        while first < _KNOTS and scale[r, first] * sample_m * PER_MARKING < NARROW_PX:
+            first += 1
+        while last > first and scale[r, last] * sample_m * PER_MARKING < NARROW_PX:
+            last -= 1
+        within = last > first
+        for j in range(first, last + 1):
+            within = within and bool(scale[r, j] > 0.0)
+        if not within:
             continue
-        half = WINDOW // 2
-        for k in range(first, last + 1):
-            one = sums[k - SIDE + half + 1] - sums[k - SIDE - half]
-            other = sums[k + SIDE + half + 1] - sums[k + SIDE - half]
-            height[k] = sums[k + half + 1] - sums[k - half] - max(one, other)
-            if k % THIN == 0:
-                size[sizes] = abs(height[k])
-                sizes += 1
-        least[0] = contrast * WINDOW if contrast > 0.0 else noises * max(np.median(size[:sizes]), LEVEL)
-        k = first
-        while k <= last:
-            if height[k] <= least[0]:
-                k += 1
-                continue
-            best = k
-            while k <= last and height[k] > least[0]:  # the middle of a plateau
-                if height[k] > height[best]:
-                    best = k
-                k += 1
-            at = np.full(1, best, np.intp)
-            place, _, _, flags = measure_ridges(values, zero, at, least)
-            if flags[LINE, 0]:
-                found_row[count], found_at[count] = r, best + place[0] - reach - AROUND
-                count += 1
-    return found_row[:count], found_at[:count]
+        sums[0] = 0.0
+        for k in range(width):
+            sums[k + 1] = sums[k] + sign * grey[rows[r], k]
+        of_row = count
+        for slant in SLANTS:
+            n = _sampled(sums, scale[r], first, last, slant * sample_m, at, values)
+            if n < 2 * MARGIN + PER_MARKING:
+                break
+            if slant == 1.0:
+                ends[r] = at[MARGIN], at[n - 1 - MARGIN]
+            lengths[0] = 0.0
+            for k in range(n):
+                lengths[k + 1] = lengths[k] + values[0, k]
+            sizes = 0
+            for k in range(MARGIN, n - MARGIN):
+                one = lengths[k - SIDE + half + 1] - lengths[k - SIDE - half]
+                other = lengths[k + SIDE + half + 1] - lengths[k + SIDE - half]
+                height[k] = lengths[k + half + 1] - lengths[k - half] - max(one, other)
+                if k % THIN == 0:
+                    size[sizes] = abs(height[k])
+                    sizes += 1
+            if contrast > 0.0:
+                least[0] = contrast * WINDOW
+            else:
+                least[0] = noises * max(np.median(size[:sizes]), LEVEL)
+            k, end = MARGIN, n - MARGIN
+            while k < end:
+                if height[k] <= least[0]:
+                    k += 1
+                    continue
+                best = k
+                while k < end and height[k] > least[0]:  # the middle of a plateau
+                    if height[k] > height[best]:
+                        best = k
+                    k += 1
+                place[0] = best
+                if not measure_ridges(values[:, :n], zero, place, least)[3][LINE, 0] or count == most:
+                    continue
+                low, high = _half_width(values, best, n)
+                low_u = at[int(low)] + (low - int(low)) * (at[min(int(low) + 1, n - 1)] - at[int(low)])
+                high_u = at[int(high)] + (high - int(high)) * (at[min(int(high) + 1, n - 1)] - at[int(high)])
+                middle, wide = 0.5 * (low_u + high_u), high_u - low_u
+                known = False  # by a narrower filter
+                for other_one in range(of_row, count):
+                    known = known or abs(found_at[other_one] - middle) < 0.5 * max(wide, found_width[other_one])
+                if not known:
+                    found_row[count], found_at[count], found_width[count] = r, middle, wide
+                    count += 1
+    return found_row[:count], found_at[:count], found_width[:count], ends
 
 
 @compiled
-def _linked(row: Ints, ground: FloatArray, room_m: float) -> Ints:
+def _linked(row: Ints, ground: FloatArray, wide: FloatArray, marking_m: float) -> Ints:
     """The chain (n,) that each ridge belongs to: it continues one of the row before, or of the one before that.
 
-    It lies within `room_m` of where the chain goes on, or in a direction that differs by `MAX_TURN` at most.
+    It lies within half a marking of where the chain goes on, or in a direction that differs by `MAX_TURN` at most. How
+    far aside a chain's second ridge may lie, its width along the row (n, 2) [m] tells.
     """
     n = len(row)
     chain, before, tail = np.full(n, -1, np.intp), np.full(n, -1, np.intp), np.empty(n, np.intp)
     chains = 0
     for i in range(n):
+        length = math.hypot(wide[i, 0], wide[i, 1])
         best, least = -1, 1.0
         for c in range(chains - 1, -1, -1):
             j = tail[c]
-            if row[i] - row[j] > 2 or row[i] <= row[j]:
+            if row[i] - row[j] > 2 or row[i] <= row[j] or not length > 0.0:
                 continue
+            ex, ey = wide[i, 0] / length, wide[i, 1] / length  # along the row
             dx, dy = ground[i, 0] - ground[j, 0], ground[i, 1] - ground[j, 1]
-            k, slope = j, 0.0
+            aside, ahead = dx * ex + dy * ey, abs(dx * ey - dy * ex)
+            k = j
             for _ in range(4):  # the direction of the last five ridges
                 k = before[k] if before[k] >= 0 else k
-            if k != j:
-                slope = (ground[j, 1] - ground[k, 1]) / max(ground[j, 0] - ground[k, 0], 1e-9)
-            off = abs(dy - slope * dx) / (room_m + MAX_TURN * abs(dx))
+            if k == j:
+                slope, slant = 0.0, 1.5 * length / marking_m
+                room = 0.5 * marking_m + ahead * math.sqrt(max(slant * slant - 1.0, MAX_TURN**2))
+            else:
+                bx, by = ground[j, 0] - ground[k, 0], ground[j, 1] - ground[k, 1]
+                slope = (bx * ex + by * ey) / max(abs(bx * ey - by * ex), 1e-9)
+                stretch = 1.0 + slope * slope
+                room = 0.5 * marking_m * math.sqrt(stretch) + MAX_TURN * ahead * stretch
+            off = abs(aside - slope * ahead) / room
             if off < least:
                 best, least = c, off
         if best < 0:
@@ -208,11 +346,31 @@ def _linked(row: Ints, ground: FloatArray, room_m: float) -> Ints:
 
 
 @compiled
-def _long_ones(chain: Ints, ground: FloatArray, least_m: float) -> tuple[Ints, Ints]:
-    """The ridges (m,) of chains that are long enough, chain by chain, and the stripe (m,) that each belongs to."""
+def _continued(chain: Ints, pixels: FloatArray) -> tuple[FloatArray, Ints]:
+    """The pixels (m, 2) of chains of two ridges and more, chain by chain, and their chains (m,)."""
     n = len(chain)
     chains = chain.max() + 1 if n else 0
-    order, stripe = np.empty(n, np.intp), np.empty(n, np.intp)
+    found, its, count = np.empty((n, 2)), np.empty(n, np.intp), 0
+    for c in range(chains):
+        start = count
+        for i in range(n):
+            if chain[i] == c:
+                found[count], its[count] = pixels[i], c
+                count += 1
+        if count == start + 1:
+            count = start
+    return found[:count], its[:count]
+
+
+@compiled
+def _long_ones(
+    chain: Ints, ground: FloatArray, wide: FloatArray, least_m: float, marking_m: float
+) -> tuple[Ints, Ints]:
+    """The ridges (m,) of chains that are long enough and as wide as a marking, chain by chain, and the stripe (m,) that
+    each belongs to."""
+    n = len(chain)
+    chains = chain.max() + 1 if n else 0
+    order, stripe, across = np.empty(n, np.intp), np.empty(n, np.intp), np.empty(n)
     count = stripes = 0
     for c in range(chains):
         start = count
@@ -220,10 +378,18 @@ def _long_ones(chain: Ints, ground: FloatArray, least_m: float) -> tuple[Ints, I
             if chain[i] == c:
                 order[count], stripe[count] = i, stripes
                 count += 1
-        away = math.hypot(
-            ground[order[count - 1], 0] - ground[order[start], 0], ground[order[count - 1], 1] - ground[order[start], 1]
-        )
-        if count - start >= 3 and away >= least_m:
+        along = ground[order[count - 1]] - ground[order[start]]
+        length = math.hypot(along[0], along[1])
+        good = count - start >= 3 and length >= least_m
+        if good:
+            for k in range(start, count):
+                one, other = order[max(k - 2, start)], order[min(k + 2, count - 1)]
+                tx, ty = ground[other, 0] - ground[one, 0], ground[other, 1] - ground[one, 1]
+                w = wide[order[k]]
+                across[k] = abs(tx * w[1] - ty * w[0]) / max(math.hypot(tx, ty), 1e-9)
+            middle = np.median(across[start:count])
+            good = bool(WIDTHS[0] * marking_m < middle < WIDTHS[1] * marking_m)
+        if good:
             stripes += 1
         else:
             count = start

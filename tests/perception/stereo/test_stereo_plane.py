@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
+from automodel.config import Extrinsics
 from automodel.estimation.parabola.plane_filter import PlaneFilter
+from automodel.geometry import GroundCamera
 from automodel.geometry.stereo_rig import Plane, StereoRig, on_ground
 from automodel.perception.stereo.ground_plane import PlaneFit, fit_plane
-from automodel.perception.stereo.matching import Matches, match, midpoint
+from automodel.perception.stereo.matching import Matches, match, midpoint, mirrored, witnesses
+from automodel.perception.stereo.reconstruction import log_odds, radial
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from tests.support.highway_pictures import LANE_M, Line
 from tests.support.stereo_pictures import LINES, draw_pair, mirror_cameras, straight_ahead
@@ -20,8 +25,8 @@ LEVEL_PLANE = Plane()
 
 def look(rig: StereoRig, pair: tuple[np.ndarray, ...], plane: Plane = LEVEL_PLANE) -> list[Stripes]:
     height, width = pair[0].shape
-    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (height, width))
-    return [search.look(image, eye, *straight_ahead(rig)) for image, eye in zip(pair, rig.over(plane), strict=True)]
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (height, width), rows=128)
+    return [search.look(image, eye, straight_ahead(rig)) for image, eye in zip(pair, rig.over(plane), strict=True)]
 
 
 def measure(rig: StereoRig, pair: tuple[np.ndarray, ...], known: PlaneFilter) -> tuple[Matches, PlaneFit]:
@@ -154,3 +159,56 @@ def test_what_nothing_measures_returns_to_the_calibration_unless_it_is_held() ->
     assert known.plane == Plane(0.01, 0.002, 0.0)
     known.predict(10.0)
     np.testing.assert_allclose(known.plane, 0.0, atol=1e-8)
+
+
+def test_paint_on_the_ground_is_borne_out_by_the_other_camera() -> None:
+    left, right = look(RIG, draw_pair(RIG))
+    for one, other in ((left, right), (right, left)):
+        said = witnesses(one, other, np.full(len(one.stripe), 0.02), NOISE_PX)
+        assert np.count_nonzero(said > 0) > 10 * np.count_nonzero(said < 0)
+        assert np.count_nonzero(said > 0) > 30
+        assert (log_odds(one, said) >= 0.0).all()
+
+
+def test_what_one_camera_alone_shows_in_the_common_view_is_no_paint() -> None:
+    """The right image is another road's: its lines lie elsewhere."""
+    left = look(RIG, draw_pair(RIG, lines=(Line(0.0),)))[0]
+    right = look(RIG, draw_pair(RIG, lines=(Line(-0.9 * LANE_M),)))[1]
+    said = witnesses(left, right, np.full(len(left.stripe), 0.02), NOISE_PX)
+    assert np.count_nonzero(said < 0) > 30
+    assert (log_odds(left, said) < 0.0).all()
+
+
+def test_what_is_out_of_the_other_view_says_nothing() -> None:
+    left, right = look(RIG, draw_pair(RIG))
+    right.field = right.field._replace(ends=np.full_like(right.field.ends, np.nan))
+    said = witnesses(left, right, np.full(len(left.stripe), 0.02), NOISE_PX)
+    np.testing.assert_array_equal(said, 0)
+    np.testing.assert_array_equal(log_odds(left, said), 0.0)
+
+
+def test_a_lamp_that_the_floor_mirrors_looks_the_same_in_both_images() -> None:
+    """A streak at the same place of two parallel cameras' images, against a line on the ground."""
+    ahead = StereoRig(*(GroundCamera(RIG.left.camera, Extrinsics(x_m=1.7, y_m=y, z_m=1.1)) for y in (0.9, -0.9)))
+    pair = draw_pair(ahead, lines=(Line(0.5 * LANE_M),))
+    left, right = look(ahead, pair)
+    every = np.ones(len(left.stripe), np.bool_)
+    assert mirrored(left, every, pair[0], right.eye, pair[1]) < 0.5
+    assert mirrored(left, every, pair[0], right.eye, pair[0]) > 0.9
+
+
+def test_a_streak_points_to_its_camera() -> None:
+    way = np.linspace(3.0, 8.0, 12)
+    assert radial(np.column_stack((way, 0.2 * way)), 0.035) == 1.0
+    assert radial(np.column_stack((way, np.full(12, 1.8))), 0.035) < 0.3
+
+
+@pytest.mark.parametrize("slope", [0.5, 1.0, -1.5])
+def test_a_stripe_of_any_direction_is_found(slope: float) -> None:
+    """A line that crosses the view ten metres ahead is wider on its rows."""
+    line = Line(-10.0 * slope, width_m=0.12 * math.hypot(1.0, slope))
+    for stripes in look(RIG, draw_pair(RIG, lines=(line,), heading_rad=slope)):
+        assert stripes.count == 1
+        ground = on_ground(stripes.eye, stripes.directions)
+        assert len(ground) > 5
+        np.testing.assert_allclose(ground[:, 1], slope * (ground[:, 0] - 10.0), atol=0.1)
