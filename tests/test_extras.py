@@ -1,4 +1,4 @@
-"""A car without the extras: it drives, and what needs one says which."""
+"""A car with no more than its pipeline and its link need: it drives, and what needs more says what is missing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from automodel.config.extras import EXTRA_OF, need_extra
+from automodel.config.extras import INSTALLED_BY, need_extra
 from automodel.config.toml_reader import ConfigError, parse_toml
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -30,8 +30,8 @@ sys.exit(run({words!r}))
 
 
 def without_extras(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """The command in a process that finds no module of any extra, as after `pip install automodel`."""
-    code = WITHOUT.format(hidden={*EXTRA_OF, "msgpack"}, words=list(words))
+    """The command in a process that finds nothing of what may be left out."""
+    code = WITHOUT.format(hidden={*INSTALLED_BY, "msgpack"}, words=list(words))
     return subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, timeout=280)
 
 
@@ -50,10 +50,9 @@ def test_a_car_drives_without_any_extra(pipeline: str, tmp_path: Path) -> None:
     [
         (
             "run",
-            "pipeline centerline: the network needs onnxruntime, which is not installed: "
-            "pip install 'automodel[centerline]'",
+            "pipeline centerline: the network needs onnxruntime, which is not installed: pip install 'onnxruntime'",
         ),
-        ("run --car can.toml", "CAN needs cantools, which is not installed: pip install 'automodel[can]'"),
+        ("run --car can.toml", "CAN needs cantools, which is not installed: pip install 'cantools'"),
         ("view x.mcap", "view needs aiohttp, which is not installed: pip install 'automodel[web]'"),
     ],
 )
@@ -74,17 +73,17 @@ def test_an_import_that_nobody_looked_for_is_told_too(tmp_path: Path, monkeypatc
     monkeypatch.setattr(main.cli, "main", broken)
     assert main.run([]) == 2
     assert capsys.readouterr().err == (
-        "automodel: this needs onnxruntime, which is not installed: pip install 'automodel[centerline]'\n"
+        "automodel: this needs onnxruntime, which is not installed: pip install 'onnxruntime'\n"
     )
 
 
-def test_every_extra_is_one_of_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    extras = PROJECT["optional-dependencies"]
-    for module, extra in EXTRA_OF.items():
-        named = {"can": "python-can", "foxglove": "foxglove-sdk"}.get(module, module)
-        assert any(line.startswith(named) for line in extras[extra]), module
-    assert not {line.partition(">")[0] for line in PROJECT["dependencies"]} & set(EXTRA_OF)
+def test_what_is_named_is_what_the_package_asks_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, named in INSTALLED_BY.items():
+        extra = named.partition("[")[2].rstrip("]")
+        lines = PROJECT["optional-dependencies"][extra] if extra else PROJECT["dependencies"]
+        wanted = {"can": "python-can", "foxglove": "foxglove-sdk"}.get(module, module)
+        assert any(line.startswith(wanted) for line in lines), module
     need_extra("nothing", "numpy")
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match=r"automodel\[centerline\]"):
-        need_extra("x", "onnxruntime")
+    with pytest.raises(ConfigError, match=r"automodel\[web\]"):
+        need_extra("x", "aiohttp")

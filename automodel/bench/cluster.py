@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.util
 import os
 import signal
 import time
@@ -16,12 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import click
-
 from automodel.assembly.parts import make_pipeline
 from automodel.bench.accuracy import AccuracyMeter, Case, Row, watch
 from automodel.bench.faults.measure import CAR
 from automodel.config import CarConfig
+from automodel.config.extras import need_extra
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
 
@@ -52,9 +50,8 @@ def drive(car: CarConfig, frames: int, case: Case, tick: Tick) -> Measured:
 
 
 def measure(choice: ClusterChoice, car: CarConfig = CAR) -> list[Row]:
-    """A row for each way of running the sweep; raises ClickException without Dask. The images are small by default."""
-    if importlib.util.find_spec("distributed") is None:
-        raise click.ClickException("bench cluster: needs Dask; pip install 'automodel[cluster]'")
+    """A row for each way of running the sweep; raises ConfigError without Dask. The images are small by default."""
+    need_extra("bench cluster", "distributed")
     # a clean floor: the patterns of any other take longer to draw than the few frames of a case
     first = Case(pipeline=choice.pipeline, track=choice.track, style="oscillating", look="clean", seed=0)
     cases = [replace(first, seed=seed) for seed in range(choice.cases)]

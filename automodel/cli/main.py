@@ -100,9 +100,9 @@ def run(arguments: list[str]) -> int:
     except (ValueError, OSError) as error:
         return _error(f"automodel: {_one_line(error)}", 2)
     except Exception as error:  # a mistake of ours: a user is helped by its line, we by its traceback
-        from automodel.config.extras import EXTRA_OF, missing_extra
+        from automodel.config.extras import INSTALLED_BY, missing_extra
 
-        if isinstance(error, ModuleNotFoundError) and error.name in EXTRA_OF:
+        if isinstance(error, ModuleNotFoundError) and error.name in INSTALLED_BY:
             return _error(f"automodel: {missing_extra('this', error.name)}", 2)
         if os.environ.get(TRACEBACK):
             raise

@@ -1,4 +1,4 @@
-"""The extras of the package: what only some cars and commands need, so that a small board installs nothing else."""
+"""What only some cars and commands need and a small board may leave out; it is imported where it is used."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import importlib.util
 
 from automodel.config.toml_reader import ConfigError
 
-EXTRA_OF = {  # module that is imported -> the extra that installs it (pyproject.toml)
-    "onnxruntime": "centerline",
-    "can": "can",
-    "cantools": "can",
-    "crccheck": "can",
-    "aiohttp": "web",
-    "foxglove": "foxglove",
-    "distributed": "cluster",
-    "torch": "train",
-    "onnx": "train",
+INSTALLED_BY = {  # module that is imported -> what pip installs it by
+    "onnxruntime": "onnxruntime",
+    "can": "python-can",
+    "cantools": "cantools",
+    "crccheck": "crccheck",
+    "aiohttp": "automodel[web]",
+    "foxglove": "automodel[foxglove]",
+    "evdev": "automodel[manual]",
+    "distributed": "automodel[cluster]",
+    "torch": "automodel[train]",
+    "onnx": "automodel[train]",
 }
 
 
@@ -27,5 +28,5 @@ def need_extra(what: str, *modules: str) -> None:
 
 
 def missing_extra(what: str, module: str) -> str:
-    """What to tell a user for whom `what` fails because `module`, one of `EXTRA_OF`, is not installed."""
-    return f"{what} needs {module}, which is not installed: pip install 'automodel[{EXTRA_OF[module]}]'"
+    """What to tell a user for whom `what` fails because `module`, one of `INSTALLED_BY`, is not installed."""
+    return f"{what} needs {module}, which is not installed: pip install '{INSTALLED_BY[module]}'"

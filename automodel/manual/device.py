@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 from typing import Any
 
 from automodel.config import ConfigError
+from automodel.config.extras import need_extra
 from automodel.manual.controls import (
     EV_ABS,
     EV_KEY,
@@ -67,8 +67,7 @@ class EvdevDevice:
 
 def open_device(name: str) -> EvdevDevice:
     """The first "gamepad" or "keyboard", or the device at a path; raises ConfigError, what to do in it."""
-    if importlib.util.find_spec("evdev") is None:
-        raise ConfigError("--manual: needs evdev; pip install 'automodel[manual]'")
+    need_extra("--manual", "evdev")
     import evdev
 
     kind, refused = KINDS.get(name), []

@@ -6,12 +6,12 @@ and takes up nothing that a client sends. It needs the extra `foxglove`.
 
 from __future__ import annotations
 
-import importlib.util
 import pickle
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
 
-from automodel.config import CarConfig, ConfigError, RecordingConfig
+from automodel.config import CarConfig, RecordingConfig
+from automodel.config.extras import need_extra
 from automodel.recording import foxglove as recorded
 from automodel.recording.codec import CAMERA, LEFT, SCHEMA, TOPICS, ImageCodec, descriptor_set, encode
 from automodel.signals import Event
@@ -28,8 +28,7 @@ class FoxgloveLive(LiveProcess):
     """Serves Foxglove on `port` of this machine (0: a free one) while the context is open; see `LiveProcess`."""
 
     def __init__(self, car: CarConfig, port: int) -> None:
-        if importlib.util.find_spec("foxglove") is None:
-            raise ConfigError("--foxglove: needs foxglove-sdk; pip install 'automodel[foxglove]'")
+        need_extra("--foxglove", "foxglove")
         super().__init__("--foxglove", car, serve, port)
 
     @property

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
 import time
 
-from automodel.config import CarConfig, ConfigError
+from automodel.config import CarConfig
+from automodel.config.extras import need_extra
 from automodel.manual.dead_man import DeadMan
 from automodel.signals import DriverInput
 from automodel.web.access import Access, PageOptions
@@ -22,8 +22,7 @@ class WebRemote(LiveProcess):
     """
 
     def __init__(self, car: CarConfig, options: PageOptions) -> None:
-        if importlib.util.find_spec("aiohttp") is None:
-            raise ConfigError("--web: needs aiohttp; pip install 'automodel[web]'")
+        need_extra("--web", "aiohttp")
         from automodel.web.server import serve  # needs aiohttp
 
         self._access = Access(tls=options.tls is not None)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 
-import click
 import pytest
 
 from automodel.bench import cluster
 from automodel.bench.cluster import ClusterChoice, measure
+from automodel.config import ConfigError
 
 
 @pytest.mark.slow
@@ -31,5 +31,5 @@ def test_results_that_differ_are_an_error(cli, monkeypatch: pytest.MonkeyPatch) 
 
 def test_without_dask_it_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(click.ClickException, match=r"needs Dask; pip install 'automodel\[cluster\]'"):
+    with pytest.raises(ConfigError, match=r"needs distributed, .* pip install 'automodel\[cluster\]'"):
         measure(ClusterChoice())
