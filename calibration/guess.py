@@ -9,7 +9,7 @@ proportion.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -22,6 +22,7 @@ from automodel.sources.images import with_channels
 from automodel.types import FloatArray, Image
 from calibration.from_lanes import (
     STATED,
+    WHAT_HELPS,
     LanesCalibration,
     camera_from_lanes,
     check_consistent,
@@ -190,26 +191,37 @@ def _sigmas(
     if not found.roll_known:
         sigma["roll_rad"] = MOUNTED_RAD
     size, k1 = (lens.width_px, lens.height_px), float(lens.distortion[0])
-    pairs = [[_camera(size, view_rad, k1 + step) for step in (-K1_SIGMA, K1_SIGMA)]]
-    if view_sigma_rad:
-        views = (view_rad - view_sigma_rad, view_rad + view_sigma_rad)
-        # the same bend in pixels
-        pairs.append([_camera(size, v, k1 * (math.tan(0.5 * view_rad) / math.tan(0.5 * v)) ** 2) for v in views])
+
+    def of_distortion(sigmas: float) -> CameraModel:
+        return _camera(size, view_rad, k1 + sigmas * K1_SIGMA)
+
+    def of_view(sigmas: float) -> CameraModel:
+        view = view_rad + sigmas * view_sigma_rad
+        ratio = math.tan(0.5 * view_rad) / math.tan(0.5 * view)  # of the focal lengths: the same bend in pixels
+        return _camera(size, view, k1 * ratio**2)
+
     some = images[:: max(1, len(images) // SIGMA_IMAGES)]
-    for pair in pairs:
-        for name, own in _half_difference(some, pair, found.markings).items():
+    for lens_of in (of_distortion, of_view) if view_sigma_rad else (of_distortion,):
+        for name, own in _of_one_sigma(some, lens_of, found.markings).items():
             sigma[name] = math.hypot(sigma[name], own)
     return sigma
 
 
-def _half_difference(images: Sequence[Image], lenses: Sequence[CameraModel], markings: str) -> dict[str, float]:
-    """Half of what is found in the images with one of two lenses more than with the other one."""
-    found: list[FloatArray] = []
-    for lens in lenses:
-        place = camera_from_lanes(images, lens, 1.0, Extrinsics(x_m=0.0), markings=markings).extrinsics
-        found.append(np.array([*(getattr(place, name) for name in STATED), lens.matrix[0, 0]]))
-    half = 0.5 * np.abs(found[0] - found[1])
-    return dict(zip((*STATED, "fx_px"), half.tolist(), strict=True))
+def _of_one_sigma(images: Sequence[Image], lens_of: Callable[[float], CameraModel], markings: str) -> dict[str, float]:
+    """What is found in the images with a lens that is one sigma off, beyond what is found with the right one.
+
+    Raises ValueError where such a lens shows no straight lane, from which nothing follows.
+    """
+    for share in (1.0, 0.5):
+        found: list[FloatArray] = []
+        try:
+            for lens in (lens_of(-share), lens_of(share)):
+                place = camera_from_lanes(images, lens, 1.0, Extrinsics(x_m=0.0), markings=markings).extrinsics
+                found.append(np.array([*(getattr(place, name) for name in STATED), lens.matrix[0, 0]]))
+        except ValueError:
+            continue
+        return dict(zip((*STATED, "fx_px"), (0.5 / share * np.abs(found[0] - found[1])).tolist(), strict=True))
+    raise ValueError(f"images: with a lens that is a little other they show no straight lane; {WHAT_HELPS}")
 
 
 def _scaled(camera: CameraConfig, lane: LaneConfig) -> CarConfig:
