@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from automodel.curves.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, innovation, log_likelihood, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, line_beside, moved

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.curves.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
+from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
 ROUNDS = 6  # of linearisation, and halvings of a step, at most

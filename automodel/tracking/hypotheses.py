@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from automodel.curves.lane_path import OFFSET, THETA
+from automodel.geometry.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
 

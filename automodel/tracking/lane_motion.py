@@ -12,7 +12,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
-from automodel.curves.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row, station
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row, station
 from automodel.types import FloatArray
 
 _foot_on_circle = compiled(foot_on_circle)

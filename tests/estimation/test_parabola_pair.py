@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from automodel.curves.lane_path import lane_path
 from automodel.estimation.parabola.parabola_pair import SECTIONS, SIZE, STATIONS, ParabolaPair, Part, residual
 from automodel.geometry import SE2
+from automodel.geometry.lane_path import lane_path
 
 LANE, REFERENCE, FAR = 3.6, 1.4, 30.0
 BENDS = 1e-4  # [1 / lane width^2] per lane width: a motorway

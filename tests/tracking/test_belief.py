@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from automodel.curves.lane_path import ROAD, WIDTH
 from automodel.geometry import SE2
+from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import STATION, STATIONS, Assigned, Bends, Evidence, LaneBelief, Part, RoadModel
 from automodel.tracking.hypotheses import LEFT, RIGHT

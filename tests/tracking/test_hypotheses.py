@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from automodel.curves.lane_path import OFFSET
+from automodel.geometry.lane_path import OFFSET
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Part
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR, Hypotheses, Hypothesis, LineKinds

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from automodel.config import CarConfig
-from automodel.curves import GraphCurve, lane_path
-from automodel.curves.lane_path import ROAD
+from automodel.curves import GraphCurve
 from automodel.estimation.checked_odometry import DISSENT
 from automodel.estimation.road import MAX_GAP_S
+from automodel.geometry import lane_path
+from automodel.geometry.lane_path import ROAD
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_motion

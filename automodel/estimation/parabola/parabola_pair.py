@@ -22,11 +22,11 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves import DeferredCurve
-from automodel.curves.lane_path import curvature, foot_on, lane_path, path_row, place_on, station
 from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
+from automodel.geometry.lane_path import curvature, foot_on, lane_path, path_row, place_on, station
 from automodel.types import Bools, Complexes, FloatArray, Floats
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
