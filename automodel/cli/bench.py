@@ -335,6 +335,7 @@ def contour_paper(
               help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
 @click.option("--link", type=click.Choice(["arduino", "avr"]), default="arduino", show_default=True,
               help="The emulated board; or the firmware on a simulated chip: wire and board.")  # fmt: skip
+@click.option("--real-time", is_flag=True, help="automodel run in a process of its own, by the real clock.")
 @SWEEP
 @CSV
 @click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")
@@ -345,6 +346,7 @@ def faults(
     seed: int,
     pipeline: str,
     link: str,
+    real_time: bool,
     sweep: Sweep,
     csv_file: Path | None,
     listed: bool,
@@ -352,7 +354,8 @@ def faults(
 ) -> int:
     """Faults of every part, built into runs of the simulated car at random times: does it stop, and only then?
 
-    On virtual time: the same seed gives the same results. Exit code 1 where the car did not do what it must.
+    On virtual time, where the same seed gives the same results, but with --real-time. Exit code 1 where the car did not
+    do what it must.
 
     Example:
 
@@ -361,12 +364,20 @@ def faults(
     if listed:
         from automodel.bench.faults.catalogue import listing
 
-        show("bench faults", listing(names), as_json, ("fault", "kind", "must", "what"))
+        show("bench faults", listing(names, real_time), as_json, ("fault", "kind", "must", "what"))
         return 0
-    from automodel.bench.faults.measure import COLUMNS, measure
+    from automodel.bench.faults.measure import COLUMNS, TRUTH, measure
 
     check_outputs({"--csv": csv_file}, {})
-    rows = measure(names, runs, seed, pipeline, sweep, link)
+    columns: tuple[str, ...] = COLUMNS
+    if real_time:
+        from automodel.bench.faults.real_time import REAL_COLUMNS, measure_real
+
+        if pipeline == TRUTH or link == "avr":
+            raise ConfigError("--real-time: drives a pipeline that looks at images, with the emulated board")
+        rows, columns = measure_real(names, runs, seed, pipeline, sweep), REAL_COLUMNS
+    else:
+        rows = measure(names, runs, seed, pipeline, sweep, link)
     _write(csv_file, rows, seed)
-    show("bench faults", rows, as_json, COLUMNS)
+    show("bench faults", rows, as_json, columns)
     return 1 if any(row["violations"] for row in rows) else 0

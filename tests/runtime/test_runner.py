@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 
 import pytest
 
@@ -34,6 +35,21 @@ def test_latency_is_from_capture_until_the_command_is_out() -> None:
     assert result.latency_ms(50) == pytest.approx(2.0 + 3.0)
     assert result.latency_ms(100) == pytest.approx(2.0 + 15.0)
     assert result.overruns == 0
+
+
+def test_a_signal_that_comes_while_everything_is_closed_is_told() -> None:
+    """The run is over, but whoever called it must not go on with the next one."""
+    assert not Car().run().interrupted
+    car = Car()
+    close = car.recorder.close
+
+    def closing() -> None:
+        close()
+        signal.raise_signal(signal.SIGINT)
+
+    car.recorder.close = closing  # type: ignore[method-assign]
+    result = car.run()
+    assert (result.end, result.interrupted) == (RunEnd.SOURCE, True)
 
 
 def test_without_driving_there_is_no_latency() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
@@ -57,6 +58,14 @@ class Stall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Grip:
+    """What a wet floor leaves: the share of the steered turn, and the greatest lateral acceleration."""
+
+    share: float = 1.0
+    lateral_max_mps2: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
@@ -72,6 +81,7 @@ class Hooks:
     pulses: PulseHook | None = None
     sensors: SensorHook | None = None
     servo_stuck: bool = False
+    slip: Grip | None = None
     disk: Disk | None = None
     moments: tuple[tuple[float, Moment], ...] = ()
 
@@ -95,6 +105,7 @@ class Must(enum.Enum):
     STOP = "stop"  # neutral within the bound, then straight, until a person arms it again
     HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
     NOTHING = "nothing"  # drive on
+    STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +120,8 @@ class Fault:
     `event` is the kind of an event that the run must report. `same_pulses`: the pulses at the pins must be exactly
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
     before that the car may do anything. `holds_first`: the car may be held and drive on before it is stopped; the bound
-    counts to the stop.
+    counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where
+    it must stay in its lane, its body may leave it by so much.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -128,3 +140,5 @@ class Fault:
     same_pulses: bool = False
     timed_from_motion: bool = False
     holds_first: bool = False
+    outside_m: float = 0.0
+    images: bool = False

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
 import math
 import os
 import tempfile
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -21,6 +23,8 @@ from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneEstimate, Motion, StereoFrame
 from firmware_link.emulator.board import Peripherals
+
+_WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
 
 Step = Callable[[Frame, Motion], LaneEstimate]
 
@@ -216,3 +220,24 @@ def faulty_recorder(disk: Disk | None, plan: Plan, clock: VirtualClock) -> Itera
             yield recorder
         finally:
             recorder.close()
+
+
+def set_wall_clock_back() -> None:
+    """The wall clock's functions give an hour less from now on."""
+    for name, hour in _WALL_CLOCKS.items():
+        setattr(time, name, functools.partial(_earlier, getattr(time, name), hour))
+
+
+def _earlier(clock: Callable[[], float], by: float) -> float:
+    return clock() - by
+
+
+@contextlib.contextmanager
+def wall_clock_kept() -> Iterator[None]:
+    """Restores the wall clock's functions afterwards."""
+    kept = {name: getattr(time, name) for name in _WALL_CLOCKS}
+    try:
+        yield
+    finally:
+        for name, function in kept.items():
+            setattr(time, name, function)

@@ -6,15 +6,12 @@ for an estimate and images without a road; camera and pipeline take over when th
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import math
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from random import Random
 
 import numpy as np
 
@@ -29,20 +26,33 @@ from automodel.bench.faults.faulty_parts import (
     FaultySource,
     Staller,
     faulty_recorder,
+    set_wall_clock_back,
+    wall_clock_kept,
 )
-from automodel.bench.faults.judge import RENDERED_NS, Observed, Plan, Verdict, at_another_place, draw_plan, judge
+from automodel.bench.faults.judge import (
+    REARM_S,
+    RENDERED_NS,
+    Observed,
+    Pin,
+    Plan,
+    Verdict,
+    at_another_place,
+    draw_plan,
+    drives_from,
+    judge,
+)
 from automodel.config import CameraConfig, CarConfig, Intrinsics
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
-from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.clocks import NS_PER_S, VirtualClock
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd, TickRecord
+from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event
+from automodel.signals import Event, Frame, Motion
 from automodel.sim.appearance import Appearance
-from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.plant import Plant, PlantConfig, Slip
 from automodel.sim.renderer import Renderer
 from automodel.sim.sources import LockStepSource
 from automodel.sim.track import Lane, Track
@@ -72,12 +82,10 @@ TRUTH = "truth"  # the pipeline that reads it
 COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m", "moved")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
 STANDSTILL_S = 3.0  # and the car until it stands, and its wheels are straight
-COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
 PLACES = 32  # on `oval` a pipeline is sure at half of them, so soon after its first image
 OTHER_BOOT_ID = 4096  # of another board
 _SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
 _APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
-_WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
 
 
 @functools.lru_cache
@@ -136,14 +144,15 @@ class FaultRig:
         self._stopping = False
         self._asked_ns = 0
         by_truth = pipeline == TRUTH
-        self._build_world(None if by_truth else math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz))
+        self._first = math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
+        self._build_world(None if by_truth else self._first)
         self._clock = VirtualClock(0, self._advance)
         self._staller = Staller(hooks.stall, plan, self._clock)
         self._transport = MemoryTransport(self._line, self._clock)
         for after_s, moment in hooks.moments:
             self._line.at(plan.start_ns + round(after_s * 1e9), functools.partial(self._happen, moment))
-        estimator = None if by_truth else make_pipeline(pipeline, car)
-        self._pipeline = FaultyPipeline(self._truth.step, estimator, hooks.lane, plan, self._staller, car.vehicle)
+        self._estimator = None if by_truth else make_pipeline(pipeline, car)
+        self._pipeline = FaultyPipeline(self._truth.step, self._estimator, hooks.lane, plan, self._staller, car.vehicle)
         lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
         self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
 
@@ -158,12 +167,12 @@ class FaultRig:
     def _observed(self) -> Observed:
         error: str | None = None
         events: tuple[Event, ...] = ()
-        with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
+        with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, wall_clock_kept():
             runner = self._runner(recorder)
             try:
                 result = runner.run(stop=self._is_over)
                 events = result.events
-                if result.end is RunEnd.SIGNAL:
+                if result.interrupted:
                     raise Interrupted
             except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as e:
                 error = f"{type(e).__name__}: {e}"
@@ -183,6 +192,7 @@ class FaultRig:
             shown_ns=self._shown_ns(servo),
             error=error,
             knows=self._pipeline.knows,
+            could_start=self._could_start(pins, motor.zero_us),
             neutral_us=motor.zero_us,
             straight_us=servo.zero_us,
             limits_us=(servo.min_us, servo.max_us, motor.min_us, motor.max_us),
@@ -201,7 +211,8 @@ class FaultRig:
         true = PlantConfig(
             wheelbase_m=vehicle.wheelbase_m,
             ticks_per_m=vehicle.ticks_per_m,
-            coast_mps2=plan.speed_mps / Random(f"{plan.seed}/coast").uniform(*COAST_S),
+            coast_mps2=plan.speed_mps / plan.coast_s,
+            slip=self._slip(),
             seed=plan.look,
         )
         self._world = World(
@@ -221,11 +232,40 @@ class FaultRig:
             pulses=self._hooks.pulses,
         )
 
+    def _slip(self) -> Slip | None:
+        grip, plan = self._hooks.slip, self._plan
+        if grip is None:
+            return None
+        return Slip(
+            start_s=plan.start_ns * 1e-9,
+            end_s=plan.end_ns * 1e-9,
+            share=grip.share,
+            lateral_max_mps2=grip.lateral_max_mps2,
+        )
+
     def _roll_out(self) -> float:
         """Wait until the car stands straight; how far its body is outside its lane then [m], 0 where it is inside."""
         self._clock.sleep(STANDSTILL_S)
         _, scene = self._world.capture(self._clock.now_ns(), 0)
         return _outside_m(scene)
+
+    def _could_start(self, pins: Sequence[Pin], neutral_us: float) -> bool:
+        """Whether a pipeline that is started where the car stands knows a lane to be armed in.
+
+        Looked at only where the car was not armed again: True otherwise.
+        """
+        press_ns, camera = self._plan.press_ns, self._car.camera
+        asked = self._plan.drives_again and press_ns is not None and not drives_from(pins, press_ns, neutral_us)
+        if not asked or self._estimator is None:
+            return True
+        anew, armable = make_pipeline(self._estimator.name, self._car), False
+        for index in range(round(REARM_S * camera.rate_hz)):
+            t_ns = self._clock.now_ns() + round(index * NS_PER_S / camera.rate_hz)
+            image, _ = self._world.capture(t_ns, self._first + index)
+            motion = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
+            pose = anew.step(Frame(t_ns=t_ns, index=index, image=image), motion).pose
+            armable = pose is not None and pose.offset_bound_m < 0.5 * pose.width_m
+        return armable
 
     def _board(self) -> EmulatedArduino | AvrBoard:
         if self._program is None:
@@ -273,7 +313,7 @@ class FaultRig:
         elif moment is Moment.STOP_REQUEST:
             self._stopping = True
         elif moment is Moment.WALL_CLOCK_BACK:
-            _set_wall_clock_back()
+            set_wall_clock_back()
 
     def _is_over(self) -> bool:
         now_ns = self._clock.now_ns()
@@ -335,27 +375,6 @@ def _outside_m(scene: Scene) -> float:
     return max(scene.reach_m - 0.5 * scene.truth.width_m, 0.0)
 
 
-def _set_wall_clock_back() -> None:
-    """The wall clock's functions give an hour less from now on."""
-    for name, hour in _WALL_CLOCKS.items():
-        setattr(time, name, functools.partial(_earlier, getattr(time, name), hour))
-
-
-def _earlier(clock: Callable[[], float], by: float) -> float:
-    return clock() - by
-
-
-@contextlib.contextmanager
-def _wall_clock_kept() -> Iterator[None]:
-    """Restores the wall clock's functions afterwards."""
-    kept = {name: getattr(time, name) for name in _WALL_CLOCKS}
-    try:
-        yield
-    finally:
-        for name, function in kept.items():
-            setattr(time, name, function)
-
-
 @dataclasses.dataclass(frozen=True, slots=True)
 class Case:
     """A run of one fault."""
@@ -373,7 +392,7 @@ def measure(
     `link` "arduino" (the emulated board) or "avr" (the firmware on a simulated chip). Raises ConfigError for an unknown
     fault, AvrMissing where the firmware cannot be built.
     """
-    faults = chosen(names or (ON_CHIP if link == "avr" else ()))
+    faults = chosen(names or (ON_CHIP if link == "avr" else ()), images=pipeline != TRUTH)
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:
@@ -396,14 +415,22 @@ def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, t
     return verdict
 
 
-def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
-    reactions_ms = [verdict.reaction_s * 1e3 for verdict in verdicts if verdict.reaction_s is not None]
+def reaction_row(name: str, runs: int, violations: int, reactions_s: Sequence[float | None]) -> Row:
+    """The metrics that every lane has; a run without a reaction has None."""
+    reactions_ms = [reaction_s * 1e3 for reaction_s in reactions_s if reaction_s is not None]
     return {
         "fault": name,
-        "runs": len(verdicts),
-        "violations": sum(bool(verdict.violations) for verdict in verdicts),
+        "runs": runs,
+        "violations": violations,
         "reaction_p50_ms": round(float(np.median(reactions_ms)), 3) if reactions_ms else None,
         "reaction_max_ms": round(max(reactions_ms), 3) if reactions_ms else None,
+    }
+
+
+def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
+    violations = sum(bool(verdict.violations) for verdict in verdicts)
+    return {
+        **reaction_row(name, len(verdicts), violations, [verdict.reaction_s for verdict in verdicts]),
         "left_lane": sum(verdict.left_m > 0 for verdict in verdicts),
         "left_max_m": round(max(verdict.left_m for verdict in verdicts), 3),
         "moved": sum(verdict.moved for verdict in verdicts),

@@ -27,18 +27,27 @@ BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
 def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
-    said = cli(*BENCH, "--runs", len(FAULTS), "--json")
+    faults = [fault for fault in FAULTS if not fault.images]
+    said = cli(*BENCH, "--runs", len(faults), "--json")
     assert (said.code, said.err) == (0, "")
     rows = {row["fault"]: row for row in said.rows}
     assert all(list(row) == KEYS for row in rows.values())
-    assert list(rows) == [fault.name for fault in FAULTS]
-    for fault in FAULTS:
+    assert list(rows) == [fault.name for fault in faults]
+    for fault in faults:
         row = rows[fault.name]
         assert (row["runs"], row["violations"]) == (1, 0)
         if fault.must is Must.STOP and not fault.timed_from_motion:
             assert 0 <= row["reaction_p50_ms"] <= row["reaction_max_ms"] <= fault.within_s * 1e3
-        elif fault.must is Must.NOTHING:
+        elif fault.must in (Must.NOTHING, Must.STAY):
             assert row["reaction_max_ms"] is None
+
+
+def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
+    """The pipeline sees what the fault makes of the image: without a limit the car would be found outside its lane."""
+    only = ["--only", "network-jumps", "--runs", "2", "--seed", "5", "--pipeline", "windows", "--jobs", "1", "--json"]
+    (row,) = cli("bench", "faults", *only).rows
+    assert row["violations"] == 0
+    assert 0 < row["left_max_m"] < 0.2
 
 
 SOME = ["--only", "camera-black", "--only", "serial-random", "--only", "disk-slow", "--only", "perception-blip"]
@@ -95,6 +104,10 @@ def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
         (["--only", "camera-of"], "automodel: --only 'camera-of': no such fault; near: camera-off, camera-gone"),
         (["--only", "camera-off", "--only", "zzz"], "automodel: --only 'zzz': no such fault; see --list"),
         (["--runs", "0"], "automodel bench faults: Invalid value for '--runs'"),
+        (["--only", "network-adds", "--pipeline", "truth"], "automodel: --only 'network-adds': needs a pipeline"),
+        (["--real-time", "--pipeline", "truth"], "automodel: --real-time: drives a pipeline that looks at images"),
+        (["--real-time", "--link", "avr"], "automodel: --real-time: drives a pipeline that looks at images"),
+        (["--real-time", "--only", "real-kill"], "automodel: --only 'real-kill': no such fault; near: real-killed"),
         (["--pipeline", "lidar"], "automodel bench faults: Invalid value for '--pipeline'"),
     ],
 )
@@ -138,6 +151,7 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("perception-uncertain", 1, lambda m: m.setattr(OffsetBoundCheck, "step", _nothing), "never went neutral"),
     ("perception-uncertain-short", 1, lambda m: m.setattr(PipelineConfig, "coasting", _no_coasting), "hold after"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
+    ("slip-slides", 8, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
     ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "expected at most"),
     ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
     ("serial-falls-behind", 2, lambda m: m.setattr(logic, "MAX_DEADLINE_MS", 0x10000), "neutral"),

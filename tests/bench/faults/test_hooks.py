@@ -29,6 +29,7 @@ PLAN = Plan(
     until_ns=4000 * MS,
     press_ns=None,
     drives_again=False,
+    coast_s=1.0,
     place=0.0,
     offset_m=0.0,
     speed_mps=1.0,
