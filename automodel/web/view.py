@@ -95,7 +95,7 @@ def serve(run: ViewedRun, port: int) -> None:
 
 async def _serve(run: ViewedRun, port: int) -> None:
     access = Access()
-    runner = web.AppRunner(ViewPage(run, access).app(), access_log=None, shutdown_timeout=0.5)
+    runner = ViewPage(run, access).runner()
     await runner.setup()
     try:
         await web.TCPSite(runner, HOST, port).start()

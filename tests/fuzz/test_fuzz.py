@@ -38,7 +38,7 @@ def test_a_parser_that_raises_is_found(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_a_file_that_is_left_behind_is_found(tmp_path: Path) -> None:
     (car,) = (target for target in TARGETS if target.name == "car")
-    other = dataclasses.replace(car, out="another.csv")
+    other = dataclasses.replace(car, out=("another.csv",))
     texts = [text for _, text in trials(other, 40, 2, tmp_path)]
     assert "half written: {'out.csv'}" in texts
 

@@ -58,6 +58,13 @@ SAFETY = (
         ),
         ("never-disarms", "disarm = due and (armed or self._must_disarm)", "disarm = False"),
         ("still-armed-ignored", "SafetyMode.STOPPED) and state.armed:", "SafetyMode.STOPPED) and False:"),
+        ("rolls-out-while-it-stands", "        if self._rolled_out:\n            return False\n", ""),
+        (
+            "rolled-out-before-the-next-stop",
+            "        self._since_ns = now_ns\n        self._rolled_out = False\n",
+            "        self._since_ns = now_ns\n",
+        ),
+        ("stands-by-a-link-that-is-down", "heard = inputs.state if inputs.link_up else None", "heard = inputs.state"),
         ("rolls-out-without-end", "0 <= rolled_ns < ROLL_OUT_S * NS_PER_S", "0 <= rolled_ns"),
         ("rolls-out-by-a-clock-set-back", "0 <= rolled_ns < ROLL", "rolled_ns < ROLL"),
         ("own-disarming-ignored", 'return None, "the vehicle has disarmed itself"', "return None, None"),
@@ -78,6 +85,7 @@ SAFETY = (
         ("states-not-finite", "faults = state_faults(said)", "faults: tuple[str, ...] = ()"),
         ("armed-at-the-end", "self._link.disarm(now_ns)\n        self._run_log", "self._run_log"),
         ("never-arms-again", "elif decision.disarm:", "elif False:"),
+        ("stop-of-a-person-ignored", "stop=stop,", "stop=None,"),
     ),
     *_of(
         "automodel/runtime/loop.py",
@@ -91,6 +99,26 @@ SAFETY = (
         ("motion-not-finite", "        faults = motion_faults(motion)\n", "        faults: tuple[str, ...] = ()\n"),
         ("misfit-looked-at", "if misfit is not None:", "if False:"),
         ("overruled-forgotten", "self._limits.reset(sent)", "self._limits.reset()"),
+        ("never-looks-again", "        self._look_again(estimate, motion, state)\n", ""),
+        (
+            "looks-again-while-armed",
+            "if state is None or state.armed or not stands:",
+            "if state is None or not stands:",
+        ),
+        ("looks-again-while-it-rolls", "state.armed or not stands:", "state.armed:"),
+        ("wrong-eye-of-a-pair", "index=frame.index, image=frame.left)", "index=frame.index, image=frame.right)"),
+    ),
+    *_of(
+        "automodel/runtime/standstill.py",
+        "tests/runtime/test_safety.py",
+        ("stands-by-a-dead-odometry", "        if driven and stands:\n            self._counts = False\n", ""),
+        ("stands-between-two-ticks", "STAND_GAPS = 3.0 ", "STAND_GAPS = 1.0 "),
+        ("stands-at-once", "STAND_S = 0.2 ", "STAND_S = 0.02 "),
+        (
+            "no-odometry-stands",
+            "            self._counts = False\n            return False\n",
+            "            return self._counts\n",
+        ),
     ),
     *_of(
         "automodel/runtime/input_checks.py",
@@ -101,6 +129,8 @@ SAFETY = (
         ("lane-jumps-pass", "if abs(sideways_m) > most_m:", "if False:"),
         ("lane-turns-pass", "if abs(turn_rad) > most_rad:", "if False:"),
         ("uncertain-for-ever", "return None if bridged else text", "return None"),
+        ("armed-in-any-lane", "return text if pose.offset_bound_m >= 0.5 * pose.width_m else None", "return None"),
+        ("bound-never-held", "(jump, width, uncertain, turns)", "(jump, width, turns)"),
         ("any-width-passes", "vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m", "pose.width_m > 0"),
         ("stuck-servo-passes", "LASTING_S = 0.25 ", "LASTING_S = 25.0 "),
     ),
@@ -222,6 +252,8 @@ BOARD = (
         ("steers-as-before-the-arm", "  pulses_.straighten();\n  gate_", "  gate_"),
         ("obeys-while-disarmed", "  if (!arming_.armed()) return;\n", ""),
         ("arms-without-limits", "if (!pulses_.limited() || !arming_", "if (!arming_"),
+        ("stands-by-a-dead-sensor", "  if (drives && stands) counts_ = false;\n", ""),
+        ("stands-between-two-edges", "protocol::kStandGaps * gap_ms_", "1 * gap_ms_"),
         ("flags-unread", "command.flags & ~protocol::command_flag::kFresh", "false"),
     ),
     *_of(
@@ -234,6 +266,7 @@ BOARD = (
         ("rolls-with-the-throttle", "  motor_us_ = motor_target_us_ = limits_.motor_neutral_us;\n  if", "  if"),
         ("rolls-out-for-ever", ">= protocol::kRollOutMs", ">= 10UL * protocol::kRollOutMs"),
         ("roll-out-prolonged", "  if (rolling_) return;\n", ""),
+        ("rolls-out-while-it-stands-on-board", "  if (rolling_) straighten();\n", ""),
     ),
     *_of(
         _LOGIC + "board.cpp",
@@ -282,8 +315,84 @@ JUDGE = (
         ("judge-lets-drive-off", "if again_ns is not None:", "if False:"),
         ("judge-sees-no-limits", "if not all(servo_low <= servo", "if False and all(servo_low <= servo"),
         ("judge-sees-no-lane", "if seen.left_m > 0:", "if False:"),
+        ("judge-lets-the-car-go-anywhere", "if left_m <= fault.outside_m else", "if True else"),
+        ("judge-forgives-any-refusal", "drivable = seen.left_m == 0 and seen.could_start", "drivable = False"),
     ),
 )
 
 
-MUTATIONS = (*SAFETY, *LIMITS, *WIRE, *BOARD, *JUDGE)
+BOUNDS = (
+    *_of(
+        "automodel/tracking/integrity.py",
+        "tests/tracking/test_integrity.py",
+        ("bound-of-one-sigma", "K = 3.5 ", "K = 1.0 "),
+        ("bound-without-the-camera", "max(variance, 0.0) + systematic * systematic", "max(variance, 0.0)"),
+        ("bound-never-inflated", "return max(self._mean, 1.0)", "return 1.0"),
+    ),
+    *_of(
+        "automodel/control/longitudinal.py",
+        "tests/control/test_longitudinal.py",
+        ("fast-in-any-bound", "abs(pose.offset_m) - pose.offset_bound_m", "abs(pose.offset_m)"),
+        ("bound-unplanned", "            self._for_pose(estimate, t_ns),\n", ""),
+        ("late-frames-unplanned", "            self._for_delay(estimate, t_ns),\n", ""),
+        ("bends-unplanned", "            self._for_bends(lane, s_m, speed_mps),\n", ""),
+        ("sight-unplanned", "            self._for_sight(estimate, speed_mps),\n", ""),
+        ("obstacles-unplanned", "            self._for_obstacle(speed_mps),\n", ""),
+    ),
+)
+
+PAGE = (
+    *_of(
+        "automodel/web/dead_man.py",
+        "tests/web/test_dead_man.py",
+        ("page-stop-ignored", "if word is Word.STOP:", "if False:"),
+        ("button-let-go-ignored", 'return "the web page\'s button was released" if was_held else None', "return None"),
+        ("silent-page-drives-on", "if self._heard_ns is None or now_ns", "if True or now_ns"),
+        ("silent-page-for-5-s", "HOLD_TIMEOUT_S = 0.5 ", "HOLD_TIMEOUT_S = 5.0 "),
+        ("page-arms-again-and-again", "asked, self._arm = self._arm, False", "asked = self._arm"),
+    ),
+    *_of(
+        "automodel/web/remote.py",
+        "tests/web/test_remote.py",
+        ("page-gone-unnoticed", "return reason or self._dead_man.overdue(now_ns)", "return reason"),
+        (
+            "page-stop-lost",
+            "hear(Word(self._pipe.recv_bytes(1)), now_ns) or reason",
+            "hear(Word(self._pipe.recv_bytes(1)), now_ns) and None",
+        ),
+    ),
+    *_of(
+        "automodel/web/server.py",
+        "tests/web/test_server.py",
+        ("stop-only-from-the-holder", "if word is not Word.STOP:", "if True:"),
+        (
+            "page-closed-keeps-the-button",
+            "                self._hear(client, Word.RELEASE)\n",
+            "                pass\n",
+        ),
+        ("page-floods", "if not known or client.floods(", "if not known or False and client.floods("),
+    ),
+    *_of(
+        "automodel/web/guard.py",
+        "tests/web/test_server.py",
+        ("any-token", "self._access.token_fits(first.data)", "bool(first.data)"),
+        ("any-host", 'if not self._access.host_fits(request.headers.get("Host")):', "if False:"),
+        ("any-origin", "if not self._access.origin_fits(", "if False and not self._access.origin_fits("),
+    ),
+)
+
+PAIRS = (
+    *_of(
+        "automodel/sources/pairs.py",
+        "tests/sources/test_pairs.py",
+        ("any-two-frames-pair", "if abs(apart_s) <= self.tolerance_s:", "if True:"),
+        (
+            "the-newer-frame-is-dropped",
+            "self._left if apart_s > 0.0 else self._right",
+            "self._right if apart_s > 0.0 else self._left",
+        ),
+        ("eyes-swapped", "left=left.image, right=right.image", "left=right.image, right=left.image"),
+    ),
+)
+
+MUTATIONS = (*SAFETY, *LIMITS, *BOUNDS, *WIRE, *BOARD, *PAGE, *PAIRS, *JUDGE)
