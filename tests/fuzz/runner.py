@@ -7,6 +7,7 @@ import faulthandler
 import io
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import traceback
@@ -19,7 +20,7 @@ from tests.fuzz.damage import damaged
 from tests.fuzz.targets import Target
 
 CODES = (0, 1, 2)
-HANG_S = 60.0  # the process ends with a traceback then
+HANG_S, HANG_CPU_S = 900.0, 60.0  # the process ends with a traceback then: by the clock, and by its own work
 
 
 def trials(target: Target, count: int, seed: int, folder: Path) -> Iterator[tuple[int, str]]:
@@ -78,6 +79,8 @@ def _said(target: Target, trial: Path, arguments: list[str]) -> tuple[int, str]:
         kept, out, err, before = os.dup(2), sys.stdout, sys.stderr, os.getcwd()
         os.dup2(file.fileno(), 2)
         faulthandler.dump_traceback_later(HANG_S, exit=True, file=kept)
+        faulthandler.register(signal.SIGPROF, file=kept, chain=True)  # and then the process ends
+        signal.setitimer(signal.ITIMER_PROF, HANG_CPU_S)
         sys.stdout, sys.stderr = nothing, open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115 - until below
         try:
             os.chdir(trial)  # what is written where one stands
@@ -90,6 +93,8 @@ def _said(target: Target, trial: Path, arguments: list[str]) -> tuple[int, str]:
             sys.stdout, sys.stderr = out, err
             os.chdir(before)
             faulthandler.cancel_dump_traceback_later()
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            faulthandler.unregister(signal.SIGPROF)
             os.dup2(kept, 2)
             os.close(kept)
             del os.environ[TRACEBACK]

@@ -12,9 +12,11 @@ from tests.fuzz.damage import damaged
 from tests.fuzz.runner import trials
 from tests.fuzz.targets import TARGETS, Target
 
-COUNT = 6  # of each target: three seconds in all
+COUNT = 6  # of each target: half a minute in all
 
 
+# python-can leaves a file open whose header it cannot read, until it is collected
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("target", TARGETS, ids=[target.name for target in TARGETS])
 def test_damaged_files_are_one_line_and_leave_nothing(target: Target, tmp_path: Path) -> None:
     assert [text for _, text in trials(target, COUNT, 1, tmp_path) if text] == []
