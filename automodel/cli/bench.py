@@ -13,6 +13,7 @@ from automodel import __version__
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, SWEEP, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
+from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
 from automodel.sim.random_worlds import KINDS
@@ -331,8 +332,8 @@ def contour_paper(
 @click.option("--only", "names", multiple=True, metavar="FAULT", help="This one; may be given several times.  [all]")
 @click.option("--runs", type=click.IntRange(1), default=300, show_default=True, help="In all, shared out evenly.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, "truth"]), default="windows", show_default=True,
-              help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
+@click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, *PAIR_PIPELINES, "truth"]), default="windows",
+              show_default=True, help="What finds the lane; truth reads it from the simulator.")  # fmt: skip
 @click.option("--link", type=click.Choice(["arduino", "avr"]), default="arduino", show_default=True,
               help="The emulated board; or the firmware on a simulated chip: wire and board.")  # fmt: skip
 @click.option("--real-time", is_flag=True, help="automodel run in a process of its own, by the real clock.")

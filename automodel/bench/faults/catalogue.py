@@ -218,7 +218,7 @@ NETWORK = (
     Fault(name="network-jumps", kind=Kind.WRONG, must=Must.STAY, duration_s=(1.0, 1.0), images=True,
           outside_m=0.2, text="the network's mask slides by 100 to 400 px a second, up to 80 px, 18 degrees",
           hooks=lambda random, end_ns: _sliding(random, end_ns, 1.0, (100.0, 400.0), 80.0)),
-    Fault(name="network-adds", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 2.0), images=True, outside_m=0.05,
+    Fault(name="network-adds", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 2.0), images=True, outside_m=0.1,
           text="the network sees one to four lines that are not there",
           hooks=lambda random, end_ns: _frames(hooks.with_lines(random, random.randint(1, 4)))),
 )  # fmt: skip

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
@@ -55,9 +56,9 @@ class FaultySource:
     ) -> None:
         self._source, self._hook, self._plan, self._clock = source, hook, plan, clock
         self._staller = staller
-        self._late: deque[tuple[int, Frame]] = deque()
+        self._late: deque[tuple[int, Frame | StereoFrame]] = deque()
 
-    def read(self, timeout_s: float) -> Frame | None:
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The next frame that the faulty camera delivers; raises what its hook raises."""
         self._staller(At.CAMERA)
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
@@ -67,19 +68,29 @@ class FaultySource:
                 return self._late.popleft()[1]
             until_ns = min(deadline_ns, self._late[0][0]) if self._late else deadline_ns
             frame = self._source.read(max(until_ns - now_ns, 0) * 1e-9)
-            if isinstance(frame, Frame):
+            if frame is not None:
                 self._take(frame)
             elif until_ns == deadline_ns:
                 return None
 
-    def _take(self, frame: Frame) -> None:
-        delivery: tuple[int, Frame] | None = (0, frame)
+    def _take(self, frame: Frame | StereoFrame) -> None:
+        delivery: tuple[int, Frame | StereoFrame] | None = (0, frame)
         if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
-            delivery = self._hook(frame)
+            delivery = self._spoilt(self._hook, frame)
         if delivery is not None:
             due_ns, out = delivery
             before_ns = self._late[-1][0] if self._late else 0  # frames do not overtake each other
             self._late.append((max(due_ns, before_ns), out))
+
+    def _spoilt(self, hook: CameraHook, frame: Frame | StereoFrame) -> tuple[int, Frame | StereoFrame] | None:
+        """Of a pair the left camera fails."""
+        if isinstance(frame, Frame):
+            return hook(frame)
+        left = hook(Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left))
+        if left is None:
+            return None
+        due_ns, out = left
+        return due_ns, replace(frame, t_ns=out.t_ns, left=out.image)
 
     def close(self) -> None:
         """As the source's."""

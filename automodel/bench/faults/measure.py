@@ -12,6 +12,7 @@ import math
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,8 @@ from automodel.bench.faults.judge import (
     drives_from,
     judge,
 )
-from automodel.config import CameraConfig, CarConfig, Intrinsics
+from automodel.config import CameraConfig, CarConfig, Intrinsics, SecondCamera
+from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
@@ -50,15 +52,15 @@ from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.os_signals import Interrupted
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
-from automodel.signals import Event, Frame, Motion
+from automodel.signals import Event, Motion
 from automodel.sim.appearance import Appearance
 from automodel.sim.plant import Plant, PlantConfig, Slip
 from automodel.sim.renderer import Renderer
-from automodel.sim.sources import LockStepSource
+from automodel.sim.sources import LockStepSource, frame_of
 from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import Scene, TrueLane, World
+from automodel.sim.world import EyePair, Scene, TrueLane, World
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
@@ -76,6 +78,7 @@ CAR = CarConfig(
         width_px=320, height_px=180, intrinsics=Intrinsics(fx_px=240.0, fy_px=240.0, cx_px=159.5, cy_px=89.5)
     )
 )
+EYE_Y_M = 0.125  # of a pair's left camera; the right one is as far to the right
 TRACK = "oval"
 LOOKS = 4
 TRUTH = "truth"  # the pipeline that reads it
@@ -98,11 +101,20 @@ def _lane() -> Lane:
     return _track().lane()
 
 
+def car_of(pipeline: str) -> CarConfig:
+    """The car for a pipeline: with two cameras where it needs a pair."""
+    if pipeline not in PAIR_PIPELINES:
+        return CAR
+    left, right = (dataclasses.replace(CAR.camera.extrinsics, y_m=y_m) for y_m in (EYE_Y_M, -EYE_Y_M))
+    second = SecondCamera(intrinsics=CAR.camera.intrinsics, extrinsics=right)
+    return dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, extrinsics=left, right=second))
+
+
 @functools.lru_cache
-def _renderer(camera: CameraConfig, look: int) -> Renderer:
-    """A plain floor, cheap to render; sensor noise makes every image different."""
-    grey = 30.0 + 20.0 * look
-    floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=look)
+def _renderer(camera: CameraConfig, look: int, eye: int) -> Renderer:
+    """A plain floor, cheap to render; sensor noise makes every image different, and that of each eye."""
+    grey, seed = 30.0 + 20.0 * look, look + LOOKS * eye
+    floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=seed)
     return renderer(_track(), CarConfig(camera=camera), floor)
 
 
@@ -116,19 +128,19 @@ def _approach_images(height: int, width: int) -> tuple[Image, ...]:
 
 
 class RoadCamera:
-    """A camera that shows the road from frame `first` on; never where it is None."""
+    """A camera, number `eye` of a pair, that shows the road from frame `first` on; never where it is None."""
 
-    def __init__(self, car: CarConfig, look: int, first: int | None) -> None:
-        self._renderer = None if first is None else _renderer(car.camera, look)
-        self._first = first
-        self._approach = _approach_images(car.camera.height_px, car.camera.width_px)
+    def __init__(self, camera: CameraConfig, look: int, first: int | None, eye: int = 0) -> None:
+        self._renderer = None if first is None else _renderer(camera, look, eye)
+        self._first, self._eye = first, eye
+        self._approach = _approach_images(camera.height_px, camera.width_px)
 
     def render(
         self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
     ) -> Image:
         """An image of the road, or one without."""
         if self._renderer is None or self._first is None or index < self._first:
-            return self._approach[index % len(self._approach)]
+            return self._approach[(index + self._eye) % len(self._approach)]
         return self._renderer.render(x_m, y_m, yaw_rad, speed_mps, yaw_rate_radps, index)
 
 
@@ -215,9 +227,10 @@ class FaultRig:
             slip=self._slip(),
             seed=plan.look,
         )
+        cameras = [RoadCamera(camera, plan.look, first, eye) for eye, camera in enumerate(car.camera.eyes)]
         self._world = World(
             Plant(true, start),
-            RoadCamera(car, plan.look, first),
+            EyePair(*cameras) if len(cameras) > 1 else cameras[0],
             follower,
             lambda state: follower.lateral_reach_m(state, vehicle),
         )
@@ -261,9 +274,10 @@ class FaultRig:
         anew, armable = make_pipeline(self._estimator.name, self._car), False
         for index in range(round(REARM_S * camera.rate_hz)):
             t_ns = self._clock.now_ns() + round(index * NS_PER_S / camera.rate_hz)
-            image, _ = self._world.capture(t_ns, self._first + index)
-            motion = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
-            pose = anew.step(Frame(t_ns=t_ns, index=index, image=image), motion).pose
+            image, scene = self._world.capture(t_ns, self._first + index)
+            motion, step = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0), anew.step
+            frame: Any = frame_of(scene, image, pair=camera.right is not None)
+            pose = step(frame, motion).pose
             armable = pose is not None and pose.offset_bound_m < 0.5 * pose.width_m
         return armable
 
@@ -410,7 +424,7 @@ def measure(
 
 def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, tick: Tick) -> Verdict:
     (fault,) = chosen((case.name,))
-    verdict = run_fault(CAR, pipeline, fault, seed, case.index, program)
+    verdict = run_fault(car_of(pipeline), pipeline, fault, seed, case.index, program)
     tick(1.0)
     return verdict
 

@@ -23,9 +23,12 @@ stands. What the car must do:
 - **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
   limit.
 
-The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text says why it is longer. A stop that
-leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when asked for: `nominal`, a minute
-without a fault.
+Of two cameras the left one fails. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
+says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
+asked for: `nominal`, a minute without a fault.
+
+A car that was stopped may be refused to be armed where its lane cannot be found by a pipeline that is started there:
+the judge tries that with one of its own.
 
 """
 _REAL_HEAD = """## In real time

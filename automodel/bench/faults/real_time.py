@@ -36,7 +36,7 @@ from firmware_link.messages import Command, CommandFlag
 
 REAL_COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "disturbed")
 NEUTRAL_US = 1500.0
-PATIENCE_S = 60.0  # until the program drives; nothing is judged by it
+PATIENCE_S = 180.0  # until the program drives; nothing is judged by it
 ENDS_S = 10.0  # a program that must end has ended by then, its recording closed
 HELD_UP_NS = 10_000_000  # a step of the board's thread that comes so late makes a violation worth nothing
 AFTER_S = 0.7  # the car is watched for so long: longer than one that is well takes to be armed again

@@ -50,6 +50,13 @@ def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
     assert 0 < row["left_max_m"] < 0.2
 
 
+@pytest.mark.slow
+def test_of_a_pair_the_left_camera_fails(cli: Cli) -> None:
+    only = ["--only", "camera-off", "--only", "camera-size", "--only", "camera-flat", "--runs", "3", "--json"]
+    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *only)
+    assert (said.code, [row["violations"] for row in said.rows]) == (0, [0, 0, 0])
+
+
 SOME = ["--only", "camera-black", "--only", "serial-random", "--only", "disk-slow", "--only", "perception-blip"]
 RUNS = ["--runs", "4", "--json"]
 
