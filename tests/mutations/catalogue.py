@@ -321,6 +321,8 @@ JUDGE = (
 )
 
 
+LAYERS: dict[str, str] = {}
+
 BOUNDS = (
     *_of(
         "automodel/tracking/integrity.py",

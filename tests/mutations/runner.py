@@ -31,6 +31,8 @@ class Copy:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        # no byte code: two mutations within a second may have the same size, and Python would take the older one's
+        self._environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
         self._took_s: dict[tuple[str, ...], float | None] = {}  # tests in the copy as it is; None: they fail
         for name in TREE:
             if (ROOT / name).is_dir():
@@ -50,6 +52,23 @@ class Copy:
             return self._judged(mutation, max(SLOWER * took_s, LEAST_S))
         finally:
             file.write_text(right, encoding="utf-8")
+
+    def by_bench(self, mutation: Mutation) -> str | None:
+        """Which violation `bench faults` finds with the mistake, None where it finds none; the copy is as before."""
+        file = self._folder / mutation.file
+        right = file.read_text(encoding="utf-8")
+        file.write_text(right.replace(mutation.old, mutation.new), encoding="utf-8")
+        command = [sys.executable, "-m", "tests.mutations.bench", *(["avr"] if file.suffix in (".cpp", ".h") else [])]
+        try:
+            done = subprocess.run(
+                command, cwd=self._folder, env=self._environment, capture_output=True, check=False, timeout=RIGHT_S
+            )
+        except subprocess.TimeoutExpired:
+            return "it takes for ever"
+        finally:
+            file.write_text(right, encoding="utf-8")
+        said = (done.stdout + done.stderr).decode(errors="replace").strip().splitlines()
+        return None if done.returncode == 0 else said[-1]
 
     def _right(self, tests: tuple[str, ...]) -> float | None:
         """How long these tests take without a mistake [s], None where they fail."""
@@ -78,11 +97,9 @@ class Copy:
     def _run(self, tests: tuple[str, ...], timeout_s: float) -> int:
         """pytest's exit status; 1, too, where it takes for ever."""
         command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *tests]
-        # no byte code: two mutations within a second may have the same size, and Python would take the older one's
-        environment = os.environ | {"PYTHONPATH": str(self._folder), "PYTHONDONTWRITEBYTECODE": "1"}
         try:
             done = subprocess.run(
-                command, cwd=self._folder, env=environment, capture_output=True, check=False, timeout=timeout_s
+                command, cwd=self._folder, env=self._environment, capture_output=True, check=False, timeout=timeout_s
             )
         except subprocess.TimeoutExpired:
             return 1

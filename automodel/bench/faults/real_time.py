@@ -6,6 +6,7 @@ import contextlib
 import functools
 import itertools
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -95,6 +96,7 @@ class RealCar:
         self._clock = _Clock()
         self._line = _Heard(EmulatedArduino(self._peripherals, options=BoardOptions(boot_ns=50_000_000)))
         self._pty = PtyBoard(self._line, clock=self._clock)
+        self._reading = threading.Lock()
         self._terminal, slave = os.openpty()
         tty.setraw(slave)
         car = car_file(folder, SOURCE, self._pty.path, pipeline)
@@ -163,9 +165,10 @@ class RealCar:
 
     def close_terminal(self) -> None:
         """Close the terminal's other end, as a window or a remote connection does."""
-        terminal, self._terminal = self._terminal, -1
-        if terminal >= 0:
-            os.close(terminal)
+        with self._reading:
+            terminal, self._terminal = self._terminal, -1
+            if terminal >= 0:
+                os.close(terminal)
 
     def beside(self, process: subprocess.Popen[bytes]) -> None:
         """A process that ends with the run."""
@@ -207,9 +210,15 @@ class RealCar:
         return _turns(self._peripherals.at_pins[1])
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError):  # closed
-            while data := os.read(self._terminal, 4096):
-                self._said += data
+        """Take what the program says, or it would wait; before it has opened the terminal there is only an error."""
+        while True:
+            with self._reading:
+                if self._terminal < 0:
+                    return
+                with contextlib.suppress(OSError):
+                    if select.select([self._terminal], [], [], 0.0)[0]:
+                        self._said += os.read(self._terminal, 65536)
+            time.sleep(0.005)
 
 
 def _turns(motor_us: float) -> bool:
