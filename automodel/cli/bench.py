@@ -360,7 +360,7 @@ def faults(
 
     Example:
 
-    automodel bench faults --runs 67 --pipeline contour
+    automodel bench faults --runs 72 --pipeline contour
     """
     if listed:
         from automodel.bench.faults.catalogue import listing

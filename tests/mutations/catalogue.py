@@ -321,7 +321,14 @@ JUDGE = (
 )
 
 
-LAYERS: dict[str, str] = {}
+# Why the bench finds no violation with a mistake: what else stops the car in time.
+LAYERS = {
+    "frame-time-unchecked": "a command's life is counted from its frame's time: of a wrong time it is stale, or held",
+    "restart-ignored": "a board that restarts is disarmed, and takes no Arm with the boot id and nonce before",
+    "link-down-ignored": "a link that is down is silent, which stops after LINK_SILENCE_S; and the board's own timer",
+    "stall-unnoticed": "the board's timer disarms it, and the host takes that for a stop",
+    "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
+}
 
 BOUNDS = (
     *_of(

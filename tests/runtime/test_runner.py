@@ -71,6 +71,14 @@ def test_arms_by_key_and_refuses_too_early_a_key() -> None:
     assert car.kinds() == ["arm-refused", "arming", "driving", "end"]
 
 
+def test_a_person_at_a_distance_stops_the_car() -> None:
+    car = Car(stop_requested=lambda: "STOP" if car.clock.now_ns() // MS == 1600 else None)
+    result = car.run()
+    assert result.stops == 1
+    assert [event.text for event in car.recorder.of("event") if event.kind == "stop"] == ["STOP"]
+    assert car.modes() == [DISARMED, ARMING, DRIVING, STOPPED]
+
+
 def test_what_the_pipeline_saw_is_recorded_in_its_order() -> None:
     car = Car()
     car.run()

@@ -482,6 +482,18 @@ def test_a_wheel_that_ticks_seldom_is_waited_for() -> None:
     assert rolled(rig, 1, 0.0) is Action.NEUTRAL
 
 
+def test_a_car_that_has_stood_rolls_out_again_after_the_next_stop() -> None:
+    rig = Rig().drive()
+    rolled(rig, 30, 1.0)
+    rolled(rig, 10, 0.5, stop="STOP")
+    assert rolled(rig, 60, 0.0) is Action.NEUTRAL
+    rig.turn(arm=True)
+    rolled(rig, 30, 1.0)
+    assert rig.safety.mode is SafetyMode.DRIVING
+    assert rolled(rig, 1, 1.0, stop="STOP") is Action.HOLD_STEERING
+    assert rolled(rig, 60, 0.5) is Action.HOLD_STEERING
+
+
 def test_a_car_that_never_drove_has_straight_wheels() -> None:
     rig = Rig()
     rig.turns(60)
