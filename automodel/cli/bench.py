@@ -360,7 +360,7 @@ def faults(
 
     Example:
 
-    automodel bench faults --runs 72 --pipeline contour
+    automodel bench faults --runs 73 --pipeline contour
     """
     if listed:
         from automodel.bench.faults.catalogue import listing

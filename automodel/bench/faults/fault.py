@@ -29,6 +29,7 @@ class Moment(enum.Enum):
     HANG = "the board's program hangs"
     RESTART = "the board is reset"
     STOP_REQUEST = "the program is asked to stop, as by SIGINT or SIGTERM"
+    PERSON_STOPS = "a person asks for a stop"
     WALL_CLOCK_BACK = "the wall clock is set back by an hour"
 
 

@@ -154,6 +154,7 @@ class FaultRig:
         self._scenes: list[Scene] = []
         self._simulated: AvrBoard | None = None
         self._stopping = False
+        self._stop_word: str | None = None  # of a person
         self._asked_ns = 0
         by_truth = pipeline == TRUTH
         self._first = math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
@@ -298,7 +299,14 @@ class FaultRig:
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)
-        return Runner(parts, config, observer=self, arm_requested=self._pressed, reopen=self._reopen)
+        return Runner(
+            parts,
+            config,
+            observer=self,
+            arm_requested=self._pressed,
+            stop_requested=self._stop_asked,
+            reopen=self._reopen,
+        )
 
     def _advance(self, t_ns: int) -> None:
         self._line.advance(t_ns)
@@ -326,6 +334,8 @@ class FaultRig:
             board.reset(t_ns)
         elif moment is Moment.STOP_REQUEST:
             self._stopping = True
+        elif moment is Moment.PERSON_STOPS:
+            self._stop_word = "STOP"
         elif moment is Moment.WALL_CLOCK_BACK:
             set_wall_clock_back()
 
@@ -338,6 +348,10 @@ class FaultRig:
         before_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
         press_ns = self._plan.press_ns
         return press_ns is not None and before_ns < press_ns <= self._asked_ns
+
+    def _stop_asked(self) -> str | None:
+        word, self._stop_word = self._stop_word, None
+        return word
 
     def _reopen(self) -> FaultySource:
         if self._plan.start_ns <= self._clock.now_ns() < self._plan.end_ns:

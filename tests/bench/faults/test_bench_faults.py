@@ -158,6 +158,7 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("perception-uncertain", 1, lambda m: m.setattr(OffsetBoundCheck, "step", _nothing), "never went neutral"),
     ("perception-uncertain-short", 1, lambda m: m.setattr(PipelineConfig, "coasting", _no_coasting), "hold after"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
+    ("loop-person-stops", 1, lambda m: m.setattr(fault_rig.FaultRig, "_stop_asked", _nothing), "never went neutral"),
     ("slip-slides", 8, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
     ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "expected at most"),
     ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
