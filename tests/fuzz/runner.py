@@ -20,6 +20,7 @@ from tests.fuzz.damage import damaged
 from tests.fuzz.targets import Target
 
 CODES = (0, 1, 2)
+OLDER = b"an older result"
 HANG_S, HANG_CPU_S = 900.0, 60.0  # the process ends with a traceback then: by the clock, and by its own work
 
 
@@ -43,6 +44,9 @@ def trials(target: Target, count: int, seed: int, folder: Path) -> Iterator[tupl
         (trial / name).write_bytes(_moved(spoilt, good, trial))
         if name != "car.toml" and (trial / "car.toml").exists():
             (trial / "car.toml").write_bytes(_moved((good / "car.toml").read_bytes(), good, trial))
+        if number % 2:  # an older result is there
+            for out in target.out:
+                (trial / out).write_bytes(OLDER)
         text = _wrong(target, trial, trial / name)
         if text:
             shutil.copy(trial / name, folder / f"{target.name}-{seed}-{number}")
@@ -69,6 +73,9 @@ def _wrong(target: Target, trial: Path, file: Path) -> str:
         return f"{len(lines)} lines: {said[:300]!r}"
     if code == 2 and left:
         return f"left behind: {left}"
+    lost = {name for name in before & set(target.out) if code == 2 and (trial / name).read_bytes() != OLDER}
+    if lost:
+        return f"an older one is lost: {lost}"
     return f"half written: {left}" if left - set(target.out) else ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 from pathlib import Path
 from random import Random
 
@@ -43,6 +44,18 @@ def test_a_file_that_is_left_behind_is_found(tmp_path: Path) -> None:
     other = dataclasses.replace(car, out=("another.csv",))
     texts = [text for _, text in trials(other, 40, 2, tmp_path)]
     assert "half written: {'out.csv'}" in texts
+
+
+def test_an_older_result_that_is_lost_is_found(tmp_path: Path) -> None:
+    def destroying(arguments: list[str]) -> int:
+        (Path(arguments[0]).parent / "out.csv").write_text("")
+        sys.stderr.write("a line\n")
+        return 2
+
+    (car,) = (target for target in TARGETS if target.name == "car")
+    other = dataclasses.replace(car, arguments=("{}/car.toml",), call=destroying)
+    texts = [text for _, text in trials(other, 4, 2, tmp_path)]
+    assert texts == ["left behind: {'out.csv'}", "an older one is lost: {'out.csv'}"] * 2
 
 
 def test_damage_is_the_same_for_the_same_seed() -> None:

@@ -327,6 +327,7 @@ LAYERS = {
     "restart-ignored": "a board that restarts is disarmed, and takes no Arm with the boot id and nonce before",
     "link-down-ignored": "a link that is down is silent, which stops after LINK_SILENCE_S; and the board's own timer",
     "stall-unnoticed": "the board's timer disarms it, and the host takes that for a stop",
+    "limits-skipped": "the board limits the pulses, and how fast they change, once more (`Pulses`)",
     "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
 }
 

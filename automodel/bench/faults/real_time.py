@@ -6,6 +6,7 @@ import contextlib
 import functools
 import itertools
 import os
+import re
 import select
 import signal
 import subprocess
@@ -139,9 +140,9 @@ class RealCar:
 
     @property
     def said(self) -> str:
-        """The last line on the terminal."""
-        lines = bytes(self._said).decode(errors="replace").replace("\r", "\n").split("\n")
-        return next((line.strip() for line in reversed(lines) if line.strip()), "nothing")
+        """The last line on the terminal, but for its progress."""
+        lines = re.split(r"[\r\n]+", bytes(self._said).decode(errors="replace"))
+        return next((line.strip() for line in reversed(lines) if line.strip() and "\x1b[" not in line), "nothing")
 
     @property
     def wrong(self) -> str | None:
@@ -180,11 +181,13 @@ class RealCar:
         self._timers[-1].start()
 
     def drive(self) -> bool:
-        """Wait until it drives; False where it does not in `PATIENCE_S`."""
+        """Wait until it drives, or has driven: it may have been stopped already. False where it never does."""
         given_up_s = time.monotonic() + PATIENCE_S
-        while not self._drives and time.monotonic() < given_up_s and self._child.poll() is None:
+        driven = False
+        while not driven and time.monotonic() < given_up_s and self._child.poll() is None:
             time.sleep(0.02)
-        return self._drives
+            driven = any(drives for _, drives in self.watched()[0])
+        return driven
 
     def struck(self, strike: Callable[[], None]) -> int | None:
         """Let it happen between two steps of the board; when, or None where the car did not drive."""
@@ -277,7 +280,7 @@ def run_real(fault: RealFault, pipeline: str, seed: int, index: int) -> RealVerd
 
 
 def _observed(fault: RealFault, car: RealCar, random: Random) -> RealVerdict | None:
-    """The verdict, None where the board was held up, or the car no longer drove when the fault was due."""
+    """The verdict, None where the board was held up, or a busy machine had stopped the car before the fault was due."""
     if not car.drive():
         return RealVerdict(violations=(f"it did not drive: {car.said}",), reaction_s=None)
     time.sleep(random.uniform(*DRIVES_S))
