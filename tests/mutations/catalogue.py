@@ -328,6 +328,8 @@ LAYERS = {
     "link-down-ignored": "a link that is down is silent, which stops after LINK_SILENCE_S; and the board's own timer",
     "stall-unnoticed": "the board's timer disarms it, and the host takes that for a stop",
     "limits-skipped": "the board limits the pulses, and how fast they change, once more (`Pulses`)",
+    "speed-unlimited": "the planner asks for no more than [control] speed_mps, and the board clamps the motor's pulse",
+    "rate-unlimited": "the board limits how far the servo's pulse goes in a servo frame",
     "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
 }
 

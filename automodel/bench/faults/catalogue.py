@@ -370,8 +370,8 @@ SERIAL = (
               random, random.choice((hooks.one_byte(random), hooks.once(hooks.cut(random)))))),
 )  # fmt: skip
 
-NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0),
-                text="nothing goes wrong for a minute (only when asked for)",
+NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0), anywhere=True,
+                text="nothing goes wrong for a minute, on any track in any light (only when asked for)",
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
 # What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
 ON_CHIP = tuple(fault.name for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))

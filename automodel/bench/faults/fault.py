@@ -122,7 +122,8 @@ class Fault:
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
     before that the car may do anything. `holds_first`: the car may be held and drive on before it is stopped; the bound
     counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where
-    it must stay in its lane, its body may leave it by so much.
+    it must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with
+    a random look.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -142,4 +143,5 @@ class Fault:
     timed_from_motion: bool = False
     holds_first: bool = False
     outside_m: float = 0.0
+    anywhere: bool = False
     images: bool = False

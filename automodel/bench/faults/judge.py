@@ -17,6 +17,9 @@ RENDERED_NS = 1_500_000_000  # from here on the camera sees the road, and the pi
 PIPELINE_NS = 2_200_000_000
 START_NS = (2_300_000_000, 2_700_000_000)  # the fault starts between these; the car drives steadily
 COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
+TRACK = "oval"
+TRACKS = ("oval", "chicane", "tmr")
+RANDOM_LOOKS = 1_000_000
 REARM_S = 0.5
 LONGEST_S = 4.0  # until a car that must be stopped is stopped
 _QUIET_S = 0.25  # the car is watched so long after the time at which arming would work
@@ -33,7 +36,7 @@ class Plan:
 
     `press_ns` is when a person asks to arm, None for never; `drives_again` whether the car must then drive. The run
     ends at `until_ns`. At neutral the car rolls for `coast_s`. It starts at the share `place` (0 .. 1) of the lane's
-    length, `offset_m` beside its middle; `look` chooses light and floor.
+    length, `offset_m` beside its middle; `look` chooses light and floor, `track` the track.
     """
 
     seed: str
@@ -47,6 +50,7 @@ class Plan:
     offset_m: float
     speed_mps: float
     look: int
+    track: str = TRACK
 
     def hooks_random(self) -> Random:
         """The generator for what is random in the fault itself."""
@@ -72,7 +76,8 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
         place=random.random(),
         offset_m=random.uniform(-0.02, 0.02),
         speed_mps=random.uniform(0.7, 1.3),
-        look=random.randrange(looks),
+        look=random.randrange(looks, RANDOM_LOOKS) if fault.anywhere else random.randrange(looks),
+        track=random.choice(TRACKS) if fault.anywhere else TRACK,
     )
 
 

@@ -79,8 +79,8 @@ CAR = CarConfig(
     )
 )
 EYE_Y_M = 0.125  # of a pair's left camera; the right one is as far to the right
-TRACK = "oval"
 LOOKS = 4
+STYLES = ("competition", "varied")  # of random looks
 TRUTH = "truth"  # the pipeline that reads it
 COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m", "moved")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
@@ -92,13 +92,13 @@ _APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is 
 
 
 @functools.lru_cache
-def _track() -> Track:
-    return load_track(TRACK)
+def _track(name: str) -> Track:
+    return load_track(name)
 
 
 @functools.lru_cache
-def _lane() -> Lane:
-    return _track().lane()
+def _lane(name: str) -> Lane:
+    return _track(name).lane()
 
 
 def car_of(pipeline: str) -> CarConfig:
@@ -110,12 +110,17 @@ def car_of(pipeline: str) -> CarConfig:
     return dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, extrinsics=left, right=second))
 
 
-@functools.lru_cache
-def _renderer(camera: CameraConfig, look: int, eye: int) -> Renderer:
-    """A plain floor, cheap to render; sensor noise makes every image different, and that of each eye."""
+@functools.lru_cache(maxsize=8)
+def _renderer(camera: CameraConfig, track: str, look: int, eye: int) -> Renderer:
+    """A plain floor, cheap to render, of the looks below `LOOKS`; a random one of the others.
+
+    Sensor noise makes every image different, and that of each eye.
+    """
     grey, seed = 30.0 + 20.0 * look, look + LOOKS * eye
     floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=seed)
-    return renderer(_track(), CarConfig(camera=camera), floor)
+    if look >= LOOKS:
+        floor = dataclasses.replace(Appearance.random(look, style=STYLES[look % len(STYLES)]), noise_seed=seed)
+    return renderer(_track(track), CarConfig(camera=camera), floor)
 
 
 @functools.lru_cache
@@ -130,8 +135,8 @@ def _approach_images(height: int, width: int) -> tuple[Image, ...]:
 class RoadCamera:
     """A camera, number `eye` of a pair, that shows the road from frame `first` on; never where it is None."""
 
-    def __init__(self, camera: CameraConfig, look: int, first: int | None, eye: int = 0) -> None:
-        self._renderer = None if first is None else _renderer(camera, look, eye)
+    def __init__(self, camera: CameraConfig, plan: Plan, first: int | None, eye: int = 0) -> None:
+        self._renderer = None if first is None else _renderer(camera, plan.track, plan.look, eye)
         self._first, self._eye = first, eye
         self._approach = _approach_images(camera.height_px, camera.width_px)
 
@@ -217,7 +222,7 @@ class FaultRig:
 
     def _build_world(self, first: int | None) -> None:
         car, plan = self._car, self._plan
-        lane = _lane()
+        lane = _lane(plan.track)
         start = lane.pose(plan.place * lane.centerline.length_m, plan.offset_m)
         follower = TruthFollower(lane, car.vehicle.reference_x_m)
         vehicle = car.vehicle
@@ -228,7 +233,7 @@ class FaultRig:
             slip=self._slip(),
             seed=plan.look,
         )
-        cameras = [RoadCamera(camera, plan.look, first, eye) for eye, camera in enumerate(car.camera.eyes)]
+        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(car.camera.eyes)]
         self._world = World(
             Plant(true, start),
             EyePair(*cameras) if len(cameras) > 1 else cameras[0],

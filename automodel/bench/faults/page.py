@@ -25,7 +25,7 @@ stands. What the car must do:
 
 Of two cameras the left one fails. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
 says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
-asked for: `nominal`, a minute without a fault.
+asked for: `nominal`, a minute without a fault, on any of the tracks, with random light and floor.
 
 A car that was stopped may be refused to be armed where its lane cannot be found by a pipeline that is started there:
 the judge tries that with one of its own.

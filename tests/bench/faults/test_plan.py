@@ -101,6 +101,14 @@ def test_a_person_asks_to_arm_a_car_that_stands() -> None:
             assert plan.press_ns >= plan.start_ns + (stopped_s + REARM_S) * 1e9
 
 
+def test_a_minute_without_a_fault_is_anywhere_in_any_light() -> None:
+    plans = [draw_plan(NOMINAL, 7, index, 4) for index in range(40)]
+    assert {plan.track for plan in plans} == {"oval", "chicane", "tmr"}
+    assert len({plan.look for plan in plans}) == 40
+    assert {plan.track for _, plan in PLANS} == {"oval"}
+    assert {plan.look for _, plan in PLANS} == {0, 1, 2, 3}
+
+
 def test_a_run_at_another_place_is_the_same_one_elsewhere() -> None:
     plan = draw_plan(chosen(("camera-off",))[0], 3, 5, 4)
     assert at_another_place(plan, 0) == plan
