@@ -329,6 +329,9 @@ LAYERS = {
     "stall-unnoticed": "the board's timer disarms it, and the host takes that for a stop",
     "limits-skipped": "the board limits the pulses, and how fast they change, once more (`Pulses`)",
     "speed-unlimited": "the planner asks for no more than [control] speed_mps, and the board clamps the motor's pulse",
+    "bend-unlimited": "the planner slows down for a bend, and the steering follows the lane",
+    "commands-live-1-s": "the board's own 100 ms, and deadlines that it refuses; an old frame holds the car",
+    "stale-commands-sent": "the board refuses a deadline that is past, and an old frame holds the car",
     "rate-unlimited": "the board limits how far the servo's pulse goes in a servo frame",
     "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
 }
