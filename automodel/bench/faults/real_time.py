@@ -145,6 +145,11 @@ class RealCar:
         return next((line.strip() for line in reversed(lines) if line.strip() and "\x1b[" not in line), "nothing")
 
     @property
+    def ended(self) -> bool:
+        """Whether the program has ended."""
+        return self._child.poll() is not None
+
+    @property
     def wrong(self) -> str | None:
         """How the program that ended did so not in order; None where it ended well."""
         try:
@@ -275,14 +280,18 @@ def run_real(fault: RealFault, pipeline: str, seed: int, index: int) -> RealVerd
         with tempfile.TemporaryDirectory(prefix="faults-") as folder, RealCar(Path(folder), pipeline) as car:
             verdict = _observed(fault, car, random)
         if verdict is not None:
-            return replace(verdict, disturbed=attempt)
+            return replace(verdict, disturbed=max(verdict.disturbed, attempt))
     return RealVerdict(violations=(), reaction_s=None, disturbed=TRIES)
 
 
 def _observed(fault: RealFault, car: RealCar, random: Random) -> RealVerdict | None:
-    """The verdict, None where the board was held up, or a busy machine had stopped the car before the fault was due."""
+    """The verdict, None where the board was held up, or a busy machine had stopped the car before the fault was due.
+
+    One of a car that was not armed in time, as on a machine that is too busy, says nothing.
+    """
     if not car.drive():
-        return RealVerdict(violations=(f"it did not drive: {car.said}",), reaction_s=None)
+        ended = (f"it ended before it drove: {car.said}",) if car.ended else ()
+        return RealVerdict(violations=ended, reaction_s=None, disturbed=0 if ended else TRIES)
     time.sleep(random.uniform(*DRIVES_S))
     struck_ns = car.struck(lambda: fault.strike(car, random))
     if struck_ns is None:
@@ -313,7 +322,10 @@ def measure_real(names: Sequence[str], runs: int, seed: int, pipeline: str, swee
             say(f"{case.name}, run {case.index} of seed {seed}: {'; '.join(verdict.violations)}")
     lost = sum(verdict.disturbed == TRIES for judged in verdicts.values() for verdict in judged)
     if lost:
-        say(f"{lost} runs say nothing: the machine held the board up {TRIES} times; is it busy with other work?")
+        say(
+            f"{lost} runs say nothing: the machine held the board up {TRIES} times, or did not arm the car in"
+            f" {PATIENCE_S:g} s; is it busy with other work?"
+        )
     return [_row(name, judged) for name, judged in verdicts.items() if judged]
 
 
