@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 from dataclasses import replace
+from random import Random
+from types import SimpleNamespace
 
 import pytest
 
@@ -72,6 +74,17 @@ def test_a_run_in_which_the_board_was_held_up_is_repeated_and_at_last_says_nothi
     assert said.code == 0
     assert said.err.startswith(f"2 runs say nothing: the machine held the board up {TRIES} times")
     assert (said.rows[0]["runs"], said.rows[0]["disturbed"]) == (0, 2 * TRIES)
+
+
+@pytest.mark.parametrize(
+    ("ended", "violations", "disturbed"), [(True, ("it ended before it drove: no",), 0), (False, (), TRIES)]
+)
+def test_a_car_that_never_drives_says_nothing_unless_its_program_has_ended(
+    ended: bool, violations: tuple[str, ...], disturbed: int
+) -> None:
+    car = SimpleNamespace(drive=lambda: False, ended=ended, said="no")
+    verdict = real_time._observed(KILLED, car, Random(1))  # type: ignore[arg-type]
+    assert verdict == RealVerdict(violations=violations, reaction_s=None, disturbed=disturbed)
 
 
 def test_the_list_of_the_real_faults(cli: Cli) -> None:
