@@ -55,12 +55,15 @@ class Bystander:
             signal.raise_signal(signal.SIGINT)
         return None
 
+    def wanted_by_hand(self) -> None:
+        return None
+
 
 def drive_until(car_file: Path, until: Callable[[list[str]], bool]) -> tuple[dict[str, object], list[Event]]:
     """The run's row, and the events in its recording."""
     car_file.write_text(car_file.read_text().replace("frame_timeout_s = 2.0", "frame_timeout_s = 0.06"))
     options = drive.RunOptions(record=car_file.parent / "run.mcap")
-    report = drive.drive_real(load_car(car_file), car_file.read_text(), options, Bystander(until))
+    report = drive.drive_real(load_car(car_file), car_file.read_text(), options, (Bystander(until),))
     recording = Recording(car_file.parent / "run.mcap")
     return report.row, [message.value for message in recording if isinstance(message.value, Event)]
 
