@@ -114,6 +114,23 @@ def test_a_car_that_is_let_go_gets_no_torque() -> None:
     assert not rig.vehicle.engaged
 
 
+def test_a_new_arming_starts_without_torque() -> None:
+    rig = Rig(15.0)
+    for _ in range(100):
+        rig.cycle(0.02)
+    assert rig.torques()[-1] > 0.5
+    rig.link.disarm(rig.t_ns)
+    for _ in range(10):
+        rig.cycle(0.0)
+    taken = len(rig.vehicle.accepted)
+    rig.link.arm(rig.t_ns)
+    for _ in range(3):
+        rig.cycle(0.0)
+    enabled = [told["torque_nm"] for _, told in rig.vehicle.accepted[taken:] if told["enable"]]
+    assert enabled
+    assert abs(enabled[0]) <= CONFIG.torque_rate_max_nmps * DT_MAX_S
+
+
 @pytest.mark.parametrize("dt_s", [-1.0, 0.0, 0.01, 0.02, DT_MAX_S, 3.0])
 @pytest.mark.parametrize("before_nm", [-3.0, -0.5, 0.0, 3.0])
 @pytest.mark.parametrize("request_nm", [-50.0, -0.1, 0.0, 2.9, 50.0, math.nan, math.inf, -math.inf])
