@@ -44,6 +44,9 @@ def _constants() -> str:
             f"constexpr uint16_t kPulseMax = {_steps(high_us)};  // [0.5 us]",
             f"constexpr uint16_t kCommandTimeoutMs = {logic.COMMAND_TIMEOUT_MS};",
             f"constexpr uint16_t kRollOutMs = {logic.ROLL_OUT_MS};",
+            f"constexpr uint16_t kStandMs = {logic.STAND_MS};",
+            f"constexpr uint8_t kStandGaps = {logic.STAND_GAPS};",
+            f"constexpr uint16_t kMaxGapMs = {logic.MAX_GAP_MS};",
             f"constexpr uint16_t kMaxDeadlineMs = {logic.MAX_DEADLINE_MS};",
             f"constexpr uint16_t kNonceStep = {logic.NONCE_STEP:#06x};",
         ]

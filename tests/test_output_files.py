@@ -81,7 +81,8 @@ ITS_OWN_WAY = {
     "output_files.py",
     "car_file.py",
     "run_file.py",
-}  # this; beside and renamed; a run grows and is recovered
+    "doctor/latency.py",
+}  # this; beside and renamed; a run grows and is recovered; the kernel's files of an LED
 BESIDE = {"output_path", "output_text"}
 
 
@@ -113,7 +114,9 @@ def _direct_writes(node: ast.AST, beside: bool = False) -> Iterator[int]:
 
 
 def test_nothing_writes_a_file_in_place() -> None:
-    files = [file for package in PACKAGES for file in sorted(package.rglob("*.py")) if file.name not in ITS_OWN_WAY]
+    files = [
+        file for package in PACKAGES for file in sorted(package.rglob("*.py")) if not any(map(file.match, ITS_OWN_WAY))
+    ]
     found = [f"{file}:{line}" for file in files for line in _direct_writes(ast.parse(file.read_text(encoding="utf-8")))]
     assert not found, f"write with automodel.output_files: {found}"
 

@@ -22,7 +22,6 @@ from automodel.bench.accuracy import Row
 from automodel.config import CarConfig
 from automodel.console.progress import progress
 from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd
 from automodel.runtime.runner import Runner
 from automodel.signals import Command
 from firmware_link.arduino import ArduinoLink
@@ -78,7 +77,7 @@ def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> li
             loop=make_loop(car),
         )
         result = Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
-    if result.end is RunEnd.SIGNAL:
+    if result.interrupted:
         raise Interrupted
     return watch.latencies_ns
 

@@ -13,6 +13,7 @@ from automodel import __version__
 from automodel.assembly.parts import car_of
 from automodel.cli.options import ABOVE_ZERO, FILE, PIPELINE, SWEEP, check_outputs, finite
 from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
+from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
 from automodel.sim.random_worlds import KINDS
@@ -384,10 +385,11 @@ def guess(
 @click.option("--only", "names", multiple=True, metavar="FAULT", help="This one; may be given several times.  [all]")
 @click.option("--runs", type=click.IntRange(1), default=300, show_default=True, help="In all, shared out evenly.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
-@click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, "truth"]), default="windows", show_default=True,
-              help="What finds the lane; truth reads it from the simulator, without images.")  # fmt: skip
+@click.option("--pipeline", type=click.Choice([*PIPELINE_NAMES, *PAIR_PIPELINES, "truth"]), default="windows",
+              show_default=True, help="What finds the lane; truth reads it from the simulator.")  # fmt: skip
 @click.option("--link", type=click.Choice(["arduino", "avr", "can"]), default="arduino", show_default=True,
               help="The emulated board; the firmware on a simulated chip; the full-size car's CAN bus.")  # fmt: skip
+@click.option("--real-time", is_flag=True, help="automodel run in a process of its own, by the real clock.")
 @SWEEP
 @CSV
 @click.option("--list", "listed", is_flag=True, help="Name the faults, and what the car must do.")
@@ -398,6 +400,7 @@ def faults(
     seed: int,
     pipeline: str,
     link: str,
+    real_time: bool,
     sweep: Sweep,
     csv_file: Path | None,
     listed: bool,
@@ -405,21 +408,30 @@ def faults(
 ) -> int:
     """Faults of every part, built into runs of the simulated car at random times: does it stop, and only then?
 
-    On virtual time: the same seed gives the same results. Exit code 1 where the car did not do what it must.
+    On virtual time, where the same seed gives the same results, but with --real-time. Exit code 1 where the car did not
+    do what it must.
 
     Example:
 
-    automodel bench faults --runs 67 --pipeline contour
+    automodel bench faults --runs 73 --pipeline contour
     """
     if listed:
         from automodel.bench.faults.catalogue import listing
 
-        show("bench faults", listing(names), as_json, ("fault", "kind", "must", "what"))
+        show("bench faults", listing(names, real_time), as_json, ("fault", "kind", "must", "what"))
         return 0
-    from automodel.bench.faults.measure import COLUMNS, measure
+    from automodel.bench.faults.measure import COLUMNS, TRUTH, measure
 
     check_outputs({"--csv": csv_file}, {})
-    rows = measure(names, runs, seed, pipeline, sweep, link)
+    columns: tuple[str, ...] = COLUMNS
+    if real_time:
+        from automodel.bench.faults.real_time import REAL_COLUMNS, measure_real
+
+        if pipeline == TRUTH or link != "arduino":
+            raise ConfigError("--real-time: drives a pipeline that looks at images, with the emulated board")
+        rows, columns = measure_real(names, runs, seed, pipeline, sweep), REAL_COLUMNS
+    else:
+        rows = measure(names, runs, seed, pipeline, sweep, link)
     _write(csv_file, rows, seed)
-    show("bench faults", rows, as_json, COLUMNS)
+    show("bench faults", rows, as_json, columns)
     return 1 if any(row["violations"] for row in rows) else 0

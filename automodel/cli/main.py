@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import logging
 import os
@@ -98,7 +99,8 @@ def run(arguments: list[str]) -> int:
     except SystemExit as error:  # how click ends when the reader of a pipe goes away
         return error.code if isinstance(error.code, int) else 1
     except (ValueError, OSError) as error:
-        return _error(f"automodel: {_one_line(error)}", 2)
+        gone = isinstance(error, OSError) and error.errno == errno.EIO and not error.filename  # a closed terminal
+        return _error(f"automodel: {_one_line(error)}", 1 if gone else 2)
     except Exception as error:  # a mistake of ours: a user is helped by its line, we by its traceback
         from automodel.config.extras import INSTALLED_BY, missing_extra
 

@@ -17,6 +17,7 @@ from automodel.output_files import output_path
 
 _ROOT = Path(automodel.__file__).resolve().parents[1]
 _PACKAGES = ("automodel", "calibration", "firmware_link", "tracks")
+_DIGEST_BYTES = hashlib.sha256().digest_size  # a file begins with that of the rest
 _CODE = (".py", ".onnx", ".toml", ".cpp", ".h", ".ino", ".dbc")
 
 
@@ -48,14 +49,19 @@ class KeptResults:
         """The result of this case; raises KeyError where there is none, or a damaged one."""
         path = self._path(case)
         try:
-            return pickle.loads(path.read_bytes())
-        except (OSError, EOFError, pickle.UnpicklingError, ValueError, AttributeError, ImportError):
+            whole = path.read_bytes()
+        except OSError:
             raise KeyError(case) from None
+        digest, data = whole[:_DIGEST_BYTES], whole[_DIGEST_BYTES:]
+        if hashlib.sha256(data).digest() != digest:  # what is damaged may unpickle as anything
+            raise KeyError(case)
+        return pickle.loads(data)
 
     def put(self, case: object, result: object) -> None:
         """Keep a result; raises ConfigError where it cannot be written."""
         with output_path(self._path(case)) as part:
-            part.write_bytes(pickle.dumps(result, protocol=5))
+            data = pickle.dumps(result, protocol=5)
+            part.write_bytes(hashlib.sha256(data).digest() + data)
 
     def _path(self, case: object) -> Path:
         text = f"{self._work} {_stable(case)}"

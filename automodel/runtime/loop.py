@@ -29,6 +29,8 @@ from automodel.signals import (
 )
 
 STAGES = ("pipeline", "controller", "limits")
+LOOK_AGAIN_S = 0.5  # a car that stands looks for its lane anew so often, while it knows none that it may be armed in
+STANDING_MPS = 0.02  # a slower car stands
 FAILURES = 4  # in a row, after which a pipeline is reset: finding a lane in a bend takes longer than a car is held
 
 
@@ -131,6 +133,7 @@ class Loop:
         self._checks = checks
         self._driver = driver
         self._failures = 0  # of the pipeline, in a row
+        self._looked_ns: int | None = None  # when the lane was last looked for anew
 
     @property
     def warning(self) -> str:
@@ -211,7 +214,25 @@ class Loop:
             self.failed()
             return lost, wrong + faults, ()
         self._failures = 0
+        self._look_again(estimate, motion, state)
         return estimate, wrong, () if checks is None else checks.of_estimate(estimate, motion, state)
+
+    def _look_again(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> None:
+        """Forget a lane that nobody may be armed in, where the car stands and is not armed.
+
+        A lane that is found after a loss may be the next one, and only driving tells. A car that stands would never
+        know, and never be armed again. But before it is, a person looks where it stands, as at the start: so its lane
+        is looked for as at the start. Bounds of half the lane or more are those that `OffsetBoundCheck` refuses.
+        """
+        pose, t_ns = estimate.pose, estimate.t_ns
+        if pose is None or math.isinf(pose.offset_bound_m) or pose.offset_bound_m < 0.5 * pose.width_m:
+            return
+        stands = motion.source is not MotionSource.NONE and abs(motion.speed_mps) < STANDING_MPS
+        if state is None or state.armed or not stands:
+            return
+        if self._looked_ns is None or not 0 <= t_ns - self._looked_ns < LOOK_AGAIN_S * NS_PER_S:
+            self._looked_ns = t_ns
+            self._pipeline.reset()
 
     def overruled(self, sent: Command | None) -> None:
         """The last command was not sent, but `sent` was (None: nothing): controller and limits go on from there.
@@ -231,7 +252,7 @@ class Loop:
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
-        self._failures = 0
+        self._failures, self._looked_ns = 0, None
         self._pipeline.reset()
         self._controller.reset()
         if self._driver is not None:

@@ -98,7 +98,8 @@ class RunResult:
 
     `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts cycles that worked longer
     than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`. `traceback` is
-    that of the first exception of the chain.
+    that of the first exception of the chain. `interrupted`: a signal came, if only while everything was closed: the
+    caller must not go on as if there was none.
     """
 
     end: RunEnd
@@ -109,6 +110,7 @@ class RunResult:
     latencies_ns: NDArray[np.int64]
     events: tuple[Event, ...]
     traceback: str | None
+    interrupted: bool = False
 
     def latency_ms(self, percentile: float) -> float | None:
         """A percentile (0 .. 100) of the latency [ms], None where nothing was driven."""

@@ -138,6 +138,7 @@ class Runner:
             latencies_ns=np.array(self._latencies_ns, dtype=np.int64),
             events=self._run_log.events,
             traceback=self._traceback,
+            interrupted=signalled() is not None,
         )
 
     def _drive(

@@ -26,7 +26,8 @@ disarms itself in such a pause, as it must: for `STALL_S` from then on it is ask
     HOLD              | broken, or hold_s over                                   | STOPPED  | roll out, disarm
     HOLD              | healthy frame in this cycle                               | DRIVING  | PASS
 
-*Roll out* is HOLD_STEERING for `ROLL_OUT_S`, then NEUTRAL: a car that is stopped in a bend still rolls, and with
+*Roll out* is HOLD_STEERING for `ROLL_OUT_S`, or until the car's odometry shows that it stands
+(`runtime.standstill`), then NEUTRAL: a car that is stopped in a bend still rolls, and with
 straight wheels it would roll out of its lane. The throttle is neutral from the first moment, whoever stops the car and
 why; the steering is the one sent last, which no later frame changes and nothing prolongs: the next mode ends it. A
 board that is disarmed holds it for the same time by itself (`firmware_link`).
@@ -51,6 +52,7 @@ from dataclasses import dataclass
 
 from automodel.config import SafetyConfig
 from automodel.runtime.clocks import NS_PER_S
+from automodel.runtime.standstill import Standstill
 from automodel.signals import Event, LaneStatus, VehicleState
 
 OVERLOADED = "overloaded"  # what the reason begins with where frames are too old once they have been looked at
@@ -145,6 +147,8 @@ class Safety:
         self._blind_m = blind_m
         self._held_ns: deque[int] = deque()  # when the car was held in the last `holds_window_s`
         self._excused_ns: int | None = None  # until when a vehicle that has disarmed itself may be armed again
+        self._standstill = Standstill()
+        self._rolled_out = False  # the car stands after a stop
         self._mode = SafetyMode.DISARMED
         self._since_ns = 0  # when the mode was entered
         self._must_disarm = False
@@ -188,6 +192,8 @@ class Safety:
         whole = broken or unwell or lane_fault
         self._healthy_since_ns = _since(self._healthy_since_ns, whole is None, now_ns)
         unwell = unwell if inputs.by_hand else unwell or lane_fault
+        heard = inputs.state if inputs.link_up else None
+        self._rolled_out |= self._standstill.step(heard, self._mode is SafetyMode.DRIVING)
         reason = broken or unwell
         taken_over = inputs.by_hand and not self._by_hand
         self._by_hand = inputs.by_hand
@@ -261,6 +267,7 @@ class Safety:
             self._asked_ns = None  # so that the vehicle is asked at once
         self._mode = mode
         self._since_ns = now_ns
+        self._rolled_out = False
         return (Event(t_ns=now_ns, kind=kind, text=text),)
 
     def _decide(
@@ -284,6 +291,8 @@ class Safety:
 
     def _rolls_out(self, now_ns: int) -> bool:
         rolled_ns = now_ns - self._since_ns
+        if self._rolled_out:
+            return False
         return self._mode is SafetyMode.STOPPED and 0 <= rolled_ns < ROLL_OUT_S * NS_PER_S
 
     def _clock_fault(self, inputs: SafetyInputs, now_ns: int) -> tuple[str | None, str | None]:

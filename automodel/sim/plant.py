@@ -53,13 +53,39 @@ Ranges = tuple[float | None, float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Slip:
+    """A floor on which the tyres slip, from `start_s` to `end_s` after the plant's start.
+
+    The car turns by `share` of what its wheels stand for, and by no more than `lateral_max_mps2` of lateral
+    acceleration allows.
+    """
+
+    start_s: float
+    end_s: float
+    share: float = 1.0
+    lateral_max_mps2: float = math.inf
+
+    def __post_init__(self) -> None:
+        positive(self, "share")
+        if not (self.start_s <= self.end_s and self.lateral_max_mps2 > 0):
+            raise ValueError(f"start_s, end_s, lateral_max_mps2: expected in order and > 0, got {self}")
+
+    def curvature(self, curvature_per_m: float, speed_mps: float, t_s: float) -> float:
+        """The curvature [1/m] of the car's path at `t_s`, where its wheels stand for `curvature_per_m`."""
+        if not self.start_s <= t_s < self.end_s:
+            return curvature_per_m
+        most = self.lateral_max_mps2 / (speed_mps * speed_mps) if speed_mps != 0.0 else math.inf
+        return min(max(self.share * curvature_per_m, -most), most)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PlantConfig:
     """The true parameters of the simulated car; car.toml has the assumed ones.
 
     `servo` and `motor` are the true tables. A pulse takes effect after the dead time, then through a first-order lag
     (lag time 0: at once). Without drive the car slows down by the same lag, or, where `coast_mps2` [m/s^2] is given, by
     that: its motor controller lets it roll. The wheels follow the servo through a gap of `servo_play_rad`,
-    `servo_bias_rad` to the left.
+    `servo_bias_rad` to the left. `slip` is where the tyres do not hold.
     """
 
     wheelbase_m: float = 0.26
@@ -79,6 +105,7 @@ class PlantConfig:
     gyro_noise_radps: float = 0.01  # standard deviation of a reading
     seed: int = 0
     battery_v: float = 7.6
+    slip: Slip | None = None
 
     def __post_init__(self) -> None:
         positive(self, "wheelbase_m", "servo_rate_max_radps", "ticks_per_m")
@@ -154,7 +181,8 @@ class Plant:
     """A kinematic bicycle behind a servo and a motor; implements the emulated board's peripherals.
 
     With L the wheelbase, delta the wheels' angle and v the rear axle's speed: x' = v cos yaw, y' = v sin yaw,
-    yaw' = v tan(delta) / L (Rajamani 2012, section 2.2, at the rear axle), along exact arcs on a grid of 1 ms.
+    yaw' = v tan(delta) / L (Rajamani 2012, section 2.2, at the rear axle), along exact arcs on a grid of 1 ms; less
+    where the tyres slip.
 
     Pulses set at t take effect at the first grid point at or after t + dead time. Until then the motion is determined:
     `predicted(t)` up to `now_ns + config.dead_time_ns` equals a later `advance(t)` to the bit.
@@ -240,7 +268,7 @@ class Plant:
         Raises ValueError for a time more than a second in the past.
         """
         if self._start_ns is None:
-            return self._car(self._past[-1])
+            return self._car(self._past[-1], 0)
         step, rest_ns = divmod(t_ns - self._start_ns, STEP_NS)
         back = self._step - step
         if back >= len(self._past):
@@ -251,7 +279,7 @@ class Plant:
         if rest_ns:
             rest_s = rest_ns * 1e-9
             snapshot = self._moved(snapshot, step, rest_s, *self._shares(rest_s))
-        return self._car(snapshot)
+        return self._car(snapshot, step)
 
     def _step_of(self, t_ns: int) -> int:
         start_ns = self._now_ns if self._start_ns is None else self._start_ns
@@ -281,7 +309,7 @@ class Plant:
         distance = 0.5 * (now.speed + speed) * dt
         if distance == 0.0:
             return _Snapshot(now.x, now.y, now.yaw, speed, servo, wheel, now.distance)
-        half = 0.5 * distance * math.tan(0.5 * (now.wheel + wheel) + config.servo_bias_rad) / config.wheelbase_m
+        half = 0.5 * distance * self._curvature(0.5 * (now.wheel + wheel), now.speed, step)
         chord = distance * (math.sin(half) / half) if abs(half) > 1e-9 else distance
         middle = now.yaw + half
         return _Snapshot(
@@ -294,7 +322,13 @@ class Plant:
             now.distance + distance,
         )
 
-    def _car(self, now: _Snapshot) -> CarState:
+    def _curvature(self, wheel: float, speed: float, step: int) -> float:
+        """The curvature [1/m] of the rear axle's path."""
+        config = self.config
+        steered = math.tan(wheel + config.servo_bias_rad) / config.wheelbase_m
+        return steered if config.slip is None else config.slip.curvature(steered, speed, step * _STEP_S)
+
+    def _car(self, now: _Snapshot, step: int) -> CarState:
         steering = now.wheel + self.config.servo_bias_rad
         return CarState(
             x_m=now.x,
@@ -302,6 +336,6 @@ class Plant:
             yaw_rad=now.yaw,
             speed_mps=now.speed,
             steering_rad=steering,
-            yaw_rate_radps=now.speed * math.tan(steering) / self.config.wheelbase_m,
+            yaw_rate_radps=now.speed * self._curvature(now.wheel, now.speed, step),
             distance_m=now.distance,
         )

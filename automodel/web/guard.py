@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Awaitable, Callable, Mapping
 from pathlib import Path
 
 from aiohttp import WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from automodel.web.access import HEADERS, Access
 
@@ -18,6 +20,23 @@ TOKEN_S = 3.0  # for the token to come
 NO_TOKEN = 4401  # websocket close codes, with the HTTP status that they stand for
 REFUSED = 4400
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+def _logger() -> logging.Logger:
+    """aiohttp's own would print a traceback for whatever somebody sends."""
+    logger = logging.getLogger("automodel.web.requests")
+    logger.filters[:] = [_in_one_line]
+    return logger
+
+
+def _in_one_line(record: logging.LogRecord) -> bool:
+    error = record.exc_info[1] if isinstance(record.exc_info, tuple) else None
+    if isinstance(error, HttpProcessingError):
+        return False
+    if error is not None:
+        record.msg, record.args = f"{record.getMessage()}: {type(error).__name__}: {error}", ()
+        record.exc_info = record.exc_text = None
+    return True
 
 
 class GuardedServer(ABC):
@@ -34,6 +53,10 @@ class GuardedServer(ABC):
         for path in self._files:
             app.router.add_get(path, self._file)
         return app
+
+    def runner(self) -> web.AppRunner:
+        """What serves the application; requests that are no HTTP are refused and forgotten, our mistakes are a line."""
+        return web.AppRunner(self.app(), access_log=None, shutdown_timeout=0.5, logger=_logger())
 
     @abstractmethod
     async def talk(self, socket: web.WebSocketResponse) -> None:

@@ -48,7 +48,7 @@ def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox
 
 async def _serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
     page = Page(car, access, pipe.send_bytes, by_hand=options.by_hand)
-    runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=0.5)
+    runner = page.runner()
     await runner.setup()
     try:
         site = web.TCPSite(runner, options.host, options.port, ssl_context=_tls(options.tls))

@@ -153,7 +153,7 @@ def serve(run: ViewedRun, port: int) -> None:
 async def _serve(run: ViewedRun, port: int) -> None:
     access = Access()
     page = ViewPage(run, access)
-    runner = web.AppRunner(page.app(), access_log=None, shutdown_timeout=0.5)
+    runner = page.runner()
     await runner.setup()
     try:
         await web.TCPSite(runner, HOST, port).start()

@@ -67,7 +67,8 @@ class EmulatedArduino(UartBoard):
 
     DISARMED always means neutral, without slewing, from the next servo frame on. A car that drove rolls out: the
     steering of the last command stays, so that a car that coasts through a bend stays in its lane, and is straight
-    after 2 s, or at once with an Arm, new Limits or a restart. Nothing prolongs the 2 s from the first neutral on.
+    once its wheel's ticks show that it stands (`Standstill`), after 2 s, or at once with an Arm, new Limits or a
+    restart. Nothing prolongs the 2 s from the first neutral on.
     DISARMED ends with an Arm that the host sends on a person's request: the nonce changes with every disarming, so
     that no older Arm is valid.
     What is straight and neutral is in the Limits: without valid ones (flag NO_LIMITS) there are no pulses.
@@ -248,6 +249,7 @@ class EmulatedArduino(UartBoard):
 
     def _say_sensors(self, t_ns: int) -> None:
         sensors = self._peripherals.read_sensors(t_ns)
+        self._logic.on_wheel(sensors.wheel_ticks, (t_ns - self._start_ns) // TICK_NS)
         time_us = self._time_us(t_ns)
         odometry = messages.Odometry(
             time_us=time_us, wheel_ticks=sensors.wheel_ticks, yaw_rate_radps=sensors.yaw_rate_radps

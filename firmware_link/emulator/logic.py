@@ -13,6 +13,9 @@ from firmware_link.messages import PULSE_RANGE_US, Arm, Command, CommandFlag, Fa
 
 COMMAND_TIMEOUT_MS = 100
 ROLL_OUT_MS = 2000  # how long a model car rolls at neutral with a freewheeling motor controller, at most
+STAND_MS = 200  # a car whose wheel has not ticked for so long may stand
+STAND_GAPS = 3  # and stands where that is so many times the last gap between two ticks
+MAX_GAP_MS = 1000  # a longer gap is no measure of how a car slows down: it then rolls out for the whole ROLL_OUT_MS
 MAX_DEADLINE_MS = 150  # a deadline further ahead is a past one, wrapped around
 
 
@@ -150,6 +153,11 @@ class Pulses:
         """Whether the limits are valid; without, the pulses are 0: there are none."""
         return limits_fit(self.limits)
 
+    @property
+    def drives(self) -> bool:
+        """Whether the motor's pulse is not neutral."""
+        return self.motor_us != self.limits.motor_neutral_us
+
     def set_target(self, servo_us: float, motor_us: float) -> None:
         """Set the pulses from the next servo frame on."""
         limits = self.limits
@@ -160,7 +168,8 @@ class Pulses:
     def roll_out(self, t_ms: int) -> None:
         """Neutral from the next servo frame on, without slewing; the steering goes on to its target, then straight.
 
-        It is straight `ROLL_OUT_MS` later. A car that is rolling out already is given no more time.
+        It is straight `ROLL_OUT_MS` later, or when the car stands. A car that is rolling out already is given no more
+        time.
         """
         self.motor_us = self._motor_target_us = self.limits.motor_neutral_us
         if self.straight_ms is None:
@@ -169,6 +178,11 @@ class Pulses:
     def tick(self, t_ms: int) -> None:
         """Each millisecond: end the roll-out."""
         if self.straight_ms is not None and t_ms >= self.straight_ms:
+            self.straighten()
+
+    def stand(self) -> None:
+        """The car stands: end the roll-out."""
+        if self.straight_ms is not None:
             self.straighten()
 
     def straighten(self) -> None:
@@ -188,6 +202,34 @@ class Pulses:
         self.motor_us = limits.motor_neutral_us + min(max(target, -reach), reach)
 
 
+class Standstill:
+    """Whether the car stands, as the wheel's ticks say: a car that rolls out needs its steering no longer.
+
+    At a constant deceleration the time from the last tick to standstill is at most 2.42 (1 + the root of 2) times the
+    gap between the last two ticks, however far apart they are on the floor. A wheel that gave no tick while the motor
+    turned says nothing, as one without a sensor: then the car may still roll.
+    """
+
+    def __init__(self) -> None:
+        self._ticks: int | None = None
+        self._ticked_ms = 0
+        self._gap_ms = MAX_GAP_MS
+        self._counts = False  # whether the sensor counted while the motor last turned, or since then
+
+    def step(self, ticks: int, drives: bool, t_ms: int) -> bool:
+        """Process a reading, at which the motor turns or does not; gives whether the car stands."""
+        if self._ticks is not None and ticks != self._ticks:
+            self._gap_ms = min((t_ms - self._ticked_ms) & 0xFFFFFFFF, MAX_GAP_MS)
+            self._ticked_ms = t_ms
+            self._counts = True
+        self._ticks = ticks
+        quiet_ms = (t_ms - self._ticked_ms) & 0xFFFFFFFF
+        stands = quiet_ms >= max(STAND_MS, STAND_GAPS * self._gap_ms)
+        if drives and stands:
+            self._counts = False
+        return self._counts and stands and not drives
+
+
 class BoardLogic:
     """The state machine between messages and pulses; its table is in `EmulatedArduino`."""
 
@@ -196,6 +238,7 @@ class BoardLogic:
         self.timer = CommandTimer()
         self.pulses = Pulses(limits)
         self.command_counter = 0
+        self._standstill = Standstill()
         self._gate = CommandGate()
         self._events = 0
         self._timed_out = False
@@ -246,6 +289,11 @@ class BoardLogic:
         if self.timer.expired(t_ms):
             self.on_disarm(t_ms)
             self._timed_out = True
+
+    def on_wheel(self, ticks: int, t_ms: int) -> None:
+        """End the roll-out of a car that stands; called with each reading of the wheel's ticks."""
+        if self._standstill.step(ticks, self.pulses.drives, t_ms):
+            self.pulses.stand()
 
     def event(self, fault: Fault) -> None:
         """Record a fault for the next status."""

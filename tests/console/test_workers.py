@@ -70,6 +70,9 @@ def test_finished_cases_are_kept_and_not_run_again(tmp_path: Path) -> None:
         path.write_bytes(path.read_bytes()[:-2])  # cut by a power loss: run again
     assert list(spread("roots", work, [9.0], Sweep(jobs=1, keep=keep))) == [(9.0, 3.0)]
     assert log.read_text().split()[4:] == ["9.0"]
+    for path in keep.iterdir():
+        path.write_bytes(path.read_bytes()[:40] + b"\x95" + b"\xff" * 8 + path.read_bytes()[49:])  # an endless frame
+    assert list(spread("roots", work, [9.0], Sweep(jobs=1, keep=keep))) == [(9.0, 3.0)]
     other = functools.partial(noted_root, tmp_path / "other")  # other arguments: other results
     assert list(spread("roots", other, [4.0], Sweep(jobs=1, keep=keep))) == [(4.0, 2.0)]
     assert (tmp_path / "other").read_text().split() == ["4.0"]

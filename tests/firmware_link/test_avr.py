@@ -128,6 +128,24 @@ def test_stale_commands_are_neutral_within_105_ms_in_the_registers_and_125_at_th
     assert max(pins) - min(pins) > 10.0  # the phase of the servo frame was tried
 
 
+def test_a_car_that_stands_has_straight_wheels_and_one_that_rolls_has_not(host: Host) -> None:
+    """By the edges at the wheel sensor's pin."""
+    host.arm()
+    pins = host.board._peripherals
+    for index in range(60):
+        ticks = pins.sensors.wheel_ticks + (4 if index < 40 else 0)
+        pins.sensors = dataclasses.replace(pins.sensors, wheel_ticks=ticks)
+        if index < 10:
+            host.command(1600.0, 1550.0)  # then the timer stops it: 100 ms later
+        host.wait(20)
+        if index == 39:
+            stood_ns = host.t_ns
+    steering = {pulse.us for pulse in host.pulses_after(stood_ns - 400 * MS, False) if pulse.t_ns < stood_ns + 180 * MS}
+    assert steering == {1600.0}
+    straight_ns = next(pulse.t_ns for pulse in host.pulses_after(stood_ns, False) if pulse.us == 1500.0)
+    assert 180 * MS < straight_ns - stood_ns < 280 * MS
+
+
 def test_a_command_is_a_pulse_within_25_ms_of_being_written(host: Host) -> None:
     host.arm()
     rng = random.Random(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -183,6 +184,45 @@ def test_steering_is_kept_for_2_s_after_the_first_neutral_and_nothing_prolongs_i
     assert bench.peripherals.at_pins == NEUTRAL
     straight_ns = next(t for t, servo_us, _ in bench.peripherals.pulses if t > start_ns and servo_us == NEUTRAL[0])
     assert 2000 * MS <= straight_ns - start_ns <= 2025 * MS
+
+
+def turned(bench: Any, ms: float, ticks: int = 4) -> None:
+    """The wheel turns for so long, by `ticks` in 20 ms."""
+    for _ in range(round(ms / 20)):
+        sensors = bench.peripherals.sensors
+        bench.peripherals.sensors = dataclasses.replace(sensors, wheel_ticks=sensors.wheel_ticks + ticks)
+        bench.wait(20)
+
+
+@pytest.mark.parametrize("how", ["disarm", "command", "timer"])
+def test_a_car_that_stands_has_straight_wheels_at_once(make_bench: Callable[..., Any], how: str) -> None:
+    bench = rolling(make_bench)
+    turned(bench, 60)
+    bench.send(bench.command(1900.0, 1600.0))
+    turned(bench, 60)
+    if how != "timer":
+        bench.send(messages.Disarm() if how == "disarm" else bench.command(flags=0))
+    turned(bench, 400)  # it rolls
+    assert bench.peripherals.at_pins == (1900.0, 1500.0)
+    bench.wait(180)
+    assert bench.peripherals.at_pins == (1900.0, 1500.0)
+    bench.wait(80)
+    assert bench.peripherals.at_pins == NEUTRAL
+
+
+def test_a_wheel_that_did_not_tick_while_the_motor_turned_says_nothing(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench().running().arm()
+    bench.send(bench.command(1900.0, 1600.0))
+    turned(bench, 60)  # then it fails
+    for _ in range(5):
+        bench.send(bench.command(1900.0, 1600.0))
+        bench.wait(60)
+    bench.send(messages.Disarm())
+    bench.wait(1900)
+    assert bench.peripherals.at_pins == (1900.0, 1500.0)
+    turned(bench, 40)  # it works again, but the 2 s are over first
+    bench.wait(90)
+    assert bench.peripherals.at_pins == NEUTRAL
 
 
 @pytest.mark.parametrize("how", ["arm", "limits", "reset"])

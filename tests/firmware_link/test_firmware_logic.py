@@ -13,7 +13,7 @@ import pytest
 from automodel.signals import BoardSensors
 from firmware_link import messages
 from firmware_link.emulator.board import EmulatedArduino
-from firmware_link.emulator.logic import BoardLogic, BoardOptions, limits_fit
+from firmware_link.emulator.logic import BoardLogic, BoardOptions, Standstill, limits_fit
 from firmware_link.emulator.pty import BenchPeripherals
 from firmware_link.messages import PULSE_STEP_US, Arm, Command, Limits, ResetCause
 from tests.support.compiled_board import CompiledArduino
@@ -89,13 +89,41 @@ class Sensors(BenchPeripherals):
 
     def read_sensors(self, t_ns: int) -> BoardSensors:
         rng = random.Random(t_ns)
+        phase = random.Random(t_ns // (700 * MS))  # in which the wheel turns, or stands
+        turning = phase.random() < 0.5
         ranges = [rng.choice([None, rng.uniform(0.02, 4.0)]) for _ in range(3)]
         return BoardSensors(
             ranges_m=(ranges[0], ranges[1], ranges[2]),
-            wheel_ticks=rng.randrange(-(1 << 31), 1 << 31),
+            wheel_ticks=(rng if turning else phase).randrange(-(1 << 31), 1 << 31),
             battery_v=rng.uniform(0.0, 20.0),
             yaw_rate_radps=rng.choice([None, rng.uniform(-9.0, 9.0)]),
         )
+
+
+@pytest.mark.parametrize("ticks_per_m", [2.0, 7.0, 30.0, 200.0, 5000.0])
+@pytest.mark.parametrize("coast_s", [0.1, 0.5, 1.0, 1.9])
+def test_both_boards_know_when_a_car_that_rolls_out_stands(library: Any, ticks_per_m: float, coast_s: float) -> None:
+    """At a constant deceleration never before it stands, whatever the wheel's resolution."""
+    speed_mps, drive_ms = 1.3, 3000
+    coarse = speed_mps * coast_s * ticks_per_m < 4  # hardly a tick in all the way: nothing can be said
+    standstill = Standstill()
+    ticks, drives, known = [], [], []
+    for t_ms in range(11, 8000, 20):
+        rolled_s = min(max(t_ms - drive_ms, 0) * 1e-3, coast_s)
+        rolled_m = speed_mps * (rolled_s - 0.5 * rolled_s * rolled_s / coast_s)
+        ticks.append(int((speed_mps * min(t_ms, drive_ms) * 1e-3 + rolled_m) * ticks_per_m))
+        drives.append(t_ms < drive_ms)
+        known.append(standstill.step(ticks[-1], drives[-1], t_ms))
+    got = (ctypes.c_uint8 * len(ticks))()
+    library.sweep_standstill(
+        (ctypes.c_int32 * len(ticks))(*ticks), (ctypes.c_uint8 * len(ticks))(*drives), len(ticks), got
+    )
+    assert [bool(stands) for stands in got] == known
+    since_ms = next((11 + 20 * index for index, stands in enumerate(known) if stands), None)
+    assert coarse or since_ms is not None
+    if since_ms is not None:
+        assert since_ms >= drive_ms + coast_s * 1e3 - 20  # a reading's period
+        assert ticks_per_m < 200 or since_ms <= drive_ms + coast_s * 1e3 + 420
 
 
 class Pair:

@@ -56,6 +56,9 @@ BY_HAND = (
             "        if self.held:\n            self._heard_ns",
             "        if True:\n            self._heard_ns",
         ),
+        ("let-go-unheard", 'return f"{self._place}\'s button was released" if was_held else None', "return None"),
+        ("silence-for-5-s", "HOLD_TIMEOUT_S = 0.5 ", "HOLD_TIMEOUT_S = 5.0 "),
+        ("arms-again-and-again", "asked, self._arm = self._arm, False", "asked = self._arm"),
     ),
 )
 SAFETY = (
@@ -90,6 +93,13 @@ SAFETY = (
         ),
         ("never-disarms", "disarm = due and (armed or self._must_disarm)", "disarm = False"),
         ("still-armed-ignored", "SafetyMode.STOPPED) and state.armed:", "SafetyMode.STOPPED) and False:"),
+        ("rolls-out-while-it-stands", "        if self._rolled_out:\n            return False\n", ""),
+        (
+            "rolled-out-before-the-next-stop",
+            "        self._since_ns = now_ns\n        self._rolled_out = False\n",
+            "        self._since_ns = now_ns\n",
+        ),
+        ("stands-by-a-link-that-is-down", "heard = inputs.state if inputs.link_up else None", "heard = inputs.state"),
         ("rolls-out-without-end", "0 <= rolled_ns < ROLL_OUT_S * NS_PER_S", "0 <= rolled_ns"),
         ("rolls-out-by-a-clock-set-back", "0 <= rolled_ns < ROLL", "rolled_ns < ROLL"),
         ("driver-ignored", "if state.driver_override:", "if False:"),
@@ -111,6 +121,7 @@ SAFETY = (
         ("states-not-finite", "faults = state_faults(said)", "faults: tuple[str, ...] = ()"),
         ("armed-at-the-end", "self._link.disarm(now_ns)\n        self._run_log", "self._run_log"),
         ("never-arms-again", "elif decision.disarm:", "elif False:"),
+        ("stop-of-a-person-ignored", "stop=stop,", "stop=None,"),
     ),
     *_of(
         "automodel/runtime/loop.py",
@@ -124,6 +135,26 @@ SAFETY = (
         ("motion-not-finite", "        faults = motion_faults(motion)\n", "        faults: tuple[str, ...] = ()\n"),
         ("misfit-looked-at", "if misfit is not None:", "if False:"),
         ("overruled-forgotten", "self._limits.reset(sent)", "self._limits.reset()"),
+        ("never-looks-again", "        self._look_again(estimate, motion, state)\n", ""),
+        (
+            "looks-again-while-armed",
+            "if state is None or state.armed or not stands:",
+            "if state is None or not stands:",
+        ),
+        ("looks-again-while-it-rolls", "state.armed or not stands:", "state.armed:"),
+        ("wrong-eye-of-a-pair", "index=frame.index, image=frame.left)", "index=frame.index, image=frame.right)"),
+    ),
+    *_of(
+        "automodel/runtime/standstill.py",
+        "tests/runtime/test_safety.py",
+        ("stands-by-a-dead-odometry", "        if driven and stands:\n            self._counts = False\n", ""),
+        ("stands-between-two-ticks", "STAND_GAPS = 3.0 ", "STAND_GAPS = 1.0 "),
+        ("stands-at-once", "STAND_S = 0.2 ", "STAND_S = 0.02 "),
+        (
+            "no-odometry-stands",
+            "            self._counts = False\n            return False\n",
+            "            return self._counts\n",
+        ),
     ),
     *_of(
         "automodel/runtime/input_checks.py",
@@ -134,6 +165,8 @@ SAFETY = (
         ("lane-jumps-pass", "if abs(sideways_m) > most_m:", "if False:"),
         ("lane-turns-pass", "if abs(turn_rad) > most_rad:", "if False:"),
         ("uncertain-for-ever", "return None if bridged else text", "return None"),
+        ("armed-in-any-lane", "return text if pose.offset_bound_m >= 0.5 * pose.width_m else None", "return None"),
+        ("bound-never-held", "(jump, width, uncertain, turns)", "(jump, width, turns)"),
         ("any-width-passes", "vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m", "pose.width_m > 0"),
         ("stuck-servo-passes", "LASTING_S = 0.25 ", "LASTING_S = 25.0 "),
     ),
@@ -359,6 +392,8 @@ BOARD = (
         ("steers-as-before-the-arm", "  pulses_.straighten();\n  gate_", "  gate_"),
         ("obeys-while-disarmed", "  if (!arming_.armed()) return;\n", ""),
         ("arms-without-limits", "if (!pulses_.limited() || !arming_", "if (!arming_"),
+        ("stands-by-a-dead-sensor", "  if (drives && stands) counts_ = false;\n", ""),
+        ("stands-between-two-edges", "protocol::kStandGaps * gap_ms_", "1 * gap_ms_"),
         ("flags-unread", "command.flags & ~protocol::command_flag::kFresh", "false"),
     ),
     *_of(
@@ -371,6 +406,7 @@ BOARD = (
         ("rolls-with-the-throttle", "  motor_us_ = motor_target_us_ = limits_.motor_neutral_us;\n  if", "  if"),
         ("rolls-out-for-ever", ">= protocol::kRollOutMs", ">= 10UL * protocol::kRollOutMs"),
         ("roll-out-prolonged", "  if (rolling_) return;\n", ""),
+        ("rolls-out-while-it-stands-on-board", "  if (rolling_) straighten();\n", ""),
     ),
     *_of(
         _LOGIC + "board.cpp",
@@ -419,6 +455,8 @@ JUDGE = (
         ("judge-lets-drive-off", "if again_ns is not None:", "if False:"),
         ("judge-sees-no-limits", "if not all(servo_low <= servo", "if False and all(servo_low <= servo"),
         ("judge-sees-no-lane", "if seen.left_m > 0:", "if False:"),
+        ("judge-lets-the-car-go-anywhere", "if left_m <= fault.outside_m else", "if True else"),
+        ("judge-forgives-any-refusal", "drivable = seen.left_m == 0 and seen.could_start", "drivable = False"),
     ),
 )
 
@@ -454,4 +492,95 @@ CAMERAS = (
     ),
 )
 
-MUTATIONS = (*SAFETY, *BY_HAND, *LIMITS, *WIRE, *BOARD, *CAMERAS, *JUDGE)
+# Why the bench finds no violation with a mistake: what else stops the car in time.
+LAYERS = {
+    "frame-time-unchecked": "a command's life is counted from its frame's time: of a wrong time it is stale, or held",
+    "restart-ignored": "a board that restarts is disarmed, and takes no Arm with the boot id and nonce before",
+    "link-down-ignored": "a link that is down is silent, which stops after LINK_SILENCE_S; and the board's own timer",
+    "stall-unnoticed": "the board's timer disarms it, and the host takes that for a stop",
+    "limits-skipped": "the board limits the pulses, and how fast they change, once more (`Pulses`)",
+    "speed-unlimited": "the planner asks for no more than [control] speed_mps, and the board clamps the motor's pulse",
+    "bend-unlimited": "the planner slows down for a bend, and the steering follows the lane",
+    "commands-live-1-s": "the board's own 100 ms, and deadlines that it refuses; an old frame holds the car",
+    "boot-id-ignored": "a board that restarts is disarmed and says so, and takes no Arm with another boot id",
+    "deadline-of-1-s": "a command's own life ends before, and the board's timer",
+    "never-looks-again": "with the true lane there is no bound; with --pipeline windows camera-size finds it",
+    "stale-commands-sent": "the board refuses a deadline that is past, and an old frame holds the car",
+    "rate-unlimited": "the board limits how far the servo's pulse goes in a servo frame",
+    "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
+}
+
+BOUNDS = (
+    *_of(
+        "automodel/tracking/integrity.py",
+        "tests/tracking/test_integrity.py",
+        ("bound-of-one-sigma", "K = 3.5 ", "K = 1.0 "),
+        ("bound-without-the-camera", "max(variance, 0.0) + systematic * systematic", "max(variance, 0.0)"),
+        ("bound-never-inflated", "return max(self._mean, 1.0)", "return 1.0"),
+    ),
+    *_of(
+        "automodel/control/longitudinal.py",
+        "tests/control/test_longitudinal.py",
+        ("fast-in-any-bound", "abs(pose.offset_m) - pose.offset_bound_m", "abs(pose.offset_m)"),
+        ("bound-unplanned", "            self._for_pose(estimate, t_ns),\n", ""),
+        ("late-frames-unplanned", "            self._for_delay(estimate, t_ns),\n", ""),
+        ("bends-unplanned", "            self._for_bends(lane, s_m, speed_mps),\n", ""),
+        ("sight-unplanned", "            self._for_sight(estimate, speed_mps),\n", ""),
+        ("obstacles-unplanned", "            self._for_obstacle(speed_mps),\n", ""),
+    ),
+)
+
+PAGE = (
+    *_of(
+        "automodel/web/remote.py",
+        "tests/web/test_remote.py",
+        ("page-stop-ignored", "if word is Word.STOP:", "if False:"),
+        ("page-stop-lost", "self._reason = self._dead_man.stop()", "self._dead_man.stop()"),
+        ("page-gone-unnoticed", "self._dead_man.overdue(now_ns) or self._reason", "self._reason"),
+    ),
+    *_of(
+        "automodel/web/server.py",
+        "tests/web/test_server.py",
+        ("stop-only-from-the-holder", "if said is not Word.STOP:", "if True:"),
+        (
+            "page-closed-keeps-the-button",
+            "                self._hear(client, Word.RELEASE)\n",
+            "                pass\n",
+        ),
+        ("page-floods", "or client.floods(", "or False and client.floods("),
+    ),
+    *_of(
+        "automodel/web/guard.py",
+        "tests/web/test_server.py",
+        ("any-token", "self._access.token_fits(first.data)", "bool(first.data)"),
+        ("any-host", 'if not self._access.host_fits(request.headers.get("Host")):', "if False:"),
+        ("any-origin", "if not self._access.origin_fits(", "if False and not self._access.origin_fits("),
+    ),
+)
+
+PAIRS = (
+    *_of(
+        "automodel/sources/pairs.py",
+        "tests/sources/test_pairs.py",
+        ("any-two-frames-pair", "if abs(apart_s) <= self.tolerance_s:", "if True:"),
+        (
+            "the-newer-frame-is-dropped",
+            "self._left if apart_s > 0.0 else self._right",
+            "self._right if apart_s > 0.0 else self._left",
+        ),
+        ("eyes-swapped", "left=left.image, right=right.image", "left=right.image, right=left.image"),
+    ),
+)
+
+MUTATIONS = (
+    *SAFETY,
+    *BY_HAND,
+    *LIMITS,
+    *BOUNDS,
+    *WIRE,
+    *BOARD,
+    *PAGE,
+    *PAIRS,
+    *CAMERAS,
+    *JUDGE,
+)

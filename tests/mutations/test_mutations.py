@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.mutations.__main__ import main
-from tests.mutations.catalogue import MUTATIONS, Mutation
+from tests.mutations.catalogue import LAYERS, MUTATIONS, Mutation
 from tests.mutations.runner import ROOT, Copy, Outcome
 
 SAMPLE = 8  # about a minute
@@ -27,6 +27,27 @@ def test_names_are_given_once_and_unknown_ones_refused(capsys: pytest.CaptureFix
     assert len({mutation.name for mutation in MUTATIONS}) == len(MUTATIONS)
     assert main(["no-such"]) == 2
     assert capsys.readouterr().err == "mutations: no-such: no such mutation\n"
+
+
+def test_what_covers_a_mistake_is_said_of_one_that_is_there(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {mutation.name for mutation in MUTATIONS}
+    assert set(LAYERS) <= names
+    covered, bare = next(iter(LAYERS)), next(name for name in sorted(names) if name not in LAYERS)
+
+    class NoCopy:
+        def __init__(self, folder: Path) -> None: ...
+        def by_bench(self, mutation: Mutation) -> str | None:
+            return "camera-off: late" if mutation.name not in (covered, bare) else None
+
+    monkeypatch.setattr("tests.mutations.__main__.Copy", NoCopy)
+    assert main(["--bench", covered]) == 0
+    assert f"covered: {LAYERS[covered]}" in capsys.readouterr().out
+    assert main(["--bench", bare]) == 1
+    assert "SURVIVED" in capsys.readouterr().out
+    assert main(["--bench", next(name for name in sorted(names) if name not in (covered, bare))]) == 0
+    assert "found: camera-off: late" in capsys.readouterr().out
 
 
 def sampled() -> list[Mutation]:

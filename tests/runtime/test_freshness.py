@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from automodel.bench.faults import measure
+from automodel.bench.faults import judge
 from automodel.bench.faults.fault import BOUND_S
 from automodel.config import SafetyConfig
 from automodel.runtime import safety
@@ -36,5 +36,5 @@ def test_a_held_car_goes_on_by_itself_only_before_anybody_could_arm_it() -> None
 
 
 def test_host_and_board_hold_the_steering_of_a_stopped_car_for_the_time_that_it_rolls() -> None:
-    assert measure.COAST_S[1] == safety.ROLL_OUT_S
+    assert judge.COAST_S[1] == safety.ROLL_OUT_S
     assert safety.ROLL_OUT_S * 1e3 == logic.ROLL_OUT_MS

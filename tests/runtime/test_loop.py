@@ -159,6 +159,48 @@ def test_overruled_starts_the_ramp_anew_and_tells_the_limits_what_is_on_the_wire
     assert loop.tick(frame(90.0, 5), MOTION, None, 90 * MS).command.speed_mps == pytest.approx(0.1)
 
 
+class Doubtful(FakePipeline):
+    """A lane that may be the next one: its offset's bound is `bound_m`, of a lane of 0.4 m."""
+
+    bound_m = 0.52
+
+    def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
+        seen = super().step(frame, motion)
+        assert seen.pose is not None
+        return replace(seen, pose=replace(seen.pose, offset_bound_m=self.bound_m))
+
+
+STANDING = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
+
+
+def resets(state: VehicleState | None, motion: Motion = STANDING, bound_m: float = 0.52) -> list[int]:
+    """How often the pipeline was reset after each of 50 frames of 20 ms."""
+    pipeline = Doubtful()
+    pipeline.bound_m = bound_m
+    loop, *_ = make(pipeline)
+    counts = []
+    for index in range(50):
+        loop.tick(frame(20.0 * index, index), motion, state, 20 * index * MS)
+        counts.append(pipeline.resets)
+    return counts
+
+
+def test_a_car_that_stands_looks_for_its_lane_anew_where_it_may_not_be_armed_in_it() -> None:
+    state = VehicleState(t_ns=0, armed=False)
+    assert resets(state) == [1] * 25 + [2] * 25
+    assert resets(state, bound_m=0.2)[-1] == 2
+    assert resets(state, bound_m=0.19)[-1] == 0
+    assert resets(state, bound_m=math.inf)[-1] == 0  # it states none
+
+
+def test_a_car_that_is_armed_or_moves_or_may_move_keeps_its_lane() -> None:
+    disarmed = VehicleState(t_ns=0, armed=False)
+    assert resets(VehicleState(t_ns=0, armed=True))[-1] == 0
+    assert resets(None)[-1] == 0
+    assert resets(disarmed, replace(STANDING, speed_mps=0.1))[-1] == 0
+    assert resets(disarmed, replace(STANDING, source=MotionSource.NONE))[-1] == 0
+
+
 def test_reset_forgets_all() -> None:
     loop, pipeline, _, limits = make()
     loop.tick(frame(0.0), MOTION, None, 0)

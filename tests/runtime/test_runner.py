@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 
 import pytest
 
@@ -36,6 +37,21 @@ def test_latency_is_from_capture_until_the_command_is_out() -> None:
     assert result.overruns == 0
 
 
+def test_a_signal_that_comes_while_everything_is_closed_is_told() -> None:
+    """The run is over, but whoever called it must not go on with the next one."""
+    assert not Car().run().interrupted
+    car = Car()
+    close = car.recorder.close
+
+    def closing() -> None:
+        close()
+        signal.raise_signal(signal.SIGINT)
+
+    car.recorder.close = closing  # type: ignore[method-assign]
+    result = car.run()
+    assert (result.end, result.interrupted) == (RunEnd.SOURCE, True)
+
+
 def test_without_driving_there_is_no_latency() -> None:
     assert Car(auto_arm=False).run().latency_ms(50) is None
 
@@ -53,6 +69,14 @@ def test_arms_by_key_and_refuses_too_early_a_key() -> None:
     car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING]
     assert car.kinds() == ["arm-refused", "arming", "driving", "end"]
+
+
+def test_a_person_at_a_distance_stops_the_car() -> None:
+    car = Car(stop_requested=lambda: "STOP" if car.clock.now_ns() // MS == 1600 else None)
+    result = car.run()
+    assert result.stops == 1
+    assert [event.text for event in car.recorder.of("event") if event.kind == "stop"] == ["STOP"]
+    assert car.modes() == [DISARMED, ARMING, DRIVING, STOPPED]
 
 
 def test_what_the_pipeline_saw_is_recorded_in_its_order() -> None:

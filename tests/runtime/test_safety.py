@@ -445,6 +445,67 @@ def test_a_stopped_car_rolls_out_for_2_s_and_an_arm_ends_it() -> None:
     assert again.turn(arm=True).action is Action.NEUTRAL
 
 
+def rolled(rig: Rig, turns: int, speed_mps: float | None, **how: object) -> Action:
+    """The last action of so many turns of 10 ms, in which the odometry reads this speed."""
+    for _ in range(turns):
+        rig.state = replace(rig.state, speed_mps=speed_mps)
+        decision = rig.turn(**how)  # type: ignore[arg-type]
+    return decision.action
+
+
+def test_a_stopped_car_that_stands_has_straight_wheels() -> None:
+    rig = Rig().drive()
+    rolled(rig, 30, 1.0)
+    assert rolled(rig, 40, 0.5, stop="STOP") is Action.HOLD_STEERING
+    assert rolled(rig, 19, 0.0) is Action.HOLD_STEERING
+    assert rolled(rig, 1, 0.0) is Action.NEUTRAL
+    assert rolled(rig, 5, 0.5) is Action.NEUTRAL  # a person pushes it
+    assert rig.safety.mode is SafetyMode.STOPPED
+
+
+@pytest.mark.parametrize("speed_mps", [None, 0.0])
+def test_an_odometry_that_read_nothing_while_the_car_was_driven_ends_no_roll_out(speed_mps: float | None) -> None:
+    rig = Rig().drive()
+    rolled(rig, 10, 1.0)
+    rolled(rig, 60, speed_mps)  # it has failed
+    assert rolled(rig, 200, speed_mps, stop="STOP") is Action.HOLD_STEERING
+    assert rolled(rig, 1, speed_mps) is Action.NEUTRAL  # the 2 s are over
+
+
+def test_a_link_that_is_lost_while_the_car_rolls_ends_no_roll_out() -> None:
+    rig = Rig().drive()
+    rolled(rig, 30, 1.0)
+    rolled(rig, 5, 0.0, stop="STOP")
+    assert rolled(rig, 100, 0.0, link_up=False) is Action.HOLD_STEERING
+    silent = Rig().drive()
+    rolled(silent, 30, 1.0)
+    rolled(silent, 5, 0.0)
+    assert rolled(silent, 100, 0.0, silent=True) is Action.HOLD_STEERING
+
+
+def test_a_wheel_that_ticks_seldom_is_waited_for() -> None:
+    """Every tenth reading has a speed: the car still rolls while the next one may come."""
+    rig = Rig().drive()
+    for _ in range(5):
+        rolled(rig, 1, 1.0)
+        rolled(rig, 14, 0.0)
+    rolled(rig, 1, 1.0, stop="STOP")
+    assert rolled(rig, 44, 0.0) is Action.HOLD_STEERING  # three times 150 ms
+    assert rolled(rig, 1, 0.0) is Action.NEUTRAL
+
+
+def test_a_car_that_has_stood_rolls_out_again_after_the_next_stop() -> None:
+    rig = Rig().drive()
+    rolled(rig, 30, 1.0)
+    rolled(rig, 10, 0.5, stop="STOP")
+    assert rolled(rig, 60, 0.0) is Action.NEUTRAL
+    rig.turn(arm=True)
+    rolled(rig, 30, 1.0)
+    assert rig.safety.mode is SafetyMode.DRIVING
+    assert rolled(rig, 1, 1.0, stop="STOP") is Action.HOLD_STEERING
+    assert rolled(rig, 60, 0.5) is Action.HOLD_STEERING
+
+
 def test_a_car_that_never_drove_has_straight_wheels() -> None:
     rig = Rig()
     rig.turns(60)

@@ -8,7 +8,7 @@ import pytest
 
 from automodel.config import MotorConfig, ServoConfig
 from automodel.geometry.se2 import SE2
-from automodel.sim.plant import Plant, PlantConfig, interpolate, lagged, through_play
+from automodel.sim.plant import Plant, PlantConfig, Slip, interpolate, lagged, through_play
 
 MS = 1_000_000
 STIFF = PlantConfig(servo_play_rad=0.0)
@@ -292,3 +292,39 @@ def test_without_drive_a_car_that_freewheels_rolls_by_its_deceleration(coast_mps
     plant.advance(2_000_000_000 + round(1.1 * stands_s * 1e9))
     assert plant.state.speed_mps == 0.0
     assert plant.state.distance_m - from_m == pytest.approx(0.5 * speed_mps * stands_s, rel=0.02)
+
+
+def driven_arc(slip: Slip | None, seconds: float = 2.0) -> Plant:
+    """Wheels to the left, the motor at 1 m/s, for so long."""
+    plant = Plant(PlantConfig(slip=slip), start_ns=0)
+    plant.set_pulses(0, STEEP, FAST)
+    plant.advance(round(seconds * 1e9))
+    return plant
+
+
+def test_a_car_that_slips_turns_by_the_share_and_by_no_more_than_the_tyres_hold() -> None:
+    dry = driven_arc(None).state
+    wet = driven_arc(Slip(start_s=0.0, end_s=9.0, share=0.8)).state
+    assert wet.yaw_rate_radps == pytest.approx(0.8 * dry.yaw_rate_radps)
+    assert wet.yaw_rad == pytest.approx(0.8 * dry.yaw_rad, rel=1e-6)
+    assert (wet.steering_rad, wet.distance_m) == (dry.steering_rad, dry.distance_m)
+    ice = driven_arc(Slip(start_s=0.0, end_s=9.0, lateral_max_mps2=0.3)).state
+    assert abs(ice.speed_mps * ice.yaw_rate_radps) == pytest.approx(0.3)
+    assert abs(dry.speed_mps * dry.yaw_rate_radps) > 0.5
+
+
+def test_a_car_slips_only_there_and_what_is_predicted_comes() -> None:
+    slip = Slip(start_s=1.0, end_s=1.5, share=0.5)
+    assert driven_arc(slip, 0.9).state == driven_arc(None, 0.9).state
+    plant = driven_arc(slip, 0.99)
+    ahead = plant.predicted(1_005_000_000)
+    plant.advance(1_005_000_000)
+    assert plant.state == ahead
+    plant.advance(1_600_000_000)
+    assert plant.state.yaw_rate_radps == pytest.approx(driven_arc(None, 1.6).state.yaw_rate_radps)
+
+
+@pytest.mark.parametrize("bad", [{"start_s": 2.0}, {"share": 0.0}, {"lateral_max_mps2": 0.0}])
+def test_a_slip_that_cannot_be_is_refused(bad: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        Slip(**({"start_s": 0.0, "end_s": 1.0} | bad))

@@ -11,7 +11,7 @@ _NAP_S = 0.0005
 
 
 class BoardTime:
-    """Implements `Clock`."""
+    """Implements `SleepingClock`."""
 
     def __init__(self, path: str | Path) -> None:
         with open(path, "rb") as file:
@@ -23,3 +23,6 @@ class BoardTime:
     def sleep_until(self, t_ns: int) -> None:
         while self.now_ns() < t_ns:
             time.sleep(_NAP_S)
+
+    def sleep(self, seconds: float) -> None:
+        self.sleep_until(self.now_ns() + round(seconds * 1e9))

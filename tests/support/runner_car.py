@@ -31,6 +31,7 @@ class Car:
     reopen: Callable | None = None
     recorded: bool = True
     arm_requested: Callable[[], bool] | None = None
+    stop_requested: Callable[[], str | None] | None = None
 
     def __post_init__(self) -> None:
         self.clock = VirtualClock()
@@ -60,6 +61,7 @@ class Car:
             observer=self.watcher,
             reopen=self.reopen,
             arm_requested=self.arm_requested,
+            stop_requested=self.stop_requested,
         )
         return runner.run(**how)  # type: ignore[arg-type]
 

@@ -108,6 +108,12 @@ def test_a_page_that_dies_stops_what_it_held_and_nothing_else() -> None:
         for index in range(1, 100):
             remote.on_tick(record(index))  # nobody takes it
             assert remote.stop_requested() is None
+        remote._dead_man.press(time.monotonic_ns())  # as if it had been held when it died
+        reason, until = None, time.monotonic() + WAIT_S
+        while reason is None and time.monotonic() < until:
+            reason = remote.stop_requested()
+            time.sleep(0.002)
+        assert reason == "the web page's button has not been heard of for 0.5 s"
 
 
 def test_a_port_in_use_is_named() -> None:

@@ -10,7 +10,7 @@ from contextlib import asynccontextmanager
 import aiohttp
 import numpy as np
 import pytest
-from aiohttp import WSMsgType, WSServerHandshakeError
+from aiohttp import WSMsgType, WSServerHandshakeError, web
 from aiohttp.test_utils import TestClient, TestServer
 
 from automodel.config import CarConfig
@@ -299,3 +299,38 @@ def test_a_flood_of_sockets_is_cut_off_and_those_that_close_make_room() -> None:
         await made.ready()
 
     served(test)
+
+
+def test_what_is_no_http_is_refused_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
+    """Whoever reaches the port may send anything: it must not fill the terminal from which a car is driven."""
+    said = asyncio.run(_sent_raw(b"\x16\x03\x01\x02\x00\x01\x00\r\n\r\n", lambda app: None))
+    assert b"400" in said
+    assert caplog.text == ""
+
+
+def test_a_mistake_of_ours_in_a_request_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
+    def broken(page: Page) -> None:
+        page._files = {}  # every known address is one that it does not know
+
+    said = asyncio.run(_sent_raw(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", broken))
+    assert b"500" in said
+    (record,) = caplog.records
+    assert record.getMessage() == "Error handling request from 127.0.0.1: KeyError: '/'"
+    assert record.exc_info is None  # nor its traceback
+
+
+async def _sent_raw(data: bytes, change: Callable[[Page], None]) -> bytes:
+    """What the page's own server answers to these bytes."""
+    page = Page(CarConfig(), Access(), lambda word: None)
+    runner = page.runner()
+    change(page)
+    await runner.setup()
+    try:
+        await web.TCPSite(runner, "127.0.0.1", 0).start()
+        reader, writer = await asyncio.open_connection("127.0.0.1", runner.addresses[0][1])
+        writer.write(data)
+        answer = await asyncio.wait_for(reader.read(4096), WAIT_S)
+        writer.close()
+        return answer
+    finally:
+        await runner.cleanup()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from random import Random
+from typing import Protocol, TypeVar
 
 from automodel.assembly.simulated_car import LATENCY_NS
 from automodel.bench.faults import hooks
@@ -15,6 +16,7 @@ from automodel.bench.faults.fault import (
     CameraHook,
     Disk,
     Fault,
+    Grip,
     Hooks,
     Kind,
     LaneHook,
@@ -24,6 +26,7 @@ from automodel.bench.faults.fault import (
     Stall,
     WireHook,
 )
+from automodel.bench.faults.real_catalogue import REAL_FAULTS
 from automodel.config import CenterlineConfig, ConfigError
 from firmware_link.can_port import BusTrouble
 from firmware_link.emulator.can_vehicle import COMMAND_TIMEOUT_NS, FULL_LOAD_FRAMES, EmulatedCanVehicle
@@ -205,6 +208,36 @@ def _extreme_twice(random: Random) -> PulseHook:
     return lambda servo_us, motor_us: left.pop() if left else (servo_us, motor_us)
 
 
+def _sliding(random: Random, end_ns: int, seconds: float, rate_px: tuple[float, float], most_px: float) -> Hooks:
+    """Sliding at a rate [px/s] for `seconds`, up to `most_px` at most."""
+    start_ns, rate = end_ns - round(seconds * 1e9), random.choice((-1, 1)) * random.uniform(*rate_px)
+    return _frames(hooks.sliding(lambda t_ns: min(max(rate * (t_ns - start_ns) * 1e-9, -most_px), most_px)))
+
+
+NETWORK = (
+    Fault(name="network-slides", kind=Kind.WRONG, must=Must.STAY, duration_s=(2.0, 2.0), images=True, outside_m=0.02,
+          text="the network's mask slides sideways by 2 to 20 px a second, up to 5 px, 1.2 degrees of the view",
+          hooks=lambda random, end_ns: _sliding(random, end_ns, 2.0, (2.0, 20.0), 5.0)),
+    Fault(name="network-jumps", kind=Kind.WRONG, must=Must.STAY, duration_s=(1.0, 1.0), images=True,
+          outside_m=0.2, text="the network's mask slides by 100 to 400 px a second, up to 80 px, 18 degrees",
+          hooks=lambda random, end_ns: _sliding(random, end_ns, 1.0, (100.0, 400.0), 80.0)),
+    Fault(name="network-adds", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 2.0), images=True, outside_m=0.1,
+          text="the network sees one to four lines that are not there",
+          hooks=lambda random, end_ns: _frames(hooks.with_lines(random, random.randint(1, 4)))),
+)  # fmt: skip
+
+
+FLOOR = (
+    Fault(name="slip-wet", kind=Kind.WRONG, must=Must.NOTHING, duration_s=(1.5, 2.5),
+          text="a wet floor: the car turns by 10 to 25 % less than it is steered",
+          hooks=lambda random, end_ns: Hooks(slip=Grip(share=random.uniform(0.75, 0.9)))),
+    Fault(name="slip-slides", kind=Kind.WRONG, must=Must.STOP, duration_s=(3.0, 3.0), within_s=0.45, ends=False,
+          timed_from_motion=True,
+          text="ice: tyres hold 0.05 to 0.2 m/s^2: a stop within 0.45 s of the car not turning as it is steered",
+          hooks=lambda random, end_ns: Hooks(slip=Grip(lateral_max_mps2=random.uniform(0.05, 0.2)))),
+)  # fmt: skip
+
+
 LOOP = (
     Fault(name="loop-overrun", kind=Kind.SLOW, must=Must.NOTHING, duration_s=SHORT_S,
           text="every frame takes 20 to 35 ms of work",
@@ -216,6 +249,9 @@ LOOP = (
     Fault(name="loop-collector", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.1, 0.1),
           text="a garbage collection of 10 to 40 ms after a command",
           hooks=lambda random, end_ns: Hooks(stall=Stall(at=At.AFTER, seconds=random.uniform(0.010, 0.040)))),
+    Fault(name="loop-person-stops", kind=Kind.OFF, must=Must.STOP, recovery_s=0.1,
+          text="a person asks for a stop, as on the run's page",
+          hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.PERSON_STOPS),))),
     Fault(name="loop-stop-request", kind=Kind.OFF, must=Must.STOP, ends=False, event="end",
           text="SIGINT, SIGTERM or SIGHUP: neutral, disarmed, and the run has ended",
           hooks=lambda random, end_ns: Hooks(moments=((0.0, Moment.STOP_REQUEST),))),
@@ -450,38 +486,65 @@ CAN = (
           text="one or two frames are missing or wrong", hooks=lambda random, end_ns: _once(random)),
 )  # fmt: skip
 
-NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0),
-                text="nothing goes wrong for a minute (only when asked for)",
+NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(60.0, 60.0), anywhere=True,
+                text="nothing goes wrong for a minute, on any track in any light (only when asked for)",
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
 # What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
-ON_CHIP = tuple(fault.name for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
-FAULTS = (*CAMERA, *PERCEPTION, *LOOP, *SERIAL, *BOARD, *RECORDING)
-BY_LINK = {"arduino": tuple(f.name for f in FAULTS), "avr": ON_CHIP, "can": tuple(f.name for f in CAN)}
+ON_CHIP = tuple(fault for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
+FAULTS = (*CAMERA, *PERCEPTION, *NETWORK, *FLOOR, *LOOP, *SERIAL, *BOARD, *RECORDING)
+BY_LINK = {"arduino": FAULTS, "avr": ON_CHIP, "can": CAN}
 
 
-def chosen(names: Iterable[str]) -> tuple[Fault, ...]:
-    """The faults of these names in the catalogue's order; without names all but `nominal`.
+class Named(Protocol):
+    """What can be asked for by name."""
 
-    Raises ConfigError for an unknown name, with similar ones.
-    """
-    known = {fault.name: fault for fault in (*FAULTS, *CAN, NOMINAL)}
+    @property
+    def name(self) -> str:
+        """The name."""
+        ...
+
+
+Fitting = TypeVar("Fitting", bound=Named)
+
+
+def named(names: Iterable[str], faults: Sequence[Fitting]) -> tuple[Fitting, ...]:
+    """The faults of these names, in the order of `faults`; raises ConfigError for an unknown one, with similar ones."""
+    known = {fault.name: fault for fault in faults}
     asked = set(names)
     for name in sorted(asked - set(known)):
         close = difflib.get_close_matches(name, known, 3, 0.5) or [k for k in known if name in k][:3]
         hint = f"near: {', '.join(close)}" if close else "see --list"
         raise ConfigError(f"--only {name!r}: no such fault; {hint}")
-    return tuple(fault for fault in known.values() if fault.name in asked) if asked else (*FAULTS, *CAN)
+    return tuple(fault for fault in known.values() if fault.name in asked)
 
 
-def listing(names: Iterable[str]) -> list[dict[str, object]]:
+def chosen(names: Iterable[str], images: bool = True, link: str | None = None) -> tuple[Fault, ...]:
+    """The faults of these names in the catalogue's order; without names those of `link`, or all but `nominal`.
+
+    Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, for a fault
+    that needs them.
+    """
+    asked = named(names, (*FAULTS, *CAN, NOMINAL))
+    for fault in asked:
+        if fault.images and not images:
+            raise ConfigError(f"--only {fault.name!r}: needs a pipeline that looks at images")
+    without = (*FAULTS, *CAN) if link is None else BY_LINK[link]
+    return asked or tuple(fault for fault in without if images or not fault.images)
+
+
+_TIMED = (Must.STOP, Must.HOLD)
+
+
+def listing(names: Iterable[str], real_time: bool = False) -> list[dict[str, object]]:
     """A row a fault: what it is, and what the car must do."""
+    faults = (named(names, REAL_FAULTS) or REAL_FAULTS) if real_time else chosen(names)
     return [
         {
             "fault": fault.name,
             "kind": fault.kind.value,
             "must": fault.must.value,
-            "within_ms": None if fault.must is Must.NOTHING or math.isinf(fault.within_s) else fault.within_s * 1e3,
+            "within_ms": fault.within_s * 1e3 if fault.must in _TIMED and math.isfinite(fault.within_s) else None,
             "what": fault.text,
         }
-        for fault in chosen(names)
+        for fault in faults
     ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
@@ -32,6 +33,7 @@ class Moment(enum.Enum):
     HANG = "the board's program hangs"
     RESTART = "the board is reset"
     STOP_REQUEST = "the program is asked to stop, as by SIGINT or SIGTERM"
+    PERSON_STOPS = "a person asks for a stop"
     WALL_CLOCK_BACK = "the wall clock is set back by an hour"
 
 
@@ -61,6 +63,14 @@ class Stall:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Grip:
+    """What a wet floor leaves: the share of the steered turn, and the greatest lateral acceleration."""
+
+    share: float = 1.0
+    lateral_max_mps2: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
@@ -76,6 +86,7 @@ class Hooks:
     pulses: PulseHook | None = None
     sensors: SensorHook | None = None
     servo_stuck: bool = False
+    slip: Grip | None = None
     disk: Disk | None = None
     can: CanHook | None = None
     moments: tuple[tuple[float, Moment], ...] = ()
@@ -100,6 +111,7 @@ class Must(enum.Enum):
     STOP = "stop"  # neutral within the bound, then straight, until a person arms it again
     HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
     NOTHING = "nothing"  # drive on
+    STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,7 +127,8 @@ class Fault:
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
     before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
-    stopped; the bound counts to the stop.
+    stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
+    must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with a random look.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -135,3 +148,6 @@ class Fault:
     timed_from_motion: bool = False
     shown_by: tuple[str, ...] = ()
     holds_first: bool = False
+    outside_m: float = 0.0
+    anywhere: bool = False
+    images: bool = False

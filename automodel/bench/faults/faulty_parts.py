@@ -9,8 +9,10 @@ import math
 import os
 import tempfile
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,6 @@ from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.os_signals import Interrupted
-from automodel.runtime.run_types import RunEnd
 from automodel.runtime.runner import Runner
 from automodel.signals import BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
 from automodel.sim.world import Scene
@@ -31,6 +32,8 @@ from automodel.types import Image
 from firmware_link.emulator.board import Peripherals
 
 _APPROACH_IMAGES = 13  # more than frames are dropped in a row: the next one is always different
+_WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
+
 Step = Callable[[Frame, Motion], LaneEstimate]
 
 
@@ -60,9 +63,9 @@ class FaultySource:
     ) -> None:
         self._source, self._hook, self._plan, self._clock = source, hook, plan, clock
         self._staller = staller
-        self._late: deque[tuple[int, Frame]] = deque()
+        self._late: deque[tuple[int, Frame | StereoFrame]] = deque()
 
-    def read(self, timeout_s: float) -> Frame | None:
+    def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The next frame that the faulty camera delivers; raises what its hook raises."""
         self._staller(At.CAMERA)
         deadline_ns = self._clock.now_ns() + round(timeout_s * 1e9)
@@ -72,19 +75,29 @@ class FaultySource:
                 return self._late.popleft()[1]
             until_ns = min(deadline_ns, self._late[0][0]) if self._late else deadline_ns
             frame = self._source.read(max(until_ns - now_ns, 0) * 1e-9)
-            if isinstance(frame, Frame):
+            if frame is not None:
                 self._take(frame)
             elif until_ns == deadline_ns:
                 return None
 
-    def _take(self, frame: Frame) -> None:
-        delivery: tuple[int, Frame] | None = (0, frame)
+    def _take(self, frame: Frame | StereoFrame) -> None:
+        delivery: tuple[int, Frame | StereoFrame] | None = (0, frame)
         if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
-            delivery = self._hook(frame)
+            delivery = self._spoilt(self._hook, frame)
         if delivery is not None:
             due_ns, out = delivery
             before_ns = self._late[-1][0] if self._late else 0  # frames do not overtake each other
             self._late.append((max(due_ns, before_ns), out))
+
+    def _spoilt(self, hook: CameraHook, frame: Frame | StereoFrame) -> tuple[int, Frame | StereoFrame] | None:
+        """Of a pair the left camera fails."""
+        if isinstance(frame, Frame):
+            return hook(frame)
+        left = hook(Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left))
+        if left is None:
+            return None
+        due_ns, out = left
+        return due_ns, replace(frame, t_ns=out.t_ns, left=out.image)
 
     def close(self) -> None:
         """As the source's."""
@@ -140,16 +153,26 @@ class FaultyPipeline:
 
 
 class Person:
-    """Asks to arm when the plan says."""
+    """Asks to arm when the plan says, and to stop after `stop`."""
 
     def __init__(self, plan: Plan, clock: VirtualClock) -> None:
         self._press_ns, self._clock = plan.press_ns, clock
         self._asked_ns = 0
+        self._word: str | None = None
 
     def pressed(self) -> bool:
         """Whether arming was asked for since the last call."""
         before_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
         return self._press_ns is not None and before_ns < self._press_ns <= self._asked_ns
+
+    def stop(self) -> None:
+        """The car has to stop."""
+        self._word = "STOP"
+
+    def stop_asked(self) -> str | None:
+        """Why the car has to stop, None where nobody has asked for it since the last call."""
+        word, self._word = self._word, None
+        return word
 
 
 @functools.lru_cache
@@ -260,6 +283,27 @@ def driven(runner: Runner, stop: Callable[[], bool]) -> tuple[tuple[Event, ...],
         result = runner.run(stop=stop)
     except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         return (), f"{type(error).__name__}: {error}"
-    if result.end is RunEnd.SIGNAL:
+    if result.interrupted:
         raise Interrupted
     return result.events, None
+
+
+def set_wall_clock_back() -> None:
+    """The wall clock's functions give an hour less from now on."""
+    for name, hour in _WALL_CLOCKS.items():
+        setattr(time, name, functools.partial(_earlier, getattr(time, name), hour))
+
+
+def _earlier(clock: Callable[[], float], by: float) -> float:
+    return clock() - by
+
+
+@contextlib.contextmanager
+def wall_clock_kept() -> Iterator[None]:
+    """Restores the wall clock's functions afterwards."""
+    kept = {name: getattr(time, name) for name in _WALL_CLOCKS}
+    try:
+        yield
+    finally:
+        for name, function in kept.items():
+            setattr(time, name, function)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from random import Random
 from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 
 from automodel.bench.faults.fault import CameraHook, LaneHook, SensorHook, WireHook
@@ -86,6 +87,34 @@ def resized(random: Random) -> Spoil:
 def of_another_type(frame: Frame) -> Frame:
     """Sixteen bits a pixel, which `Frame` refuses."""
     return replace(frame, image=frame.image.astype(np.uint16))
+
+
+def sliding(shift_px: Callable[[int], float]) -> Spoil:
+    """What a pipeline takes for paint slides to the right by `shift_px` of the frame's time: all of the image does."""
+
+    def spoil(frame: Frame) -> Frame:
+        height, width = frame.image.shape[:2]
+        moved = np.array(((1.0, 0.0, shift_px(frame.t_ns)), (0.0, 1.0, 0.0)))
+        image = cv2.warpAffine(frame.image, moved, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        return replace(frame, image=np.asarray(image, dtype=np.uint8))
+
+    return spoil
+
+
+def with_lines(random: Random, count: int) -> Spoil:
+    """Lines that are not there, each from the bottom of the image towards the horizon, as bright as paint."""
+    ends = [(random.uniform(-0.2, 1.2), random.uniform(0.3, 0.7)) for _ in range(count)]
+
+    def spoil(frame: Frame) -> Frame:
+        image = frame.image.copy()
+        height, width = image.shape[:2]
+        bright = int(np.percentile(image, 99))
+        for bottom, top in ends:
+            start, end = (round(bottom * width), height - 1), (round(top * width), round(0.4 * height))
+            cv2.line(image, start, end, (bright,) * 3, max(width // 60, 1), cv2.LINE_AA)
+        return replace(frame, image=image)
+
+    return spoil
 
 
 def shifted_in_time(by_ns: int) -> Spoil:

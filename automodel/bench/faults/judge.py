@@ -13,9 +13,15 @@ from automodel.runtime.safety import ROLL_OUT_S
 from automodel.signals import Event
 
 RENDERED_NS = 1_500_000_000  # from here on the camera sees the road, and the pipeline gets the frames
-PIPELINE_NS = 1_800_000_000  # and from here on its estimates drive the car
-START_NS = (1_900_000_000, 2_300_000_000)  # the fault starts between these; the car drives steadily
+# and from here on its estimates drive the car: at 0.7 m/s, too, it has then followed the lane for a lane's width
+PIPELINE_NS = 2_200_000_000
+START_NS = (2_300_000_000, 2_700_000_000)  # the fault starts between these; the car drives steadily
+COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
+TRACK = "oval"
+TRACKS = ("oval", "chicane", "tmr")
+RANDOM_LOOKS = 1_000_000
 REARM_S = 0.5
+LONGEST_S = 4.0  # until a car that must be stopped is stopped
 _QUIET_S = 0.25  # the car is watched so long after the time at which arming would work
 GO_ON_S = 0.3  # so long after the fault a car that may drive on must be driving
 # so long after neutral a car that is stopped must have straight wheels: held, rolled out, and the board's servo frame
@@ -29,8 +35,8 @@ class Plan:
     """One run; times on the run's own clock.
 
     `press_ns` is when a person asks to arm, None for never; `drives_again` whether the car must then drive. The run
-    ends at `until_ns`. It starts at the share `place` (0 .. 1) of the lane's length, `offset_m` beside its middle;
-    `look` chooses light and floor.
+    ends at `until_ns`. At neutral the car rolls for `coast_s`. It starts at the share `place` (0 .. 1) of the lane's
+    length, `offset_m` beside its middle; `look` chooses light and floor, `track` the track.
     """
 
     seed: str
@@ -39,10 +45,12 @@ class Plan:
     until_ns: int
     press_ns: int | None
     drives_again: bool
+    coast_s: float
     place: float
     offset_m: float
     speed_mps: float
     look: int
+    track: str = TRACK
 
     def hooks_random(self) -> Random:
         """The generator for what is random in the fault itself."""
@@ -55,7 +63,8 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
     random = Random(name)
     start_ns = random.randint(*START_NS)
     end_ns = start_ns + round(random.uniform(*fault.duration_s) * 1e9)
-    press_ns, drives_again, until_ns = _afterwards(fault, random, start_ns, end_ns)
+    coast_s = random.uniform(*COAST_S)
+    press_ns, drives_again, until_ns = _afterwards(fault, random, (start_ns, end_ns), coast_s)
     return Plan(
         seed=name,
         start_ns=start_ns,
@@ -63,10 +72,12 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
         until_ns=until_ns,
         press_ns=press_ns,
         drives_again=drives_again,
+        coast_s=coast_s,
         place=random.random(),
         offset_m=random.uniform(-0.02, 0.02),
         speed_mps=random.uniform(0.7, 1.3),
-        look=random.randrange(looks),
+        look=random.randrange(looks, RANDOM_LOOKS) if fault.anywhere else random.randrange(looks),
+        track=random.choice(TRACKS) if fault.anywhere else TRACK,
     )
 
 
@@ -75,13 +86,17 @@ def at_another_place(plan: Plan, attempt: int) -> Plan:
     return plan if attempt == 0 else replace(plan, place=Random(f"{plan.seed}/place/{attempt}").random())
 
 
-def _afterwards(fault: Fault, random: Random, start_ns: int, end_ns: int) -> tuple[int | None, bool, int]:
+def _afterwards(
+    fault: Fault, random: Random, lasts_ns: tuple[int, int], coast_s: float
+) -> tuple[int | None, bool, int]:
     """When a person asks to arm, whether the car must then drive, and when the run ends.
 
     After a stop either nobody touches the car; or a person asks too early, which must be refused and forgotten; or in
-    time, which must work.
+    time, once the car stands, which must work: a lane that was lost is looked for as at the start then.
     """
-    healthy_ns = end_ns + round((fault.recovery_s + REARM_S) * 1e9)
+    start_ns, end_ns = lasts_ns
+    stands_ns = start_ns + round((min(fault.within_s, LONGEST_S) + SafetyConfig().hold_s + coast_s) * 1e9)
+    healthy_ns = max(end_ns + round(fault.recovery_s * 1e9), stands_ns) + round(REARM_S * 1e9)
     quiet_ns = healthy_ns + round(_QUIET_S * 1e9)
     how = random.choice(("nobody", "early", "in time") if fault.host_notices else ("nobody", "in time"))
     early_ns = round(random.uniform(start_ns + 0.2e9, end_ns + (REARM_S - 0.05) * 1e9))
@@ -102,7 +117,8 @@ class Observed:
     """One run as it was observed: the pulses at the pins in their order, the run's events, and the car.
 
     `left_m` [m] is how far the car's body was outside its lane at most, from the fault's start to the run's end,
-    `rolled_m` where it stands at last. `knows` is whether the pipeline was sure of its lane when the fault started.
+    `rolled_m` where it stands at last. `could_start` is whether the pipeline, started anew, is sure enough of its lane
+    there to be armed. `knows` is whether the pipeline was sure of its lane when the fault started.
     `shown_ns` is when the car's motion, or its bus, began to show
     the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
     the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest. `actuator` and `rest` name
@@ -116,6 +132,7 @@ class Observed:
     shown_ns: int | None
     error: str | None
     knows: bool = True
+    could_start: bool = True
     neutral_us: float
     straight_us: float
     limits_us: tuple[float, float, float, float]
@@ -159,16 +176,20 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
     )
     if (fault.timed_from_motion or fault.shown_by) and not _drives_at(seen, start_ns):
         neutral_ns = start_ns  # it was stopped before, by a consequence of the fault
+    stays = fault.must in (Must.STOP, Must.STAY) and not plan.drives_again
+    left_m = max(seen.left_m, seen.rolled_m) if stays else seen.left_m
     found = _in_common(fault, plan, seen)
     if fault.must is Must.STOP:
         found += _stopped(fault, plan, seen, start_ns, neutral_ns)
+    elif fault.must is Must.STAY:
+        found += [] if left_m <= fault.outside_m else [f"it left its lane by {left_m:.3f} m"]
     else:
         found += _drove_on(fault, plan, seen, neutral_ns)
     if fault.same_pulses and without is not None and list(seen.pins) != list(without.pins):
         found.append("the pulses at the pins differ from those without the fault")
-    stays = fault.must is Must.STOP and not plan.drives_again
-    left_m = max(seen.left_m, seen.rolled_m) if stays else seen.left_m
-    reaction_s = None if neutral_ns is None or fault.must is Must.NOTHING else (neutral_ns - start_ns) * 1e-9
+    reaction_s = (
+        None if neutral_ns is None or fault.must in (Must.NOTHING, Must.STAY) else (neutral_ns - start_ns) * 1e-9
+    )
     return Verdict(violations=tuple(found), reaction_s=reaction_s, left_m=left_m)
 
 
@@ -197,12 +218,9 @@ def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns
     watched_ns = asked_ns if plan.drives_again else math.inf
     if any(straight_ns < t < watched_ns and servo != seen.straight_us for t, servo, _ in seen.pins):
         found.append(f"the wheels were not straight {STRAIGHT_S} s after it stopped")
-    inside = seen.left_m == 0  # otherwise the person would have to put it back first
-    if (
-        plan.drives_again
-        and inside
-        and not any(t >= asked_ns and motor != seen.neutral_us for t, _, motor in seen.pins)
-    ):
+    # otherwise the person would have to put it elsewhere first: into its lane, or where its lines are in view
+    drivable = seen.left_m == 0 and seen.could_start
+    if plan.drives_again and drivable and not drives_from(seen.pins, asked_ns, seen.neutral_us):
         found.append("it was armed in time and did not drive")
     return found
 
@@ -225,6 +243,11 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
     if seen.left_m > 0:
         found.append("it left its lane")
     return found
+
+
+def drives_from(pins: Sequence[Pin], t_ns: int, neutral_us: float) -> bool:
+    """Whether the motor's pin is ever not neutral from a time on."""
+    return any(t >= t_ns and motor != neutral_us for t, _, motor in pins)
 
 
 def _drives_at(seen: Observed, t_ns: int) -> bool:

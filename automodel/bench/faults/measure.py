@@ -6,15 +6,13 @@ for an estimate and images without a road; camera and pipeline take over when th
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import math
 import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from random import Random
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +20,7 @@ from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_co
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
 from automodel.bench.faults.can_rig import run_can_fault
-from automodel.bench.faults.catalogue import BY_LINK, CAN, chosen
+from automodel.bench.faults.catalogue import CAN, chosen
 from automodel.bench.faults.fault import At, Fault, Hooks, Moment
 from automodel.bench.faults.faulty_parts import (
     FaultyPeripherals,
@@ -34,24 +32,39 @@ from automodel.bench.faults.faulty_parts import (
     driven,
     faulty_recorder,
     outside_m,
+    set_wall_clock_back,
+    wall_clock_kept,
 )
-from automodel.bench.faults.judge import RENDERED_NS, Observed, Plan, Verdict, at_another_place, draw_plan, judge
-from automodel.config import CameraConfig, CarConfig, Intrinsics
+from automodel.bench.faults.judge import (
+    REARM_S,
+    RENDERED_NS,
+    Observed,
+    Pin,
+    Plan,
+    Verdict,
+    at_another_place,
+    draw_plan,
+    drives_from,
+    judge,
+)
+from automodel.config import CameraConfig, CarConfig, Intrinsics, SecondCamera
+from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
-from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.clocks import NS_PER_S, VirtualClock
 from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
+from automodel.signals import Motion
 from automodel.sim.appearance import Appearance
-from automodel.sim.plant import Plant, PlantConfig
+from automodel.sim.plant import Plant, PlantConfig, Slip
 from automodel.sim.renderer import Renderer
-from automodel.sim.sources import LockStepSource
+from automodel.sim.sources import LockStepSource, frame_of
 from automodel.sim.track import Lane, Track
 from automodel.sim.track_files import load_track
 from automodel.sim.truth import TruthFollower
-from automodel.sim.world import Scene, TrueLane, World
+from automodel.sim.world import EyePair, Scene, TrueLane, World
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link.arduino import ArduinoLink
@@ -69,51 +82,64 @@ CAR = CarConfig(
         width_px=320, height_px=180, intrinsics=Intrinsics(fx_px=240.0, fy_px=240.0, cx_px=159.5, cy_px=89.5)
     )
 )
-TRACK = "oval"
+EYE_Y_M = 0.125  # of a pair's left camera; the right one is as far to the right
 LOOKS = 4
+STYLES = ("competition", "varied")  # of random looks
 TRUTH = "truth"  # the pipeline that reads it
 COLUMNS = ("fault", "runs", "violations", "reaction_p50_ms", "reaction_max_ms", "left_lane", "left_max_m", "moved")
 AFTER_S = 0.3  # the pins are watched for so long after the program has ended
 STANDSTILL_S = 3.0  # and the car until it stands, and its wheels are straight
-COAST_S = (0.5, 2.0)  # a car's way to standstill at neutral takes so long: motor controllers that brake, or freewheel
 PLACES = 32  # on `oval` a pipeline is sure at half of them, so soon after its first image
 OTHER_BOOT_ID = 4096  # of another board
 _SHOWN_RADPS, _SHOWN_SHARE, _SHOWN_NS = 0.6, 0.5, 300_000_000  # a yaw rate wrong by so much, for so long
-_WALL_CLOCKS = {"time": 3600, "time_ns": 3600 * 1_000_000_000}  # an hour in each one's unit
 
 
 @functools.lru_cache
-def _track() -> Track:
-    return load_track(TRACK)
+def _track(name: str) -> Track:
+    return load_track(name)
 
 
 @functools.lru_cache
-def _lane() -> Lane:
-    return _track().lane()
+def _lane(name: str) -> Lane:
+    return _track(name).lane()
 
 
-@functools.lru_cache
-def _renderer(camera: CameraConfig, look: int) -> Renderer:
-    """A plain floor, cheap to render; sensor noise makes every image different."""
-    grey = 30.0 + 20.0 * look
-    floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=look)
-    return renderer(_track(), CarConfig(camera=camera), floor)
+def car_of(pipeline: str) -> CarConfig:
+    """The car for a pipeline: with two cameras where it needs a pair."""
+    if pipeline not in PAIR_PIPELINES:
+        return CAR
+    left, right = (dataclasses.replace(CAR.camera.extrinsics, y_m=y_m) for y_m in (EYE_Y_M, -EYE_Y_M))
+    second = SecondCamera(intrinsics=CAR.camera.intrinsics, extrinsics=right)
+    return dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, extrinsics=left, right=second))
+
+
+@functools.lru_cache(maxsize=8)
+def _renderer(camera: CameraConfig, track: str, look: int, eye: int) -> Renderer:
+    """A plain floor, cheap to render, of the looks below `LOOKS`; a random one of the others.
+
+    Sensor noise makes every image different, and that of each eye.
+    """
+    grey, seed = 30.0 + 20.0 * look, look + LOOKS * eye
+    floor = Appearance(floor_grey=grey, marking_grey=grey + 120.0, vignetting=0.2, read_noise=2.0, noise_seed=seed)
+    if look >= LOOKS:
+        floor = dataclasses.replace(Appearance.random(look, style=STYLES[look % len(STYLES)]), noise_seed=seed)
+    return renderer(_track(track), CarConfig(camera=camera), floor)
 
 
 class RoadCamera:
-    """A camera that shows the road from frame `first` on; never where it is None."""
+    """A camera, number `eye` of a pair, that shows the road from frame `first` on; never where it is None."""
 
-    def __init__(self, car: CarConfig, look: int, first: int | None) -> None:
-        self._renderer = None if first is None else _renderer(car.camera, look)
-        self._first = first
-        self._approach = approach_images(car.camera.height_px, car.camera.width_px)
+    def __init__(self, camera: CameraConfig, plan: Plan, first: int | None, eye: int = 0) -> None:
+        self._renderer = None if first is None else _renderer(camera, plan.track, plan.look, eye)
+        self._first, self._eye = first, eye
+        self._approach = approach_images(camera.height_px, camera.width_px)
 
     def render(
         self, x_m: float, y_m: float, yaw_rad: float, speed_mps: float, yaw_rate_radps: float, index: int
     ) -> Image:
         """An image of the road, or one without."""
         if self._renderer is None or self._first is None or index < self._first:
-            return self._approach[index % len(self._approach)]
+            return self._approach[(index + self._eye) % len(self._approach)]
         return self._renderer.render(x_m, y_m, yaw_rad, speed_mps, yaw_rate_radps, index)
 
 
@@ -128,15 +154,16 @@ class FaultRig:
         self._simulated: AvrBoard | None = None
         self._stopping = False
         by_truth = pipeline == TRUTH
-        self._build_world(None if by_truth else math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz))
+        self._first = math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
+        self._build_world(None if by_truth else self._first)
         self._clock = VirtualClock(0, self._advance)
         self._person = Person(plan, self._clock)
         self._staller = Staller(hooks.stall, plan, self._clock)
         self._transport = MemoryTransport(self._line, self._clock)
         for after_s, moment in hooks.moments:
             self._line.at(plan.start_ns + round(after_s * 1e9), functools.partial(self._happen, moment))
-        estimator = None if by_truth else make_pipeline(pipeline, car)
-        self._pipeline = FaultyPipeline(self._truth.step, estimator, hooks.lane, plan, self._staller, car.vehicle)
+        self._estimator = None if by_truth else make_pipeline(pipeline, car)
+        self._pipeline = FaultyPipeline(self._truth.step, self._estimator, hooks.lane, plan, self._staller, car.vehicle)
         lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
         self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
 
@@ -149,7 +176,7 @@ class FaultRig:
                 self._simulated.close()
 
     def _observed(self) -> Observed:
-        with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, _wall_clock_kept():
+        with faulty_recorder(self._hooks.disk, self._plan, self._clock) as recorder, wall_clock_kept():
             runner = self._runner(recorder)
             events, error = driven(runner, self._is_over)
         self._clock.sleep(AFTER_S)
@@ -168,6 +195,7 @@ class FaultRig:
             shown_ns=self._shown_ns(servo),
             error=error,
             knows=self._pipeline.knows,
+            could_start=self._could_start(pins, motor.zero_us),
             neutral_us=motor.zero_us,
             straight_us=servo.zero_us,
             limits_us=(servo.min_us, servo.max_us, motor.min_us, motor.max_us),
@@ -179,19 +207,21 @@ class FaultRig:
 
     def _build_world(self, first: int | None) -> None:
         car, plan = self._car, self._plan
-        lane = _lane()
+        lane = _lane(plan.track)
         start = lane.pose(plan.place * lane.centerline.length_m, plan.offset_m)
         follower = TruthFollower(lane, car.vehicle.reference_x_m)
         vehicle = car.vehicle
         true = PlantConfig(
             wheelbase_m=vehicle.wheelbase_m,
             ticks_per_m=vehicle.ticks_per_m,
-            coast_mps2=plan.speed_mps / Random(f"{plan.seed}/coast").uniform(*COAST_S),
+            coast_mps2=plan.speed_mps / plan.coast_s,
+            slip=self._slip(),
             seed=plan.look,
         )
+        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(car.camera.eyes)]
         self._world = World(
             Plant(true, start),
-            RoadCamera(car, plan.look, first),
+            EyePair(*cameras) if len(cameras) > 1 else cameras[0],
             follower,
             lambda state: follower.lateral_reach_m(state, vehicle),
         )
@@ -206,11 +236,41 @@ class FaultRig:
             pulses=self._hooks.pulses,
         )
 
+    def _slip(self) -> Slip | None:
+        grip, plan = self._hooks.slip, self._plan
+        if grip is None:
+            return None
+        return Slip(
+            start_s=plan.start_ns * 1e-9,
+            end_s=plan.end_ns * 1e-9,
+            share=grip.share,
+            lateral_max_mps2=grip.lateral_max_mps2,
+        )
+
     def _roll_out(self) -> float:
         """Wait until the car stands straight; how far its body is outside its lane then [m], 0 where it is inside."""
         self._clock.sleep(STANDSTILL_S)
         _, scene = self._world.capture(self._clock.now_ns(), 0)
         return outside_m(scene)
+
+    def _could_start(self, pins: Sequence[Pin], neutral_us: float) -> bool:
+        """Whether a pipeline that is started where the car stands knows a lane to be armed in.
+
+        Looked at only where the car was not armed again: True otherwise.
+        """
+        press_ns, camera = self._plan.press_ns, self._car.camera
+        asked = self._plan.drives_again and press_ns is not None and not drives_from(pins, press_ns, neutral_us)
+        if not asked or self._estimator is None:
+            return True
+        anew, armable = make_pipeline(self._estimator.name, self._car), False
+        for index in range(round(REARM_S * camera.rate_hz)):
+            t_ns = self._clock.now_ns() + round(index * NS_PER_S / camera.rate_hz)
+            image, scene = self._world.capture(t_ns, self._first + index)
+            motion, step = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0), anew.step
+            frame: Any = frame_of(scene, image, pair=camera.right is not None)
+            pose = step(frame, motion).pose
+            armable = pose is not None and pose.offset_bound_m < 0.5 * pose.width_m
+        return armable
 
     def _board(self) -> EmulatedArduino | AvrBoard:
         if self._program is None:
@@ -229,7 +289,14 @@ class FaultRig:
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)
-        return Runner(parts, config, observer=self, arm_requested=self._person.pressed, reopen=self._reopen)
+        return Runner(
+            parts,
+            config,
+            observer=self,
+            arm_requested=self._person.pressed,
+            stop_requested=self._person.stop_asked,
+            reopen=self._reopen,
+        )
 
     def _advance(self, t_ns: int) -> None:
         self._line.advance(t_ns)
@@ -257,8 +324,10 @@ class FaultRig:
             board.reset(t_ns)
         elif moment is Moment.STOP_REQUEST:
             self._stopping = True
+        elif moment is Moment.PERSON_STOPS:
+            self._person.stop()
         elif moment is Moment.WALL_CLOCK_BACK:
-            _set_wall_clock_back()
+            set_wall_clock_back()
 
     def _is_over(self) -> bool:
         now_ns = self._clock.now_ns()
@@ -310,25 +379,11 @@ def run_fault(
     return Verdict(violations=(f"the pipeline was sure of its lane at none of {PLACES} places",), reaction_s=None)
 
 
-def _set_wall_clock_back() -> None:
-    """The wall clock's functions give an hour less from now on."""
-    for name, hour in _WALL_CLOCKS.items():
-        setattr(time, name, functools.partial(_earlier, getattr(time, name), hour))
-
-
-def _earlier(clock: Callable[[], float], by: float) -> float:
-    return clock() - by
-
-
-@contextlib.contextmanager
-def _wall_clock_kept() -> Iterator[None]:
-    """Restores the wall clock's functions afterwards."""
-    kept = {name: getattr(time, name) for name in _WALL_CLOCKS}
-    try:
-        yield
-    finally:
-        for name, function in kept.items():
-            setattr(time, name, function)
+def judged(pipeline: str, fault: Fault, seed: int, index: int, program: AvrProgram | None = None) -> Verdict:
+    """As `run_fault`, of the car that the pipeline needs; a fault of the bus is that of the full-size car."""
+    if fault in CAN:
+        return run_can_fault(fault, draw_plan(fault, seed, index, LOOKS))
+    return run_fault(car_of(pipeline), pipeline, fault, seed, index, program)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -349,7 +404,7 @@ def measure(
     it does for each of its faults that `names` has). Raises ConfigError for an unknown fault, AvrMissing where the
     firmware cannot be built.
     """
-    faults = chosen(names or BY_LINK[link])
+    faults = chosen(names, images=pipeline != TRUTH, link=link)
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:
@@ -367,22 +422,27 @@ def measure(
 
 def _verdict(pipeline: str, seed: int, program: AvrProgram | None, case: Case, tick: Tick) -> Verdict:
     (fault,) = chosen((case.name,))
-    if fault in CAN:
-        verdict = run_can_fault(fault, draw_plan(fault, seed, case.index, LOOKS))
-    else:
-        verdict = run_fault(CAR, pipeline, fault, seed, case.index, program)
+    verdict = judged(pipeline, fault, seed, case.index, program)
     tick(1.0)
     return verdict
 
 
-def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
-    reactions_ms = [verdict.reaction_s * 1e3 for verdict in verdicts if verdict.reaction_s is not None]
+def reaction_row(name: str, runs: int, violations: int, reactions_s: Sequence[float | None]) -> Row:
+    """The metrics that every lane has; a run without a reaction has None."""
+    reactions_ms = [reaction_s * 1e3 for reaction_s in reactions_s if reaction_s is not None]
     return {
         "fault": name,
-        "runs": len(verdicts),
-        "violations": sum(bool(verdict.violations) for verdict in verdicts),
+        "runs": runs,
+        "violations": violations,
         "reaction_p50_ms": round(float(np.median(reactions_ms)), 3) if reactions_ms else None,
         "reaction_max_ms": round(max(reactions_ms), 3) if reactions_ms else None,
+    }
+
+
+def _row(name: str, verdicts: Sequence[Verdict]) -> Row:
+    violations = sum(bool(verdict.violations) for verdict in verdicts)
+    return {
+        **reaction_row(name, len(verdicts), violations, [verdict.reaction_s for verdict in verdicts]),
         "left_lane": sum(verdict.left_m > 0 for verdict in verdicts),
         "left_max_m": round(max(verdict.left_m for verdict in verdicts), 3),
         "moved": sum(verdict.moved for verdict in verdicts),

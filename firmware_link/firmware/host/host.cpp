@@ -145,6 +145,12 @@ void sweep_limits(const uint8_t* payloads, uint32_t count, uint8_t* fit) {
     fit[i] = limits_fit(protocol::Limits::read(payloads + i * protocol::Limits::kBytes));
 }
 
+// Whether the car stands after each of `count` readings of the wheel, 20 ms apart from 11 ms on.
+void sweep_standstill(const int32_t* ticks, const uint8_t* drives, uint32_t count, uint8_t* stands) {
+  Standstill standstill;
+  for (uint32_t i = 0; i < count; ++i) stands[i] = standstill.step(ticks[i], drives[i], 11 + 20 * i);
+}
+
 // Feeds a stream; writes type, counter and payload of each accepted frame, one after the other, and counts the rejected
 // ones.
 uint32_t decode_stream(const uint8_t* bytes, uint32_t count, uint8_t* out, uint32_t* errors) {

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from automodel.bench.faults import faulty_parts
 from automodel.bench.faults import measure as fault_rig
 from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS
 from automodel.bench.faults.fault import Must
@@ -28,17 +29,18 @@ BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
 def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
-    said = cli(*BENCH, "--runs", len(FAULTS), "--json")
+    faults = [fault for fault in FAULTS if not fault.images]
+    said = cli(*BENCH, "--runs", len(faults), "--json")
     assert (said.code, said.err) == (0, "")
     rows = {row["fault"]: row for row in said.rows}
     assert all(list(row) == KEYS for row in rows.values())
-    assert list(rows) == [fault.name for fault in FAULTS]
-    for fault in FAULTS:
+    assert list(rows) == [fault.name for fault in faults]
+    for fault in faults:
         row = rows[fault.name]
         assert (row["runs"], row["violations"]) == (1, 0)
         if fault.must is Must.STOP and not fault.timed_from_motion:
             assert 0 <= row["reaction_p50_ms"] <= row["reaction_max_ms"] <= fault.within_s * 1e3
-        elif fault.must is Must.NOTHING:
+        elif fault.must in (Must.NOTHING, Must.STAY):
             assert row["reaction_max_ms"] is None
 
 
@@ -57,19 +59,24 @@ def test_a_run_of_each_fault_of_the_can_bus_has_no_violation(cli: Cli) -> None:
     assert any(fault.must is Must.NOTHING and rows[fault.name]["reaction_max_ms"] is None for fault in CAN)
 
 
-SOME = [
-    "--only",
-    "can-frame",
-    "--only",
-    "camera-black",
-    "--only",
-    "serial-random",
-    "--only",
-    "disk-slow",
-    "--only",
-    "perception-blip",
-]
-RUNS = ["--runs", "5", "--json"]
+def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
+    """The pipeline sees what the fault makes of the image: without a limit the car would be found outside its lane."""
+    only = ["--only", "network-jumps", "--runs", "2", "--seed", "5", "--pipeline", "windows", "--jobs", "1", "--json"]
+    (row,) = cli("bench", "faults", *only).rows
+    assert row["violations"] == 0
+    assert 0 < row["left_max_m"] < 0.2
+
+
+@pytest.mark.slow
+def test_of_a_pair_the_left_camera_fails(cli: Cli) -> None:
+    only = ["--only", "camera-off", "--only", "camera-size", "--only", "camera-flat", "--runs", "3", "--json"]
+    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *only)
+    assert (said.code, [row["violations"] for row in said.rows]) == (0, [0, 0, 0])
+
+
+SOME_FAULTS = ("camera-black", "serial-random", "disk-slow", "perception-blip", "can-frame")
+SOME = [argument for name in SOME_FAULTS for argument in ("--only", name)]
+RUNS = ["--runs", len(SOME_FAULTS), "--json"]
 
 
 def test_the_same_seed_gives_the_same_bytes(cli: Cli) -> None:
@@ -122,6 +129,10 @@ def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
         (["--only", "camera-of"], "automodel: --only 'camera-of': no such fault; near: camera-off, camera-gone"),
         (["--only", "camera-off", "--only", "zzz"], "automodel: --only 'zzz': no such fault; see --list"),
         (["--runs", "0"], "automodel bench faults: Invalid value for '--runs'"),
+        (["--only", "network-adds", "--pipeline", "truth"], "automodel: --only 'network-adds': needs a pipeline"),
+        (["--real-time", "--pipeline", "truth"], "automodel: --real-time: drives a pipeline that looks at images"),
+        (["--real-time", "--link", "avr"], "automodel: --real-time: drives a pipeline that looks at images"),
+        (["--real-time", "--only", "real-kill"], "automodel: --only 'real-kill': no such fault; near: real-killed"),
         (["--pipeline", "lidar"], "automodel bench faults: Invalid value for '--pipeline'"),
     ],
 )
@@ -183,6 +194,8 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("perception-uncertain", 1, lambda m: m.setattr(OffsetBoundCheck, "step", _nothing), "never went neutral"),
     ("perception-uncertain-short", 1, lambda m: m.setattr(PipelineConfig, "coasting", _no_coasting), "hold after"),
     ("servo-stuck", 4, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
+    ("loop-person-stops", 1, lambda m: m.setattr(faulty_parts.Person, "stop_asked", _nothing), "never went neutral"),
+    ("slip-slides", 8, lambda m: m.setattr(SteeringCheck, "step", _nothing), "neutral"),
     ("serial-mute", 1, lambda m: m.setattr(safety, "LINK_SILENCE_S", 0.25), "expected at most"),
     ("serial-deaf", 1, lambda m: m.setattr(logic, "COMMAND_TIMEOUT_MS", 160), "expected at most"),
     ("serial-falls-behind", 2, lambda m: m.setattr(logic, "MAX_DEADLINE_MS", 0x10000), "neutral"),

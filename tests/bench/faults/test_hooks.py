@@ -16,7 +16,7 @@ from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipelin
 from automodel.bench.faults.judge import Plan
 from automodel.config import VehicleConfig
 from automodel.runtime.clocks import VirtualClock
-from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sources.errors import SourceError
 from firmware_link import messages
 from tests.support.runner_fakes import MS, estimate
@@ -29,6 +29,7 @@ PLAN = Plan(
     until_ns=4000 * MS,
     press_ns=None,
     drives_again=False,
+    coast_s=1.0,
     place=0.0,
     offset_m=0.0,
     speed_mps=1.0,
@@ -63,7 +64,7 @@ def delivered(hook: CameraHook, stall: Stall | None = None) -> list[tuple[int, F
     came = []
     while clock.now_ns() < 2400 * MS:
         frame = source.read(0.015)
-        if frame is not None:
+        if isinstance(frame, Frame):
             came.append((clock.now_ns() // MS, frame))
     return came
 
@@ -275,3 +276,52 @@ def test_a_board_whose_time_is_stuck_says_the_rest_as_it_is() -> None:
         ((_, data),) = hook(messages.encode(status, 9), 5)
         (frame,) = decoder.feed(data)
         assert (frame.counter, messages.decode(frame)) == (9, dataclasses.replace(status, time_us=7_000))
+
+
+class TickingPair(Ticking):
+    """Two of them."""
+
+    def read(self, timeout_s: float) -> StereoFrame | None:  # type: ignore[override]
+        frame = super().read(timeout_s)
+        if frame is None:
+            return None
+        return StereoFrame(t_ns=frame.t_ns, index=frame.index, left=frame.image, right=frame.image)
+
+
+def test_of_a_pair_the_left_image_is_spoilt() -> None:
+    clock = VirtualClock(1900 * MS)
+    hook = hooks.at_once(hooks.blank(255.0, 0.0, Random(1)))
+    source = FaultySource(TickingPair(clock), hook, PLAN, clock, Staller(None, PLAN, clock))
+    white = {}
+    while clock.now_ns() < 2300 * MS:
+        frame = source.read(0.015)
+        if isinstance(frame, StereoFrame):
+            white[frame.t_ns // MS] = (bool((frame.left == 255).all()), bool((frame.right == 255).all()))
+    assert {t for t, (left, _) in white.items() if left} == set(range(2000, 2200, PERIOD_MS))
+    assert not any(right for _, right in white.values())
+
+
+def test_a_mask_slides_by_so_many_pixels_and_time_and_index_stay() -> None:
+    image = np.zeros((40, 60), np.uint8)
+    image[:, 20:24] = 200
+    spoil = hooks.sliding(lambda t_ns: t_ns * 1e-9)
+    slid = spoil(Frame(t_ns=7_000_000_000, index=3, image=image))
+    assert slid is not None
+    assert (slid.t_ns, slid.index) == (7_000_000_000, 3)
+    assert np.array_equal(slid.image[:, 27:31], image[:, 20:24])
+    assert not slid.image[:, :27].any()
+
+
+def test_lines_are_added_where_none_are_and_stay_where_they_are() -> None:
+    image = np.full((90, 160), 40, np.uint8)
+    image[:, 80:84] = 200
+    spoil = hooks.with_lines(Random(3), 3)
+    first, second = (spoil(Frame(t_ns=t, index=t, image=image)) for t in (1, 2))
+    assert first is not None
+    assert second is not None
+    assert np.array_equal(first.image, second.image)
+    added = first.image != image
+    assert 100 < added.sum() < 3000
+    assert int(first.image[added].max()) >= 190
+    assert not added[: round(0.4 * 90) - 2].any()
+    assert int(image.max()) == 200  # the camera's own image is not touched

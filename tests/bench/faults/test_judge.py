@@ -18,6 +18,7 @@ PLAN = Plan(
     end_ns=2500 * MS,
     until_ns=4000 * MS,
     press_ns=None,
+    coast_s=1.0,
     drives_again=False,
     place=0.0,
     offset_m=0.0,
@@ -202,3 +203,18 @@ def test_a_car_that_is_held_again_and_again_is_timed_to_its_stop() -> None:
     assert verdict.reaction_s == pytest.approx(0.397)
     (text,) = judge(flaps, PLAN, seen(held)).violations
     assert text == "the motor's pin never went neutral"
+
+
+def test_a_car_that_must_stay_may_leave_its_lane_by_so_much() -> None:
+    made = pins((2100, 4300))
+    stay = fault(Must.STAY, outside_m=0.05)
+    assert judge(stay, PLAN, seen(made, left_m=0.04, rolled_m=0.05)).violations == ()
+    (text,) = judge(stay, PLAN, seen(made, rolled_m=0.06)).violations
+    assert text == "it left its lane by 0.060 m"
+    assert judge(stay, PLAN, seen(pins())).reaction_s is None
+
+
+def test_a_refusal_is_right_where_no_pipeline_could_start() -> None:
+    made = pins((2100, 4300))
+    assert judge(fault(Must.STOP), ARMED_AGAIN, seen(made, could_start=False)).violations == ()
+    assert judge(fault(Must.STOP), ARMED_AGAIN, seen(made)).violations == ("it was armed in time and did not drive",)

@@ -98,6 +98,24 @@ def test_a_log_that_is_none_is_one_line(cli, tmp_path: Path, mapping: Path, log:
     assert not out.exists()
 
 
+@pytest.mark.parametrize("kind", ["blf", "trc"])
+def test_a_damaged_log_of_another_kind_is_one_line(cli, tmp_path: Path, mapping: Path, kind: str) -> None:
+    """Their readers raise errors of their own, of the packing, or print each line that they cannot read."""
+    import can
+
+    path, out = tmp_path / f"bus.{kind}", tmp_path / "motion.csv"
+    with can.LogReader(candump(tmp_path / "bus.log", 0.3)) as frames, can.Logger(path) as log:
+        for frame in frames:
+            log(frame)
+    data = path.read_bytes()
+    for at in range(150, len(data), len(data) // 6):
+        path.write_bytes(data[:at] + b"\xff\xff" + data[at + 2 :])
+        said = cli("replay", "--can", path, "--mapping", mapping, "--motion-csv", out)
+        assert said.code in (0, 2)
+        if said.code == 2:
+            assert len(said.err.splitlines()) == 1
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [

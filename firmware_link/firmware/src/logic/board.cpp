@@ -115,6 +115,7 @@ void Board::say_status(uint32_t t_ms) {
 
 void Board::say_sensors(uint32_t t_ms) {
   const SensorReadings readings = port_.read_sensors();
+  logic_.on_wheel(readings.wheel_ticks, t_ms);
   protocol::Odometry odometry;
   odometry.time_us = time_us(t_ms);
   odometry.wheel_ticks = readings.wheel_ticks;

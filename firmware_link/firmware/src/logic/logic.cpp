@@ -42,6 +42,21 @@ uint16_t CommandGate::fault_of(const protocol::Command& command, uint8_t counter
   return 0;
 }
 
+bool Standstill::step(int32_t ticks, bool drives, uint32_t t_ms) {
+  if (read_ && ticks != ticks_) {
+    const uint32_t gap_ms = t_ms - ticked_ms_;
+    gap_ms_ = gap_ms < protocol::kMaxGapMs ? gap_ms : protocol::kMaxGapMs;
+    ticked_ms_ = t_ms;
+    counts_ = true;
+  }
+  read_ = true;
+  ticks_ = ticks;
+  const uint16_t quiet_ms = protocol::kStandGaps * gap_ms_;
+  const bool stands = t_ms - ticked_ms_ >= (quiet_ms < protocol::kStandMs ? protocol::kStandMs : quiet_ms);
+  if (drives && stands) counts_ = false;
+  return counts_ && stands && !drives;
+}
+
 void Logic::on_command(const protocol::Command& command, uint8_t counter, uint32_t t_ms) {
   command_counter_ = counter;
   if (!arming_.armed()) return;
@@ -88,6 +103,10 @@ void Logic::tick(uint32_t t_ms) {
   if (!timer_.expired(t_ms)) return;
   on_disarm(t_ms);
   timed_out_ = true;
+}
+
+void Logic::on_wheel(int32_t ticks, uint32_t t_ms) {
+  if (standstill_.step(ticks, pulses_.drives(), t_ms)) pulses_.stand();
 }
 
 uint8_t Logic::status_flags() const {

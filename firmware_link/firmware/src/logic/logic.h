@@ -53,6 +53,20 @@ class CommandGate {
   uint8_t counter_ = 0;
 };
 
+// Whether the car stands, as the wheel's ticks say: `Standstill` of firmware_link/emulator/logic.py.
+class Standstill {
+ public:
+  // Processes a reading, at which the motor turns or does not; returns whether the car stands.
+  bool step(int32_t ticks, bool drives, uint32_t t_ms);
+
+ private:
+  int32_t ticks_ = 0;
+  uint32_t ticked_ms_ = 0;
+  uint16_t gap_ms_ = protocol::kMaxGapMs;
+  bool read_ = false;
+  bool counts_ = false;  // whether the sensor counted while the motor last turned, or since then
+};
+
 class Logic {
  public:
   Logic(uint16_t boot_id, const protocol::Limits& limits) : arming_(boot_id), pulses_(limits) {}
@@ -72,6 +86,9 @@ class Logic {
   // After the messages: ends the roll-out, and armed to disarmed if the timer has expired.
   void tick(uint32_t t_ms);
 
+  // With each reading of the wheel's ticks: ends the roll-out of a car that stands.
+  void on_wheel(int32_t ticks, uint32_t t_ms);
+
   // Records a fault for the next status.
   void event(uint16_t fault) { events_ |= fault; }
 
@@ -88,6 +105,7 @@ class Logic {
   Pulses pulses_;
   CommandTimer timer_;
   CommandGate gate_;
+  Standstill standstill_;
   uint16_t events_ = 0;
   uint8_t command_counter_ = 0;
   bool timed_out_ = false;

@@ -14,6 +14,9 @@ constexpr uint16_t kPulseMin = 1000;  // [0.5 us]
 constexpr uint16_t kPulseMax = 5000;  // [0.5 us]
 constexpr uint16_t kCommandTimeoutMs = 100;
 constexpr uint16_t kRollOutMs = 2000;
+constexpr uint16_t kStandMs = 200;
+constexpr uint8_t kStandGaps = 3;
+constexpr uint16_t kMaxGapMs = 1000;
 constexpr uint16_t kMaxDeadlineMs = 150;
 constexpr uint16_t kNonceStep = 0x9e37;
 

@@ -42,6 +42,10 @@ void Pulses::tick(uint32_t t_ms) {
   if (rolling_ && t_ms - rolling_since_ms_ >= protocol::kRollOutMs) straighten();
 }
 
+void Pulses::stand() {
+  if (rolling_) straighten();
+}
+
 void Pulses::straighten() {
   rolling_ = false;
   servo_us_ = servo_target_us_ = limits_.servo_straight_us;

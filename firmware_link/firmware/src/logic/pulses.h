@@ -17,15 +17,21 @@ class Pulses {
   // Whether the limits are valid; without, the pulses are 0: there are none.
   bool limited() const { return limits_fit(limits_); }
 
+  // Whether the motor's pulse is not neutral.
+  bool drives() const { return motor_us_ != static_cast<int16_t>(limits_.motor_neutral_us); }
+
   // Sets the pulses from the next servo frame on.
   void set_target(uint16_t servo_us, uint16_t motor_us);
 
   // Neutral from the next servo frame on, without slewing; the steering goes on to its target, and is straight
-  // `kRollOutMs` later. A car that is rolling out already is given no more time.
+  // `kRollOutMs` later, or when the car stands. A car that is rolling out already is given no more time.
   void roll_out(uint32_t t_ms);
 
   // Each millisecond: ends the roll-out.
   void tick(uint32_t t_ms);
+
+  // The car stands: ends the roll-out.
+  void stand();
 
   // Straight and neutral, without slewing.
   void straighten();
