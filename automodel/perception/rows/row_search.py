@@ -284,7 +284,8 @@ def _count(chosen: Bools, nodes: Ints, n: int) -> tuple[int, int]:
     """See `NodeMeasurements.count`."""
     left = right = 0
     for i in range(len(nodes)):
-        if chosen[i]:
-            left += nodes[i] < n
-            right += nodes[i] >= n
+        if chosen[i] and nodes[i] < n:
+            left += 1
+        elif chosen[i]:
+            right += 1
     return left, right
