@@ -20,7 +20,7 @@ from automodel.geometry import GroundCamera, View
 from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
 from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
-from automodel.perception.markings.reflections import ReflectionConfig, Reflections
+from automodel.perception.markings.reflections import Reflections
 from automodel.perception.stereo.ground_plane import fit_plane
 from automodel.perception.stereo.matching import match, mirrored, witnesses
 from automodel.perception.stereo.reconstruction import log_odds, radial, reconstruct
@@ -233,7 +233,7 @@ class Stereo:
 
     def _in_view(self, camera: GroundCamera, ground_m: FloatArray) -> Bools:
         """Whether all of a profile across the ground (n, 2) [m] is in view (n,)."""
-        aside = np.array((0.0, (ReflectionConfig().reach + 0.5) * self._marking_m))
+        aside = np.array((0.0, (self._reflections[0].config.reach + 0.5) * self._marking_m))
         ends = np.stack((camera.ground_to_px(ground_m + aside), camera.ground_to_px(ground_m - aside)))
         last = np.array((self._size[1] - 1.0, self._size[0] - 1.0))
         return np.asarray(((ends >= 0.0) & (ends <= last)).all(axis=(0, 2)), dtype=np.bool_)
