@@ -39,16 +39,24 @@ def lane_path(state: FloatArray, start_m: float, spacing_m: float, reference_x_m
     arcs = ARCS * (len(state) - ROAD - 1)
     path, step = np.empty((arcs, 9)), spacing_m / ARCS
     heading = state[THETA]
-    x, y = reference_x_m + state[OFFSET] * math.sin(heading), -state[OFFSET] * math.cos(heading)
+    cos, sin = math.cos(heading), math.sin(heading)
+    x, y = reference_x_m + state[OFFSET] * sin, -state[OFFSET] * cos
     for i in range(arcs):
         kappa = curvature(state, (i + 0.5) * step + start_m, spacing_m)
         path[i, 0], path[i, 1], path[i, 2], path[i, 3], path[i, 4] = i * step, x, y, heading, kappa
-        cos, sin = math.cos(heading), math.sin(heading)
-        along, aside = _on_arc(kappa, 0.5 * step)
         path[i, 5], path[i, 6] = cos, sin
+        turn = 0.25 * kappa * step  # to the middle the arc turns twice, to its end four times as much
+        straight = abs(turn) < 1e-9
+        c, s = math.cos(turn), math.sin(turn)
+        chord = 0.5 * step if straight else 0.5 * step * s / turn
+        along, aside = chord * c, chord * s
         path[i, 7], path[i, 8] = x + along * cos - aside * sin, y + along * sin + aside * cos
-        along, aside = _on_arc(kappa, step)
+        c, s = c * c - s * s, 2.0 * s * c
+        chord = step if straight else step * s / (2.0 * turn)
+        along, aside = chord * c, chord * s
         x, y = x + along * cos - aside * sin, y + along * sin + aside * cos
+        c, s = c * c - s * s, 2.0 * s * c
+        cos, sin = cos * c - sin * s, sin * c + cos * s
         heading += kappa * step
     return path
 

@@ -10,32 +10,24 @@ points of a line share one error besides their own, because a whole line can be 
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from enum import IntEnum
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
+from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.evidence import Equations, Prior, innovation, log_likelihood, posterior, settled, whitened
-from automodel.tracking.lane_motion import Drift, line_beside, moved
+from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, posterior, settled, whitened
+from automodel.tracking.lane_motion import Drift, arc, beside_car, lateral_variance, line_beside, merged, moved
+from automodel.tracking.lane_motion import Part as Part
 from automodel.types import FloatArray
 
 STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later
 STATIONS = 13  # from behind the car to six lane widths ahead, beyond which the road goes on as it does there
-
-
-class Part(IntEnum):
-    """What lies beside the car: indices of the belief's mean."""
-
-    OFFSET = 0
-    THETA = 1
-    KAPPA = 2
-    WIDTH = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,9 +67,10 @@ class RoadModel:
     any_turn_rad: float = 0.4
     any_bend: float = 0.3
 
-    def drift(self) -> Drift:
-        """What gets uncertain on the way."""
-        return Drift(
+    drift: Drift = field(init=False, repr=False, compare=False)  # what gets uncertain on the way
+
+    def __post_init__(self) -> None:
+        drift = Drift(
             unit_m=self.lane_width_m,
             step=self.step,
             turn_rad=self.turn_rad,
@@ -90,6 +83,7 @@ class RoadModel:
             any_bend=self.any_bend,
             forgets=self.bend_walk / (2.0 * self.any_bend**2),  # all roads turn straight again
         )
+        object.__setattr__(self, "drift", drift)
 
 
 class Bends:
@@ -157,14 +151,9 @@ class LaneBelief:
 
         The farther ahead, the less is known of its curvature.
         """
-        spread = np.zeros((ROAD + STATIONS, len(Part)))
-        spread[OFFSET, Part.OFFSET] = spread[THETA, Part.THETA] = spread[WIDTH, Part.WIDTH] = 1.0
-        spread[ROAD:, Part.KAPPA] = 1.0
-        grown = spread @ covariance @ spread.T
-        grown[PITCH, PITCH] = 1.0
-        ahead = STATION * np.arange(STATIONS)
-        grown[ROAD:, ROAD:] += road.bend_walk / road.lane_width_m**2 * np.minimum(ahead[:, None], ahead)
-        return cls(spread @ mean, grown, 0.0, road, reference_x_m)
+        walk = STATION * road.bend_walk / road.lane_width_m**2
+        beside = np.array(mean, np.float64), np.array(covariance, np.float64)  # of the one layout that is compiled
+        return cls(*arc(*beside, STATIONS, walk), 0.0, road, reference_x_m)
 
     @property
     def offset_m(self) -> float:
@@ -189,26 +178,29 @@ class LaneBelief:
     @property
     def mean(self) -> FloatArray:
         """What lies beside the car (4,), in the order of `Part`."""
-        return self._beside_car() @ self.state
+        return self._beside_car()[0]
 
     @property
     def spread(self) -> FloatArray:
         """Covariance (4, 4) of `mean`."""
-        beside = self._beside_car()
-        return beside @ self.covariance @ beside.T
+        return self._beside_car()[1]
+
+    def on(self, road: RoadModel) -> LaneBelief:
+        """The belief on a road that is thought of otherwise."""
+        return LaneBelief(self.state, self.covariance, self.start_m, road, self.reference_x_m)
 
     def without_road(self) -> LaneBelief:
         """What is believed of the lane beside the car alone."""
-        return LaneBelief.arc(self.mean, self.spread, self.road, self.reference_x_m)
+        return LaneBelief.arc(*self._beside_car(), self.road, self.reference_x_m)
 
     def sigma(self, part: Part) -> float:
         """Standard deviation of one part of the mean."""
-        beside = self._beside_car()[part]
-        return math.sqrt(max(float(beside @ self.covariance @ beside), 0.0))
+        return math.sqrt(max(float(self.spread[part, part]), 0.0))
 
     def lateral_variance(self, ahead_m: float) -> float:
         """Of the centerline's place so far ahead of the reference point's foot [m^2]."""
-        return float(self.beside(np.array((ahead_m,)), 0.0)[2][0]) ** 2
+        spacing = STATION * self.road.lane_width_m
+        return lateral_variance(self.state, self.covariance, self.start_m, spacing, self.reference_x_m, ahead_m)
 
     def beside(self, s_m: FloatArray, role: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Where a line runs at arc lengths (n,): points (n, 2) [m], headings (n,) [rad], sigmas (n,) [m]."""
@@ -217,19 +209,8 @@ class LaneBelief:
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""
-        spacing, drift = STATION * self.road.lane_width_m, self.road.drift()
-        after = moved(
-            self.state,
-            self.covariance,
-            self.start_m,
-            spacing,
-            self.reference_x_m,
-            drift,
-            distance_m,
-            turn_rad,
-            dt_s,
-            known,
-        )
+        spacing, here = STATION * self.road.lane_width_m, (self.state, self.covariance, self.start_m)
+        after = moved(*here, spacing, self.reference_x_m, self.road.drift, distance_m, turn_rad, dt_s, known)
         return LaneBelief(*after, self.road, self.reference_x_m)
 
     def update(self, assigned: Sequence[Assigned], way: float = math.inf) -> tuple[LaneBelief, float]:
@@ -245,31 +226,16 @@ class LaneBelief:
 
     def anything(self) -> Clutter:
         """What weighs lines that are things of their own, anywhere in the view."""
-        road, unit = self.road, self.road.lane_width_m
-        prior = np.square((road.anywhere * unit, road.any_turn_rad, road.any_bend / unit, 0.0))
-        return Clutter(LaneBelief.arc(np.zeros(4), np.diag(prior), road, self.reference_x_m))
+        return _clutter(self.road, self.reference_x_m)
 
     def merged(self, other: LaneBelief, others: float) -> LaneBelief:
         """The moments of two beliefs of the same lane, `others` being the other's share."""
-        turn = np.eye(len(self.state))
         spacing = STATION * self.road.lane_width_m
-        turn[ROAD:, ROAD:] = other.weights(spacing * np.arange(STATIONS, dtype=np.float64) - self.start_m)
-        state, covariance = turn @ other.state, turn @ other.covariance @ turn.T
-        away = state - self.state
-        mixed = (1.0 - others) * self.covariance + others * covariance + others * (1.0 - others) * np.outer(away, away)
-        return replace(self, state=self.state + others * away, covariance=mixed)
+        here, there = (self.state, self.covariance, self.start_m), (other.state, other.covariance, other.start_m)
+        return LaneBelief(*merged(*here, *there, spacing, others), self.start_m, self.road, self.reference_x_m)
 
-    def _beside_car(self) -> FloatArray:
-        """Of the state (n,), what lies beside the car: (4, n)."""
-        beside = np.zeros((len(Part), len(self.state)))
-        beside[Part.OFFSET, OFFSET] = beside[Part.THETA, THETA] = beside[Part.WIDTH, WIDTH] = 1.0
-        beside[Part.KAPPA, ROAD:] = self.weights(np.zeros(1))[0]
-        return beside
-
-    def weights(self, s_m: FloatArray) -> FloatArray:
-        """Shares (n, stations) of the stations' curvatures in that at arc lengths (n,): linear in between."""
-        at = np.clip((s_m + self.start_m) / (STATION * self.road.lane_width_m), 0.0, STATIONS - 1.0)
-        return np.maximum(1.0 - np.abs(at[:, None] - np.arange(STATIONS)), 0.0)
+    def _beside_car(self) -> tuple[FloatArray, FloatArray]:
+        return beside_car(self.state, self.covariance, self.start_m, STATION * self.road.lane_width_m)
 
 
 class Look(NamedTuple):
@@ -310,8 +276,10 @@ class Evidence:
 
     def log_likelihood(self, looks: Sequence[Look]) -> float:
         """The logarithm of how likely lines are [nats]."""
-        equations = zip(*(look.equations for look in looks), strict=True)
-        return log_likelihood(Equations(*(np.concatenate(parts) for parts in equations)))
+        equations = [look.equations for look in looks]
+        if len(equations) == 1:
+            return log_likelihood(equations[0])
+        return log_likelihood(Equations(*map(np.concatenate, zip(*equations, strict=True))))
 
     def explained(self, lines: Sequence[Assigned], gate: float) -> list[Assigned]:
         """The lines that are likelier in their role than as a thing of their own, and fit there.
@@ -321,25 +289,29 @@ class Evidence:
         """
         anything, explained = self.belief.anything(), []
         for line, role in lines:
-            (look,) = self.looks(line, (role,))
-            squares, volume = innovation(look.equations)
+            squares, volume = self._fit(line, role)
             if squares < gate and -0.5 * (squares + volume) > anything.of_line(line):
                 explained.append(Assigned(line, role))
         return explained
 
     def of_line(self, line: SightedLine, role: float = 0.0) -> float:
         """The logarithm of how likely a line is in a role [nats]."""
-        return self.log_likelihood(self.looks(line, (role,)))
+        squares, volume = self._fit(line, role)
+        return -0.5 * (squares + volume)
 
     def update(self, lines: Sequence[tuple[SightedLine, float]], way: float = math.inf) -> LaneBelief:
         """The belief after lines in their roles; `way` as in `LaneBelief.update`."""
         share = min(way / self.belief.road.news, 1.0)
         state, covariance = posterior(self._prior, *self._settled(lines, share), share)
-        return replace(self.belief, state=state, covariance=covariance)
+        belief = self.belief
+        return LaneBelief(state, covariance, belief.start_m, belief.road, belief.reference_x_m)
+
+    def _fit(self, line: SightedLine, role: float) -> tuple[float, float]:
+        return fit(self._prior, line.points_m.copy(), role)  # a copy has the one layout that is compiled
 
     def _settled(self, lines: Sequence[tuple[SightedLine, float]], share: float) -> tuple[Equations, FloatArray]:
         points = [line.points_m for line, _ in lines]
-        ends = np.cumsum([len(part) for part in points])
+        ends = np.array(list(itertools.accumulate(map(len, points))))
         return settled(self._prior, np.concatenate(points), ends, np.array([role for _, role in lines]), share)
 
 
@@ -360,6 +332,13 @@ class Clutter:
         aside = line.points_m[:, 1] / self._sigma_m
         corners = -0.5 * float(aside @ aside) - len(aside) * math.log(self._sigma_m * math.sqrt(math.tau))
         return float(np.logaddexp(self._smooth.of_line(line), corners - self.CORNERS))
+
+
+@functools.lru_cache(maxsize=8)
+def _clutter(road: RoadModel, reference_x_m: float) -> Clutter:
+    unit = road.lane_width_m
+    prior = np.square((road.anywhere * unit, road.any_turn_rad, road.any_bend / unit, 0.0))
+    return Clutter(LaneBelief.arc(np.zeros(4), np.diag(prior), road, reference_x_m))
 
 
 @functools.cache

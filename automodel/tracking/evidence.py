@@ -60,13 +60,17 @@ class Equations(NamedTuple):
 def factor(matrix: FloatArray) -> FloatArray:
     """Lower triangular square root of a positive definite matrix (Cholesky)."""
     size = len(matrix)
-    root = np.zeros((size, size))
+    root, column = np.zeros((size, size)), np.empty(size)
     for i in range(size):
         for j in range(i + 1):
-            rest = matrix[i, j]
-            for k in range(j):
-                rest -= root[i, k] * root[j, k]
-            root[i, j] = math.sqrt(max(rest, 1e-300)) if i == j else rest / root[j, j]
+            root[i, j] = matrix[i, j]
+    for k in range(size):  # what is left of the matrix without its first columns
+        root[k, k] = math.sqrt(max(root[k, k], 1e-300))
+        for i in range(k + 1, size):
+            root[i, k] /= root[k, k]
+            column[i] = root[i, k]
+            for j in range(k + 1, i + 1):
+                root[i, j] -= root[i, k] * column[j]
     return root
 
 
@@ -146,42 +150,57 @@ def _misfit(prior: Prior, path: FloatArray, state: FloatArray, nod: float, point
 
 @compiled
 def _equations(
-    prior: Prior, path: FloatArray, state: FloatArray, points: FloatArray, role: float
-) -> tuple[FloatArray, FloatArray, float]:
-    """Information, vector and misfit of a line, linearised about a state with its path."""
+    prior: Prior,
+    path: FloatArray,
+    state: FloatArray,
+    points: FloatArray,
+    role: float,
+    information: FloatArray,
+    vector: FloatArray,
+) -> float:
+    """Fill information and vector of a line, linearised about a state with its path, and return its misfit."""
     size, full = len(state), len(prior.root)
     away = state - prior.state
-    row, white, rest = np.empty(full), np.zeros((full, len(points))), np.empty(len(points))
-    white_sum, rest_sum = np.zeros(full), 0.0
+    row, white = np.empty(full), np.empty(full)
+    white_sum, rest_sum, misfit = np.zeros(full), 0.0, 0.0
+    information[:], vector[:] = 0.0, 0.0
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         s, left = foot_on(path, x, y)
         heading = path_row(row[:size], path, prior.start_m, prior.spacing_m, prior.reference_x_m, s)[2]
         tilt = _tilt(prior, x, y, heading)
         row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
-        rest[k] = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
-        rest_sum += rest[k]
-        for i in range(full):  # the root is triangular
+        rest = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
+        white[:] = 0.0
+        for i in range(full):  # the root is triangular, and the curvature beyond the point moves it by nothing
+            if row[i] != 0.0:
+                for j in range(i + 1):
+                    white[j] += row[i] * prior.root[i, j]
+        rest_sum, misfit = rest_sum + rest, misfit + rest * rest
+        for i in range(full):
+            white_sum[i] += white[i]
+            vector[i] += white[i] * rest
             for j in range(i + 1):
-                white[j, k] += row[i] * prior.root[i, j]
-        white_sum += white[:, k]
+                information[i, j] += white[i] * white[j]
     shared = prior.line_share / (1.0 + len(points) * prior.line_share)
-    information, vector, misfit = np.empty((full, full)), np.empty(full), -shared * rest_sum * rest_sum
-    for k in range(len(points)):
-        misfit += rest[k] * rest[k]
     for i in range(full):
-        vector[i] = (dot(white[i], rest) - shared * white_sum[i] * rest_sum) / prior.point_variance
+        vector[i] = (vector[i] - shared * white_sum[i] * rest_sum) / prior.point_variance
         for j in range(i + 1):
-            total = dot(white[i], white[j]) - shared * white_sum[i] * white_sum[j]
+            total = information[i, j] - shared * white_sum[i] * white_sum[j]
             information[i, j] = information[j, i] = total / prior.point_variance
-    return information, vector, misfit / prior.point_variance
+    return (misfit - shared * rest_sum * rest_sum) / prior.point_variance
 
 
 @compiled
-def _together(equations: Equations, share: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The lines' information and vector, and the square root of the information with the belief's own."""
-    information, vector = share * equations.information.sum(axis=0), share * equations.vector.sum(axis=0)
-    return information, vector, factor(np.eye(len(vector)) + information)
+def _together(equations: Equations, share: float) -> tuple[FloatArray, FloatArray]:
+    """The lines' vector, and the square root of their information with the belief's own."""
+    information, vector = share * equations.information[0], share * equations.vector[0]
+    for i in range(1, len(equations.vector)):
+        information += share * equations.information[i]
+        vector += share * equations.vector[i]
+    for i in range(len(vector)):
+        information[i, i] += 1.0
+    return vector, factor(information)
 
 
 @compiled
@@ -206,11 +225,11 @@ def settled(
     for _ in range(ROUNDS):
         for i in range(count):
             line = points[ends[i - 1] if i else 0 : ends[i]]
-            information[i], vector[i], misfit[i] = _equations(prior, path, state, line, roles[i])
+            misfit[i] = _equations(prior, path, state, line, roles[i], information[i], vector[i])
         equations = Equations(information, vector, misfit, log_volume)
         if best == np.inf:
             best = share * misfit.sum()
-        _, right, root = _together(equations, share)
+        right, root = _together(equations, share)
         step = backward(root, forward(root, right)) - z
         tried, uphill = 1.0, False
         for _ in range(ROUNDS):
@@ -240,12 +259,19 @@ def settled(
 @compiled
 def innovation(equations: Equations) -> tuple[float, float]:
     """Squared innovation of lines over its covariance S, which the belief and their errors give, and log |2 pi S|."""
-    _, vector, root = _together(equations, 1.0)
+    vector, root = _together(equations, 1.0)
     white = forward(root, vector)
     volume = equations.log_volume.sum()
     for i in range(len(root)):
         volume += 2.0 * math.log(root[i, i])
     return equations.misfit.sum() - dot(white, white), volume
+
+
+@compiled
+def fit(prior: Prior, points: FloatArray, role: float) -> tuple[float, float]:
+    """The `innovation` of one line, whose points (k, 2) play a role."""
+    equations, _ = settled(prior, points, np.array((len(points),)), np.array((role,)), 1.0)
+    return innovation(equations)
 
 
 @compiled
@@ -258,7 +284,7 @@ def log_likelihood(equations: Equations) -> float:
 @compiled
 def posterior(prior: Prior, equations: Equations, z: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
     """State (n,) and covariance (n, n) after lines that count by a `share` and put it at z."""
-    root = _together(equations, share)[2]
+    root = _together(equations, share)[1]
     size = len(root) - 1
     half, covariance = np.empty((size, size + 1)), np.empty((size, size))
     for i in range(size):

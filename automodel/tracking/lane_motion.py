@@ -1,4 +1,4 @@
-"""How a believed lane moves beneath the car: its offset and heading, and the stations of its road, which stay behind.
+"""How a believed lane lies beneath the car and moves there: offset and heading, and its road's stations, which stay.
 
 The state (4 + stations,) is that of `belief.LaneBelief`, its stations those of `lane_path`.
 """
@@ -6,6 +6,7 @@ The state (4 + stations,) is that of `belief.LaneBelief`, its stations those of 
 from __future__ import annotations
 
 import math
+from enum import IntEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +37,104 @@ class Drift(NamedTuple):
     width_walk: float
     any_bend: float
     forgets: float
+
+
+class Part(IntEnum):
+    """What lies beside the car: indices of a belief's mean."""
+
+    OFFSET = 0
+    THETA = 1
+    KAPPA = 2
+    WIDTH = 3
+
+
+_BESIDE = (OFFSET, THETA, ROAD, WIDTH)  # the state's index of each part; of the curvature, that of the first station
+
+
+@compiled
+def arc(mean: FloatArray, covariance: FloatArray, stations: int, walk: float) -> tuple[FloatArray, FloatArray]:
+    """State (4 + stations,) and covariance of a lane of which only what lies beside the car is known.
+
+    Mean (4,) and covariance (4, 4) are in the order of `Part`; `walk`: variance that the curvature gains from one
+    station to the next.
+    """
+    size = ROAD + stations
+    part, state, grown = np.full(size, Part.KAPPA.value), np.empty(size), np.empty((size, size))
+    part[OFFSET], part[THETA], part[WIDTH] = Part.OFFSET.value, Part.THETA.value, Part.WIDTH.value
+    for i in range(size):
+        state[i] = 0.0 if i == PITCH else mean[part[i]]
+        for j in range(size):
+            nod = 1.0 if i == j else 0.0  # the camera's pitch in sigmas
+            grown[i, j] = nod if PITCH in (i, j) else covariance[part[i], part[j]]
+            if i >= ROAD and j >= ROAD:
+                grown[i, j] += walk * min(i - ROAD, j - ROAD)
+    return state, grown
+
+
+@compiled
+def beside_car(
+    state: FloatArray, covariance: FloatArray, start_m: float, spacing_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (4,) and covariance (4, 4) of what lies beside the car, in the order of `Part`."""
+    first, share = station(start_m, spacing_m, len(state) - ROAD)
+    mean, spread = np.empty(len(_BESIDE)), np.empty((len(_BESIDE), len(_BESIDE)))
+    for a in range(len(_BESIDE)):
+        i, after = _BESIDE[a], 0
+        if i == ROAD:
+            i, after = i + first, 1
+        mean[a] = (1.0 - share * after) * state[i] + share * after * state[i + after]
+        for b in range(len(_BESIDE)):
+            j, beyond = _BESIDE[b], 0
+            if j == ROAD:
+                j, beyond = j + first, 1
+            here = (1.0 - share * beyond) * covariance[i, j] + share * beyond * covariance[i, j + beyond]
+            i1 = i + after
+            there = (1.0 - share * beyond) * covariance[i1, j] + share * beyond * covariance[i1, j + beyond]
+            spread[a, b] = (1.0 - share * after) * here + share * after * there
+    return mean, spread
+
+
+@compiled
+def merged(
+    state: FloatArray,
+    covariance: FloatArray,
+    start_m: float,
+    other_state: FloatArray,
+    other_covariance: FloatArray,
+    other_start_m: float,
+    spacing_m: float,
+    others: float,
+) -> tuple[FloatArray, FloatArray]:
+    """The moments of two beliefs of the same lane about the first one's stations, `others` being the other's share."""
+    size = len(state)
+    turn, away, mixed = np.zeros((size, size)), np.empty(size), np.empty(size)
+    for i in range(size):
+        turn[i, i] = 1.0
+        if i >= ROAD:
+            first, share = station((i - ROAD) * spacing_m - start_m + other_start_m, spacing_m, size - ROAD)
+            turn[i, i] = 0.0
+            turn[i, ROAD + first], turn[i, ROAD + first + 1] = 1.0 - share, share
+    for i in range(size):
+        away[i] = -state[i]
+        for j in range(size):
+            away[i] += turn[i, j] * other_state[j]
+        mixed[i] = state[i] + others * away[i]
+    turned, both = np.empty((size, size)), np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            turned[i, j] = 0.0
+        for k in range(size):
+            if turn[i, k] != 0.0:
+                for j in range(size):
+                    turned[i, j] += turn[i, k] * other_covariance[k, j]
+    for i in range(size):
+        for j in range(size):
+            theirs = 0.0
+            for k in range(size):
+                theirs += turned[i, k] * turn[j, k]
+            between = others * (1.0 - others) * away[i] * away[j]
+            both[i, j] = (1.0 - others) * covariance[i, j] + others * theirs + between
+    return mixed, both
 
 
 @compiled
@@ -123,6 +222,27 @@ def _rolled(
 
 
 @compiled
+def lateral_variance(
+    state: FloatArray, covariance: FloatArray, start_m: float, spacing_m: float, reference_x_m: float, ahead_m: float
+) -> float:
+    """Of the centerline's place so far ahead of the reference point's foot [m^2]."""
+    row = np.empty(len(state))
+    path_row(row, lane_path(state, start_m, spacing_m, reference_x_m), start_m, spacing_m, reference_x_m, ahead_m)
+    return _variance(row, covariance)
+
+
+@compiled
+def _variance(row: FloatArray, covariance: FloatArray) -> float:
+    """Of a row times the state."""
+    variance = 0.0
+    for j in range(len(row)):
+        if row[j] != 0.0:
+            for k in range(len(row)):
+                variance += row[j] * covariance[j, k] * row[k]
+    return max(variance, 0.0)
+
+
+@compiled
 def line_beside(
     state: FloatArray,
     covariance: FloatArray,
@@ -141,9 +261,5 @@ def line_beside(
         row[WIDTH], row[PITCH] = role, 0.0
         points[i, 0] = x - role * state[WIDTH] * math.sin(heading[i])
         points[i, 1] = y + role * state[WIDTH] * math.cos(heading[i])
-        variance = 0.0
-        for j in range(len(row)):
-            for k in range(len(row)):
-                variance += row[j] * covariance[j, k] * row[k]
-        sigma[i] = math.sqrt(max(variance, 0.0))
+        sigma[i] = math.sqrt(_variance(row, covariance))
     return points, heading, sigma

@@ -336,7 +336,7 @@ class LaneTracking:
         assert belief is not None
         if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-            evidence = Evidence(replace(belief, road=self._bends.road))
+            evidence = Evidence(belief.on(self._bends.road))
             assigned = evidence.explained(own, self.config.gate)
             if len(assigned) < len(own):
                 self._contradict(belief)
