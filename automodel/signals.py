@@ -19,12 +19,18 @@ FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this sh
 
 
 def _read_only(values: object, shape: tuple[int | None, ...], name: str) -> FloatArray:
-    array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
-    expected = tuple([got if size is None else size for got, size in zip(array.shape, shape, strict=False)])
-    if array.ndim != len(shape) or array.shape != expected:
+    if type(values) is np.ndarray and values.base is None and not values.flags.writeable and values.dtype == np.float64:
+        array: FloatArray = values  # nobody writes to it
+    else:
+        array = values.astype(np.float64) if isinstance(values, np.ndarray) else np.array(values, dtype=np.float64)
+        array.flags.writeable = False
+    if array.shape != shape and not _fits(array.shape, shape):
         raise ValueError(f"{name}: expected shape {shape}, got {array.shape}")
-    array.flags.writeable = False
     return array
+
+
+def _fits(got: tuple[int, ...], shape: tuple[int | None, ...]) -> bool:
+    return len(got) == len(shape) and all(size in (n, None) for n, size in zip(got, shape, strict=True))
 
 
 def _frozen_image(image: Image, name: str) -> Image:

@@ -84,19 +84,22 @@ class ImageMotion:
     def reset(self) -> None:
         """Forget the last image and motion."""
         self._last: Frame | None = None
+        self._given: Motion | None = None  # of the last frame, where it came with one
         self._mean: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s]
         self._covariance = self._nothing()
 
     def step(self, frame: Frame, motion: Motion) -> Motion:
         """The motion up to a frame: as given where it is known, else as seen; unknown where too little was seen."""
         last, self._last = self._last, frame
+        if motion.known and math.isfinite(motion.speed_mps + motion.yaw_rate_radps):
+            self._given = motion
+            return motion
         config, unit = self.config, self._unit
         told = np.array((config.speed * unit, config.yaw_rate_radps))
-        if motion.known and math.isfinite(motion.speed_mps + motion.yaw_rate_radps):
+        if self._given is not None:
             most = self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))
-            self._mean = np.clip((motion.speed_mps, motion.yaw_rate_radps), -most, most)
-            self._covariance = np.diag(told**2)
-            return motion
+            self._mean = np.clip((self._given.speed_mps, self._given.yaw_rate_radps), -most, most)
+            self._covariance, self._given = np.diag(told**2), None
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
         if last is None or not 0.0 < dt_s <= MAX_GAP_S or not self._fits(last) or not self._fits(frame):
             self._mean, self._covariance = np.zeros(2), self._nothing()

@@ -231,9 +231,9 @@ class Contour:
         for k in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
-            sigma_m = tracker.sigma_m(shape)
-            seen = self._search.look(image, shape, tracker.half_m(), tracker.config.gate * sigma_m)
-            self._without_reflections(image, shape, seen)
+            sigma_m, half_m = tracker.sigma_m(shape), tracker.half_m()
+            seen = self._search.look(image, shape, half_m, tracker.config.gate * sigma_m)
+            self._without_reflections(image, shape, seen, half_m)
             if predicted and k == 0 and self._monitor.contradicted(sigma_m, seen.nodes, seen.residual, seen.found):
                 self._tracking.contradict_odometry()
             stages.lap("search")
@@ -243,11 +243,11 @@ class Contour:
                 break
         return Tracked(shape, seen, inliers)
 
-    def _without_reflections(self, image: Image, shape: PairShape, seen: NodeMeasurements) -> None:
+    def _without_reflections(self, image: Image, shape: PairShape, seen: NodeMeasurements, half_m: Floats) -> None:
         """Nodes that lie on a reflection were not found."""
         count = len(seen.nodes)
         found = seen.found[:count] > 0.0
-        sides = seen.points(shape, found, self._tracker.half_m())
+        sides = seen.points(shape, found, half_m)
         if self._reflections.any_points_to_camera(*sides):
             away = np.concatenate([self._reflections.on_streaks(image, points) for points in sides])
             lost = np.flatnonzero(found)[away]

@@ -21,7 +21,7 @@ import numpy as np
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, posterior, settled, whitened
+from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, arc, beside_car, lateral_variance, line_beside, merged, moved
 from automodel.tracking.lane_motion import Part as Part
 from automodel.types import FloatArray
@@ -246,6 +246,23 @@ class Look(NamedTuple):
     equations: Equations
 
 
+def prior_of(belief: LaneBelief) -> Prior:
+    """A belief as lines are weighed against it."""
+    road, unit = belief.road, belief.road.lane_width_m
+    point_variance = (road.point_markings * road.marking_width_m) ** 2
+    return Prior(
+        state=belief.state,
+        start_m=belief.start_m,
+        spacing_m=STATION * unit,
+        reference_x_m=belief.reference_x_m,
+        root=whitened(np.ascontiguousarray(belief.covariance)),
+        point_variance=point_variance,
+        line_share=(road.line_sigma * unit) ** 2 / point_variance,
+        eye_m=road.eye_m,
+        pitch_rad=road.pitch_rad,
+    )
+
+
 class Evidence:
     """What lines say about a `belief`.
 
@@ -255,20 +272,7 @@ class Evidence:
     """
 
     def __init__(self, belief: LaneBelief) -> None:
-        self.belief = belief
-        road, unit = belief.road, belief.road.lane_width_m
-        point_variance = (road.point_markings * road.marking_width_m) ** 2
-        self._prior = Prior(
-            state=belief.state,
-            start_m=belief.start_m,
-            spacing_m=STATION * unit,
-            reference_x_m=belief.reference_x_m,
-            root=whitened(np.ascontiguousarray(belief.covariance)),
-            point_variance=point_variance,
-            line_share=(road.line_sigma * unit) ** 2 / point_variance,
-            eye_m=road.eye_m,
-            pitch_rad=road.pitch_rad,
-        )
+        self.belief, self._prior = belief, prior_of(belief)
 
     def looks(self, line: SightedLine, roles: Sequence[float]) -> list[Look]:
         """A line in each of several roles."""
@@ -324,14 +328,12 @@ class Clutter:
     CORNERS = 4.0  # [nats] one thing in 50 has
 
     def __init__(self, somewhere: LaneBelief) -> None:
-        self._smooth = Evidence(somewhere)
+        self._prior = prior_of(somewhere)
         self._sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m
 
     def of_line(self, line: SightedLine) -> float:
         """The logarithm of how likely a line is [nats]."""
-        aside = line.points_m[:, 1] / self._sigma_m
-        corners = -0.5 * float(aside @ aside) - len(aside) * math.log(self._sigma_m * math.sqrt(math.tau))
-        return float(np.logaddexp(self._smooth.of_line(line), corners - self.CORNERS))
+        return own_thing(self._prior, line.points_m.copy(), self._sigma_m, self.CORNERS)
 
 
 @functools.lru_cache(maxsize=8)

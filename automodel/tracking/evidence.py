@@ -275,6 +275,20 @@ def fit(prior: Prior, points: FloatArray, role: float) -> tuple[float, float]:
 
 
 @compiled
+def own_thing(prior: Prior, points: FloatArray, sigma_m: float, corners: float) -> float:
+    """The logarithm of how likely a line's points (k, 2) [m] are as a thing of its own [nats].
+
+    It is as smooth as a road of `prior`, or has `corners`, less likely by so many nats: its points lie anywhere with a
+    lateral sigma.
+    """
+    squares, volume = fit(prior, points, 0.0)
+    smooth, anywhere = -0.5 * (squares + volume), -corners
+    for i in range(len(points)):
+        anywhere -= 0.5 * (points[i, 1] / sigma_m) ** 2 + math.log(sigma_m * math.sqrt(math.tau))
+    return max(smooth, anywhere) + math.log1p(math.exp(-abs(smooth - anywhere)))
+
+
+@compiled
 def log_likelihood(equations: Equations) -> float:
     """The logarithm of how likely lines are [nats]."""
     squares, volume = innovation(equations)

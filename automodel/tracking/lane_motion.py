@@ -180,15 +180,16 @@ def moved(
     state[WIDTH] += (1.0 - kept) * (unit - state[WIDTH])
     # By so many lane widths the road may lie elsewhere; what lay there before is known as well as that allows.
     same = math.exp(-drift.forgets * (drift.pace * step if known else drift.lost_pace * dt_s))
-    state[ROAD:] *= same
-    covariance[WIDTH] *= kept
-    covariance[:, WIDTH] *= kept
-    covariance[ROAD:] *= same
-    covariance[:, ROAD:] *= same
+    shares = np.ones(size)
+    shares[WIDTH], shares[ROAD:] = kept, same
+    for i in range(size):
+        for j in range(size):
+            covariance[i, j] *= shares[i] * shares[j]
     covariance[OFFSET, OFFSET] += (drift.step * unit) ** 2 * step
     covariance[THETA, THETA] += drift.turn_rad**2 * step
     covariance[WIDTH, WIDTH] += (drift.width_sigma * unit) ** 2 * (1.0 - kept * kept)
     for i in range(ROAD, size):
+        state[i] *= same
         covariance[i, i] += (drift.any_bend / unit) ** 2 * (1.0 - same * same)
     if not known:
         covariance[OFFSET, OFFSET] += (drift.lost_step * unit) ** 2 * dt_s

@@ -504,14 +504,22 @@ class LaneTracking:
         return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
 
     def _estimate(self, frame: Frame, status: LaneStatus, followed: Followed) -> LaneEstimate:
-        offset_bound, heading_bound = self._bounds(followed.pose)
+        pose, (offset_bound, heading_bound) = followed.pose, self._bounds(followed.pose)
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=status,
             left=followed.left,
             right=followed.right,
             centerline=followed.centerline,
-            pose=replace(followed.pose, offset_bound_m=offset_bound, heading_bound_rad=heading_bound),
+            pose=LanePose(
+                offset_m=pose.offset_m,
+                heading_rad=pose.heading_rad,
+                width_m=pose.width_m,
+                curvature_per_m=pose.curvature_per_m,
+                covariance=pose.covariance,
+                offset_bound_m=offset_bound,
+                heading_bound_rad=heading_bound,
+            ),
             crossing=followed.crossing,
             frame_age_ns=max(frame.t_ns - self._seen_ns, 0),
         )
@@ -562,4 +570,4 @@ def _sighted(points_m: FloatArray) -> SightedLine:
 
 
 def _length_m(points_m: FloatArray) -> float:
-    return float(np.hypot(*(points_m[-1] - points_m[0])))
+    return math.dist(points_m[0].tolist(), points_m[-1].tolist())

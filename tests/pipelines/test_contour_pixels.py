@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
+from automodel.perception.markings.reflections import Reflections
+from automodel.perception.rows import brightness, row_search
+from automodel.perception.rows.brightness import read_pixels
+from automodel.perception.rows.row_ridges import GATE, REACH
+from automodel.perception.rows.row_search import measure_nodes
 from automodel.pipelines.contour import Contour
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion
 from automodel.sim.track_files import load_track
+from automodel.types import Image
 from tests.support.masked_drives import arc, gap, line, road
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, with_camera
 
@@ -30,66 +36,57 @@ EVERYTHING = 1.0  # the whole view is searched for lines: without a lane, and in
 GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601
 
 
-class WatchedImage:
-    """An image that is no array: what is taken out of it is remembered, and nothing else can be done with it.
+class WatchedPixels:
+    """Stands in for the two compiled functions that read an image: remembers which of its pixels they are told to read.
 
-    Views (`reshape`, slices) read nothing; values leave it only by `take`, by indexing with arrays or single places,
-    and by conversion to an array, which reads all of it.
+    All others are noise for `measure_nodes`, which is told places on the road: it reads no pixel that is not noted.
     """
 
-    def __init__(self, values: np.ndarray, places: np.ndarray | None = None, read: set[int] | None = None) -> None:
-        """`places` tells the pixel that each value belongs to."""
-        self._values = values
-        if places is None:
-            height, width = values.shape[:2]
-            pixels = np.arange(height * width).reshape(height, width, *[1] * (values.ndim - 2))
-            places = np.broadcast_to(pixels, values.shape)
-        self._places = places
-        self.read: set[int] = set() if read is None else read
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.read: set[int] = set()
+        self._random = np.random.default_rng(5)
+        monkeypatch.setattr(row_search, "measure_nodes", self._measure_nodes)
+        monkeypatch.setattr(brightness, "read_pixels", self._read_pixels)
+        search, streak = Contour._lines_in_view, Reflections._streak
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        return self._values.shape
+        def search_everything(contour: Contour, image: Image) -> Image:
+            self.read.update(range(image.shape[0] * image.shape[1]))
+            return search(contour, image)
 
-    @property
-    def ndim(self) -> int:
-        return self._values.ndim
+        monkeypatch.setattr(Contour, "_lines_in_view", search_everything)
 
-    @property
-    def size(self) -> int:
-        return self._values.size
+        def watched_streak(reflections: Reflections, image: Any, points: Any) -> bool:
+            image = Noting(image, self)
+            return streak(reflections, image, points)
 
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        return self._values.dtype
+        monkeypatch.setattr(Reflections, "_streak", watched_streak)
 
-    def __len__(self) -> int:
-        return len(self._values)
+    def _measure_nodes(self, view: Any, pixels: Any, place: Any, along: Any, half_m: Any, runs: Any, *rest: Any) -> Any:
+        image, channel, negated = pixels
+        wider = runs.wider[np.searchsorted(runs.wider, rest[0].max())]
+        reach, size = REACH + (wider - 1) * GATE, (runs.height_px, runs.width_px)
+        lengths = runs.half_m, runs.sample_m
+        at = np.clip(row_search.lay_nodes(view, place, along, half_m, lengths, int(reach), size)[1], 0, len(image) - 1)
+        noise = self._random.integers(0, 256, image.shape).astype(np.uint8)
+        noise[at] = image[at]
+        noise.flags.writeable = False
+        self.read.update(np.unique(at).tolist())
+        return measure_nodes(view, (noise, channel, negated), place, along, half_m, runs, *rest)
 
-    def reshape(self, *shape: Any) -> WatchedImage:
-        return WatchedImage(self._values.reshape(*shape), self._places.reshape(*shape), self.read)
+    def _read_pixels(self, image: Any, channel: int, negated: bool, pixels: Any) -> Any:
+        self.read.update(np.unique(np.clip(pixels, 0, len(image) - 1)).tolist())
+        return read_pixels(image, channel, negated, pixels)
 
-    def ravel(self) -> WatchedImage:
-        return self.reshape(-1)
 
-    def take(self, indices: Any, axis: int | None = None, out: Any = None, mode: Any = "raise") -> np.ndarray:
-        self._note(self._places.take(indices, axis=axis, mode=mode))
-        return self._values.take(indices, axis=axis, out=out, mode=mode)
+class Noting:
+    """An image of which single pixels alone can be read; they are noted."""
 
-    def __getitem__(self, key: Any) -> Any:
-        parts = key if isinstance(key, tuple) else (key,)
-        values, places = self._values[key], self._places[key]
-        if all(isinstance(part, (slice, type(Ellipsis), int)) for part in parts) and values.ndim:
-            return WatchedImage(values, places, self.read)
-        self._note(places)
-        return values
+    def __init__(self, image: Any, pixels: WatchedPixels) -> None:
+        self._image, self._pixels, self.shape = image, pixels, image.shape
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        self._note(self._places)
-        return self._values.astype(dtype or self._values.dtype)
-
-    def _note(self, places: Any) -> None:
-        self.read.update(np.unique(places).tolist())
+    def __getitem__(self, places: tuple[np.ndarray, np.ndarray]) -> Any:
+        self._pixels.read.update(np.unique(places[0] * self.shape[1] + places[1]).tolist())
+        return self._image[places]
 
 
 class Watched:
@@ -97,24 +94,29 @@ class Watched:
 
     name = "contour"
 
-    def __init__(self, car: CarConfig) -> None:
-        self.watched = Contour(car)
+    def __init__(self, car: CarConfig, pixels: WatchedPixels) -> None:
+        self.watched, self._pixels = Contour(car), pixels
         self.shares: list[float] = []
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        image = WatchedImage(frame.image)
-        reported = Frame(t_ns=frame.t_ns, index=frame.index, image=frame.image)
-        object.__setattr__(reported, "image", image)  # a frame takes arrays only
-        estimate = self.watched.step(reported, motion)
-        self.shares.append(len(image.read) / (frame.image.shape[0] * frame.image.shape[1]))
+        self._pixels.read.clear()
+        estimate = self.watched.step(frame, motion)
+        self.shares.append(len(self._pixels.read) / (frame.image.shape[0] * frame.image.shape[1]))
         return estimate
 
     def reset(self) -> None:
         self.watched.reset()
 
 
-def watch(car: CarConfig = CAR, track=WINDING, to_m: float = 3.0, **options: Any) -> tuple[list[Seen], list[float]]:
-    pipeline = Watched(car)
+@pytest.fixture
+def watched_pixels(monkeypatch: pytest.MonkeyPatch) -> WatchedPixels:
+    return WatchedPixels(monkeypatch)
+
+
+def watch(
+    pixels: WatchedPixels, car: CarConfig = CAR, track=WINDING, to_m: float = 3.0, **options: Any
+) -> tuple[list[Seen], list[float]]:
+    pipeline = Watched(car, pixels)
     seen = RenderedDrive(track=track, car=car, pipeline=pipeline, **options).run(0.3, to_m)
     return seen, pipeline.shares
 
@@ -128,31 +130,28 @@ def check_shares(shares: Sequence[float], searching: float, most: float = TRACKI
     assert len(following) >= (1.0 - searching) * len(shares)
 
 
-def test_a_watched_image_remembers_what_is_read() -> None:
+def test_what_is_read_is_noted(watched_pixels: WatchedPixels) -> None:
     picture = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
-    image = WatchedImage(picture)
-    channel = image.reshape(-1, 3)[:, 1]
-    assert not image.read
-    assert channel.take(np.array([7, 9, 2, 2]), mode="clip").tolist() == [22, 22, 7, 7]
-    assert image.read == {7, 2}
-    assert image[1, 1, 2] == 17
-    assert image[np.array([0]), np.array([3])].tolist() == [[9, 10, 11]]
-    assert image.read == {7, 2, 5, 3}
-    assert image.reshape(-1, 3).take([4], axis=0).tolist() == [[12, 13, 14]]
-    assert image[0].ndim == 2
-    assert image.read == {7, 2, 5, 3, 4}
-    np.testing.assert_array_equal(np.asarray(image), picture)
-    assert image.read == set(range(8))
+    assert brightness.Brightness("green", False).read(picture, np.array([[7, 9], [2, -3]])).tolist() == [
+        [22, 22],
+        [7, 1],
+    ]
+    assert watched_pixels.read == {7, 2, 0}
+    still = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
+    watched = Watched(CAR, watched_pixels)
+    watched.step(Frame(t_ns=0, index=0, image=np.zeros((360, 640), np.uint8)), still)
+    assert watched.shares == [EVERYTHING]
 
 
 @pytest.mark.parametrize("colour", [False, True])
-def test_few_pixels_are_read(colour: bool) -> None:
+def test_few_pixels_are_read(watched_pixels: WatchedPixels, monkeypatch: pytest.MonkeyPatch, colour: bool) -> None:
     car = with_camera(camera(colour=colour))
-    seen, shares = watch(car)
+    seen, shares = watch(watched_pixels, car)
     assert seen[0].frame.image.shape[:2] == (360, 640)
     assert seen[0].frame.image.ndim == (3 if colour else 2)
     assert all(s.estimate.valid for s in seen)
     check_shares(shares, 0.5)  # the road bends to the other side at once: it is in doubt until one story is left
+    monkeypatch.undo()
     plain = RenderedDrive(track=WINDING, car=car, pipeline=Contour(car)).run(0.3, 1.0)
     for one, other in zip(plain, seen, strict=False):  # nothing but the watching differs
         assert one.estimate.pose is not None
@@ -160,9 +159,9 @@ def test_few_pixels_are_read(colour: bool) -> None:
         assert one.estimate.pose.offset_m == other.estimate.pose.offset_m
 
 
-def test_few_pixels_are_read_in_the_dark_and_at_the_next_start() -> None:
+def test_few_pixels_are_read_in_the_dark_and_at_the_next_start(watched_pixels: WatchedPixels) -> None:
     """Coasting, lost, and found again: following reads as little as before."""
-    seen, shares = watch(track=BROKEN, to_m=6.0)
+    seen, shares = watch(watched_pixels, track=BROKEN, to_m=6.0)
     statuses = [s.estimate.status for s in seen]
     assert {LaneStatus.TRACKING, LaneStatus.COASTING, LaneStatus.LOST} <= set(statuses)
     assert statuses[-1] is LaneStatus.TRACKING
@@ -172,17 +171,17 @@ def test_few_pixels_are_read_in_the_dark_and_at_the_next_start() -> None:
 
 
 @pytest.mark.parametrize("radius_lanes", [1.4, 50.0])
-def test_few_pixels_are_read_on_a_highway(radius_lanes: float) -> None:
+def test_few_pixels_are_read_on_a_highway(watched_pixels: WatchedPixels, radius_lanes: float) -> None:
     contour = replace(HIGHWAY_CAR.pipeline.contour, radius_lanes=radius_lanes)
     car = replace(HIGHWAY_CAR, pipeline=replace(HIGHWAY_CAR.pipeline, contour=contour))
-    seen, shares = watch(car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
+    seen, shares = watch(watched_pixels, car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
     assert all(s.estimate.status is LaneStatus.TRACKING for s in seen)
     check_shares(shares, 1.0 / len(shares), MEASURING_SHARE)
     assert np.quantile(shares[1:], 0.8) < TRACKING_SHARE
 
 
-def test_on_the_contest_floor_few_pixels_are_read() -> None:
-    seen, shares = watch(track=load_track("tmr"), to_m=4.0)
+def test_on_the_contest_floor_few_pixels_are_read(watched_pixels: WatchedPixels) -> None:
+    seen, shares = watch(watched_pixels, track=load_track("tmr"), to_m=4.0)
     check_shares(shares, 0.35)  # where one line is in view, every quarter of a lane width of way
     valid = [s.estimate.valid for s in seen]
     followed = [shares[k] for k in range(4, len(seen)) if all(valid[k - 4 : k + 1])]
@@ -304,12 +303,3 @@ def test_one_channel_is_read(colour: str, channel: int) -> None:
         assert one.estimate.pose is not None
         assert reported.pose is not None
         assert reported.pose.offset_m == one.estimate.pose.offset_m
-
-
-def test_watching_refuses_what_is_not_watched() -> None:
-    with pytest.raises(AttributeError):
-        WatchedImage(np.zeros((2, 2), np.uint8)).copy()  # type: ignore[attr-defined]
-    still = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
-    watched = Watched(CAR)
-    watched.step(Frame(t_ns=0, index=0, image=np.zeros((360, 640), np.uint8)), still)
-    assert watched.shares == [EVERYTHING]

@@ -24,9 +24,10 @@ from automodel.estimation.clothoid.clothoid_pair import (
     ClothoidPair,
     PairShape,
 )
-from automodel.estimation.clothoid.solvers import SOLVERS, State, correct, gradient_descent
+from automodel.estimation.clothoid.solvers import SOLVERS, Sightings, State, correct, gradient_descent
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.estimation.road import TAPER_LANES
+from automodel.geometry.elimination import solve
 from automodel.types import Bools, FloatArray, Floats, Ints
 
 
@@ -105,6 +106,15 @@ def _sigma(jacobian: Floats, p: Floats) -> Floats:
 
 
 @compiled
+def _half_m(x: Floats, nodes_m: Floats) -> Floats:
+    """Half the lane's width (n,) at arc lengths (n,)."""
+    half = np.empty_like(nodes_m)
+    for i in range(len(half)):
+        half[i] = max(0.5 * (x[WIDTH] + x[TAPER] * nodes_m[i]), 0.0)
+    return half
+
+
+@compiled
 def _pose_covariance(p: Floats) -> FloatArray:
     """The covariance (3, 3) of offset, -heading and width."""
     turned = np.empty((TAPER, TAPER))
@@ -114,6 +124,7 @@ def _pose_covariance(p: Floats) -> FloatArray:
     return turned
 
 
+@compiled
 def _of_known_width(p: Floats, side: float) -> tuple[Floats, Floats]:
     """The covariance (m, m) of a lane whose width and taper are known, and how the lane moves with these (m, 2).
 
@@ -121,15 +132,52 @@ def _of_known_width(p: Floats, side: float) -> tuple[Floats, Floats]:
     they are not estimated from it, and offset and heading err with them so that the line stays where it is (Schmidt
     1966, a filter with parameters that it considers).
     """
-    width, exact = slice(WIDTH, CURVATURE), p.astype(np.float64)
-    alone = exact - exact[:, width] @ np.linalg.solve(exact[width, width], exact[width])
-    alone[width] = alone[:, width] = 0.0
-    alone[width, width] = np.diag(1e-6 * exact.diagonal()[width])  # known, but not singular
-    alone = alone.astype(p.dtype)
-    moved = np.zeros((len(p), 2), p.dtype)
+    size = len(p)
+    both, right = np.empty((2, 2)), np.empty((2, size))
+    for a in range(2):
+        for b in range(2):
+            both[a, b] = p[WIDTH + a, WIDTH + b]
+        for j in range(size):
+            right[a, j] = p[WIDTH + a, j]
+    rest = solve(both, right)
+    alone, moved = np.empty_like(p), np.zeros((size, 2), p.dtype)
+    for i in range(size):
+        for j in range(size):
+            alone[i, j] = p[i, j] - (p[i, WIDTH] * rest[0, j] + p[i, TAPER] * rest[1, j])
+    for k in (WIDTH, TAPER):
+        for i in range(size):
+            alone[k, i] = alone[i, k] = 0.0
+    for k in (WIDTH, TAPER):
+        alone[k, k] = 1e-6 * p[k, k]  # known, but not singular
     moved[OFFSET, 0], moved[HEADING, 1] = 0.5 * side, -0.5 * side
     moved[WIDTH, 0] = moved[TAPER, 1] = 1.0
     return alone, moved
+
+
+@compiled
+def _corrected(
+    descend: bool, state: State, seen: Sightings, scales: tuple[float, float, float]
+) -> tuple[Floats, Floats, int, Bools, float]:
+    """As `correct`, which it does anew, with width and taper known, where one line alone was seen."""
+    before, covariance, prior, p = state
+    parameters, after, count, carrying, moved_m = correct(descend, state, seen, scales)
+    nodes, lefts = seen[2], len(seen[0]) // 3
+    left = right = False
+    for i in range(len(nodes)):
+        if carrying[i] and nodes[i] < lefts:
+            left = True
+        elif carrying[i]:
+            right = True
+    if left == right:
+        return parameters, after, count, carrying, moved_m
+    alone, moved = _of_known_width(p, 1.0 if left else -1.0)
+    parameters, after, again, carrying, moved_m = correct(descend, (before, covariance, prior, alone), seen, scales)
+    for i in range(len(p)):
+        for j in range(len(p)):
+            for a in range(2):
+                for b in range(2):
+                    after[i, j] += moved[i, a] * p[WIDTH + a, WIDTH + b] * moved[j, b]
+    return parameters, after, count + again, carrying, moved_m
 
 
 class ClothoidTracker:
@@ -270,8 +318,7 @@ class ClothoidTracker:
 
     def half_m(self) -> Floats:
         """Half the lane's width (n,) at the nodes."""
-        x = self.known()
-        return np.maximum(0.5 * (x[WIDTH] + x[TAPER] * self.pair.nodes_m), 0.0)
+        return _half_m(self.known(), self.pair.nodes_m)
 
     def sigma_m(self, shape: PairShape) -> Floats:
         """Standard deviations (2 n,) [m] of the places of both lines' nodes."""
@@ -305,20 +352,9 @@ class ClothoidTracker:
         of `shape` at which lines were found [m], then their angles to the left of it [rad]; valid where `found` (2 k,)
         is 1, not 0.
         """
-        before, covariance, (prior, p) = self.known(), self.covariance, self._prior
-        carrying = self._correct((before, covariance, prior, p), shape, nodes, residual, found)
-        left = nodes < self.pair.count
-        sides = bool((carrying & left).any()), bool((carrying & ~left).any())
-        if sides[0] != sides[1]:
-            alone, moved = _of_known_width(p, 1.0 if sides[0] else -1.0)
-            carrying = self._correct((before, covariance, prior, alone), shape, nodes, residual, found)
-            self.covariance += moved @ p[WIDTH:CURVATURE, WIDTH:CURVATURE] @ moved.T
-        return carrying
-
-    def _correct(self, state: State, shape: PairShape, nodes: Ints, residual: Floats, found: Floats) -> Bools:
-        self.parameters, self.covariance, count, carrying, self.moved_m = correct(
+        self.parameters, self.covariance, count, carrying, self.moved_m = _corrected(
             self._descend,
-            state,
+            (self.known(), self.covariance, *self._prior),
             (shape.jacobian, self._noise, nodes, residual, found),
             (self.config.gate, self._bend, self._lever_m),
         )

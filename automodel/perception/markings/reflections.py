@@ -9,13 +9,13 @@ width.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.geometry import GroundCamera, View
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
@@ -51,7 +51,7 @@ class Reflections:
         self, camera: GroundCamera, view: View, mask: Image, marking_width_m: float, markings: str, pieces: int
     ) -> None:
         self.view, self.config, self._mask, self._pieces = view, ReflectionConfig(), mask, pieces
-        self._camera, self._foot = camera, camera.centre_m[:2]
+        self._camera, self._foot = camera, (float(camera.centre_m[0]), float(camera.centre_m[1]))
         self._most_rad = 3.0 * self.config.pointing_rad
         self._marking_px, self._marking_rows = marking_width_m / view.m_per_px, marking_width_m / view.m_per_row
         self._aspect = view.m_per_row / view.m_per_px
@@ -61,16 +61,12 @@ class Reflections:
         shapes = [self._shapes(camera, k, marking_width_m) for k in range(pieces)]
         paint, streaks = (np.stack(every) for every in zip(*shapes, strict=True))
         self._profiles = _Profiles(paint, streaks, {"light": 1.0, "dark": -1.0, "both": 0.0}[markings])
+        self.any_points_to_camera(np.empty((0, 2)))  # compiled now: no frame waits for it
 
     def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
         x0, y0 = self._foot
-        for points in lines_m:
-            for (x1, y1), (x, y) in itertools.pairwise(points.tolist()):
-                ahead, left = x - x1, y - y1
-                if abs(ahead * (y - y0) - left * (x - x0)) < self._most_rad * math.hypot(ahead, left) * (x - x0):
-                    return True
-        return False
+        return any(_points_to(x0, y0, points.copy(), self._most_rad) for points in lines_m)  # of the one compiled kind
 
     def on_streaks(self, image: Image, points_m: FloatArray) -> Bools:
         """Which points (n, 2) [m] of a line, the nearest first, lie on a reflection in the camera's image.
@@ -212,6 +208,17 @@ class Reflections:
         bells = np.geomspace(pixel, config.reach, 20)
         streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
         return np.array(paint), np.array(streaks)
+
+
+@compiled
+def _points_to(x0: float, y0: float, line_m: FloatArray, most_rad: float) -> bool:
+    """Whether any two neighbours among a line's points (n, 2) [m] lie in one direction from (x0, y0)."""
+    for i in range(1, len(line_m)):
+        x, y = line_m[i]
+        ahead, left = x - line_m[i - 1, 0], y - line_m[i - 1, 1]
+        if abs(ahead * (y - y0) - left * (x - x0)) < most_rad * math.hypot(ahead, left) * (x - x0):
+            return True
+    return False
 
 
 class _Profiles:

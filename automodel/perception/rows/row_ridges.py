@@ -105,7 +105,7 @@ def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
     """
     k = len(values) // 2
     count = REACH - MARGIN - GATE + 1
-    medians, ends = np.empty(len(values), np.float32), np.empty(2 * count, np.float32)
+    medians, ends = np.empty(len(values), np.float32), np.empty(count + 1, np.float32)  # the smaller half of them
     sums = np.empty(values.shape[1] - WINDOW + 1, np.float32)
     for i in range(len(values)):
         sums[0] = 0.0
@@ -117,7 +117,11 @@ def run_thresholds(values: Float32Array, noises: float) -> Float32Array:
             for end in range(2):
                 at = SIDE + j if end == 0 else len(sums) - 1 - SIDE - j
                 value = abs(sums[at] - max(sums[at - SIDE], sums[at + SIDE]))
-                place = 2 * j + end  # insertion sort
+                place = min(2 * j + end, count + 1)  # insertion sort
+                if place > count:
+                    if value >= ends[count]:
+                        continue
+                    place = count
                 while place > 0 and ends[place - 1] > value:
                     ends[place] = ends[place - 1]
                     place -= 1

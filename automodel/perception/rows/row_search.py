@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.line_projection import LineProjection, View, project_lines
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
-from automodel.perception.rows.brightness import Brightness
+from automodel.perception.rows.brightness import Brightness, read_pixels
 from automodel.perception.rows.row_ridges import (
     BAR,
     BLURRED,
@@ -31,6 +31,8 @@ from automodel.perception.rows.row_ridges import (
     run_thresholds,
 )
 from automodel.types import Bools, Complexes, Float32Array, FloatArray, Floats, Image, Ints
+
+Measured = tuple[Ints, Floats, Floats, Floats]  # the fields of `NodeMeasurements`
 
 MAX_SLANT = 6.0  # columns per row: lines that are flatter in the image are not searched
 MAX_TURN = 0.4  # [rad] of a ridge from the node's direction
@@ -71,6 +73,21 @@ class NodeMeasurements:
         return _points(shape.place, shape.along, self.nodes, self.residual, inliers, half_m)
 
 
+class _Runs(NamedTuple):
+    """How nodes are searched: half the distance along the line between a node's two rows, a sample [m]; the image's
+    size; how many times `GATE` a run may reach, and for each the noises that a ridge exceeds; a contrast that it
+    exceeds instead, if above 0; and how far apart [samples] (2 n,) a node and the next one may be found."""
+
+    half_m: float
+    sample_m: float
+    height_px: int
+    width_px: int
+    wider: Ints
+    noises: FloatArray
+    contrast: float
+    tear: Floats
+
+
 class RowSearch:
     """Searches nodes at arc lengths `nodes_m` (n,) on each line in images of `size` (height, width) px.
 
@@ -91,18 +108,26 @@ class RowSearch:
         lane_width_m: float,
         size: tuple[int, int],
     ) -> None:
-        self._projection, self._brightness, self._contrast = projection, brightness, contrast
-        self._half_m, self._sample_m = self.HALF_LENGTH * marking_m, marking_m / PER_MARKING
-        self._size = size
-        most = 0.5 * lane_width_m / (GATE * self._sample_m)  # beyond the lane's middle lies the other line
-        self._wider = 2 ** np.arange(math.ceil(math.log2(max(most, 1.0))) + 1)  # times `GATE`
-        places = [(2 * GATE * times + 1) / FALSE_SAMPLES for times in self._wider.tolist()]
+        self._projection, self._brightness, sample_m = projection, brightness, marking_m / PER_MARKING
+        most = 0.5 * lane_width_m / (GATE * sample_m)  # beyond the lane's middle lies the other line
+        wider = 2 ** np.arange(math.ceil(math.log2(max(most, 1.0))) + 1)  # times `GATE`
+        places = [(2 * GATE * times + 1) / FALSE_SAMPLES for times in wider.tolist()]
         # A false node is a false ridge in both of its runs, at places that agree by chance.
         agree = 2.0 * MAX_TURN * self.HALF_LENGTH * PER_MARKING / FALSE_SAMPLES
-        self._noises = [least_ridge(n * math.sqrt(2 * len(nodes_m) * min(agree / n, 1.0))) for n in places]
-        tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / self._sample_m)
+        noises = [least_ridge(n * math.sqrt(2 * len(nodes_m) * min(agree / n, 1.0))) for n in places]
+        tear = np.diff(nodes_m, append=nodes_m[-1]) * (MAX_TURN / sample_m)
         tear[-1] = -1.0  # the next node is the other line's
-        self._tear: Floats = np.tile(tear, 2).astype(projection.dtype)
+        self._runs = _Runs(
+            half_m=self.HALF_LENGTH * marking_m,
+            sample_m=sample_m,
+            height_px=size[0],
+            width_px=size[1],
+            wider=wider.astype(np.intp),
+            noises=np.array(noises),
+            contrast=float(contrast),
+            tear=np.tile(tear, 2).astype(projection.dtype),
+        )
+        self._once: Ints = np.ones(2 * len(nodes_m), np.intp)
         self.forget()
 
     def forget(self, edge: float = 0.0, dark: bool | None = None) -> None:
@@ -122,41 +147,14 @@ class RowSearch:
         `reach_m` (2 n,): how far from the places of the left line's nodes, then of the right line's, the line may be.
         A line of which nothing is found close by is searched so far away.
         """
-        count = len(half_m)
-        seen = self._measure(image, shape, half_m, np.ones(2 * count, np.intp))
-        k = len(seen.nodes)
-        left = np.arange(2 * count) < count
-        missing = [not (seen.found[:k] * (left[seen.nodes] == side)).any() for side in (True, False)]
-        reach_m = np.minimum(reach_m, np.tile(half_m, 2))
-        times = np.ceil(reach_m / (GATE * self._sample_m)).clip(1, self._wider[-1]).astype(np.intp)
-        times[~np.where(left, *missing)] = 1
-        if times.max() == 1:
-            return seen
-        further = self._measure(image, shape, half_m, times)
-        other = np.tile(times[seen.nodes] == 1, 2)
-        further.found[other], further.residual[other] = seen.found[other], seen.residual[other]
-        further.edge[other[:k]] = seen.edge[other[:k]]
-        return further
-
-    def _measure(self, image: Image, shape: Nodes, half_m: Floats, times: Ints) -> NodeMeasurements:
-        """Measure within so many `times` (2 n,) `GATE` of each node."""
-        gates = times * GATE
-        wider = int(np.searchsorted(self._wider, times.max()))
-        reach = REACH + (int(self._wider[wider]) - 1) * GATE
-        nodes, pixels, column, step, along_m = _lay(
-            self._projection.view, shape.place, shape.along, half_m, (self._half_m, self._sample_m), reach, self._size
-        )
-        # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
-        values = self._brightness.read(image, pixels).astype(np.float32)
-        if self._contrast > 0.0:
-            least = np.full(len(values), self._contrast * WINDOW, np.float32)
-        else:
-            least = run_thresholds(values, self._noises[wider])
-        min_edge, tear, width = BLURRED * self._usual, self._tear, self._size[1]
-        found, residual, edge = _agree(
-            values, least, nodes, column, step, along_m, tear, self._sample_m, min_edge, width, gates
-        )
-        return NodeMeasurements(nodes=nodes, residual=residual, found=found, edge=edge)
+        view, pixels, runs = self._projection.view, self._brightness.source(image), self._runs
+        lines, min_edge = (shape.place, shape.along, half_m), BLURRED * self._usual
+        close = measure_nodes(view, pixels, *lines, runs, self._once, min_edge)
+        times, most = _further(close[0], close[2], half_m, reach_m, runs)
+        if most > 1:
+            far = measure_nodes(view, pixels, *lines, runs, times, min_edge)
+            _take_over(close, far, times)
+        return NodeMeasurements(*close)
 
     def learn(self, measured: NodeMeasurements, inliers: Bools) -> None:
         """Remember how sharp the ridges of the `inliers` (k,) are."""
@@ -168,7 +166,72 @@ class RowSearch:
 
 
 @compiled
-def _lay(
+def _further(nodes: Ints, found: Floats, half_m: Floats, reach_m: Floats, runs: _Runs) -> tuple[Ints, int]:
+    """How many times `GATE` away from each node (2 n,) a line is searched of which nothing was found, and the most."""
+    count = len(half_m)
+    times, most = np.ones(2 * count, np.intp), 1
+    missing_left = missing_right = True
+    for i in range(len(nodes)):
+        if found[i] > 0.0 and nodes[i] < count:
+            missing_left = False
+        elif found[i] > 0.0:
+            missing_right = False
+    for i in range(2 * count):
+        if missing_left if i < count else missing_right:
+            further = np.ceil(min(reach_m[i], half_m[i % count]) / (GATE * runs.sample_m))
+            times[i] = int(min(max(further, 1.0), runs.wider[-1]))
+            most = max(most, times[i])
+    return times, most
+
+
+@compiled
+def _take_over(close: Measured, far: Measured, times: Ints) -> None:
+    """Take what was measured further away than once `GATE`."""
+    nodes, residual, found, edge = close
+    _, residual_far, found_far, edge_far = far
+    k = len(nodes)
+    for i in range(k):
+        if times[nodes[i]] > 1:
+            residual[i], residual[k + i] = residual_far[i], residual_far[k + i]
+            found[i], found[k + i] = found_far[i], found_far[k + i]
+            edge[i] = edge_far[i]
+
+
+@compiled
+def measure_nodes(
+    view: View,
+    pixels: tuple[Image, int, bool],
+    place: Complexes,
+    along: Complexes,
+    half_m: Floats,
+    runs: _Runs,
+    times: Ints,
+    min_edge: float,
+) -> Measured:
+    """The fields of `NodeMeasurements` within so many `times` (2 n,) `GATE` of each node.
+
+    The lines lie `half_m` (n,) beside the places; `pixels` as `read_pixels` takes them.
+    """
+    gates, wider, most = times * GATE, 0, times.max()
+    while runs.wider[wider] < most:
+        wider += 1
+    reach, size = REACH + (runs.wider[wider] - 1) * GATE, (runs.height_px, runs.width_px)
+    nodes, at, column, step, along_m = lay_nodes(view, place, along, half_m, (runs.half_m, runs.sample_m), reach, size)
+    # Where a run leaves the image it reads what lies there in memory; `_agree` rejects what is found there.
+    image, channel, negated = pixels
+    values = read_pixels(image, channel, negated, at).astype(np.float32)
+    if runs.contrast > 0.0:
+        least = np.full(len(values), runs.contrast * WINDOW, np.float32)
+    else:
+        least = run_thresholds(values, runs.noises[wider])
+    found, residual, edge = _agree(
+        values, least, nodes, column, step, along_m, runs.tear, runs.sample_m, min_edge, runs.width_px, gates
+    )
+    return nodes, residual, found, edge
+
+
+@compiled
+def lay_nodes(
     view: View,
     place: Complexes,
     along: Complexes,
@@ -223,7 +286,7 @@ def _agree(
     width: int,
     gates: Ints,
 ) -> tuple[Floats, Floats, Floats]:
-    """The fields `found`, `residual` and `edge` of `NodeMeasurements`, from the values (2 k, s) of the runs of `_lay`.
+    """The fields `found`, `residual` and `edge` of `NodeMeasurements`, from values (2 k, s) of the runs of `lay_nodes`.
 
     A node is found if its two ridges agree and lie in the image, next to another such node.
     """

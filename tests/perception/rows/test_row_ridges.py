@@ -179,7 +179,7 @@ def test_runs_keep_their_order_and_their_rows() -> None:
 def test_a_colour_is_read_from_its_own_channel(colour: str, weight: tuple[int, int, int]) -> None:
     rng = np.random.default_rng(2)
     picture = rng.integers(0, 256, (3, 4, 3)).astype(np.uint8)
-    pixels = np.array([0, 5, 11])
+    pixels = np.array([[0, 5], [11, 3]])
     wanted = picture.reshape(-1, 3)[pixels] @ np.array(weight)
     assert Brightness(colour, False).read(picture, pixels).tolist() == wanted.tolist()
     assert Brightness(colour, True).read(picture, pixels).tolist() == (-wanted).tolist()
@@ -188,7 +188,7 @@ def test_a_colour_is_read_from_its_own_channel(colour: str, weight: tuple[int, i
 def test_grey_is_the_weighted_sum_of_the_colours_and_reads_no_further_than_the_picture() -> None:
     picture = np.array([[[200, 10, 30], [0, 100, 0], [50, 50, 255]]], np.uint8)  # blue, green, red
     wanted = [round(0.299 * r + 0.587 * g + 0.114 * b) for b, g, r in picture[0].tolist()]
-    assert Brightness("grey", False).read(picture, np.array([-4, 0, 1, 2, 9])).tolist() == [
+    assert Brightness("grey", False).read(picture, np.array([[-4, 0, 1, 2, 9]]))[0].tolist() == [
         wanted[0],
         *wanted,
         wanted[2],

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.rows.brightness import Brightness
-from automodel.perception.rows.row_ridges import BLURRED, REACH
+from automodel.perception.rows.row_ridges import BLURRED
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
 from automodel.types import FloatArray, Image
 
@@ -232,25 +231,22 @@ def test_the_markings_themselves_are_believed_however_long_none_was_seen() -> No
     assert seen(looking.look(usual, shape, HALF, SURE)).any()
 
 
-class Noted(Brightness):
-    """Notes which pixels were read."""
-
-    def read(self, image: Image, pixels: NDArray[np.intp]) -> NDArray[Any]:
-        self.pixels = np.unique(pixels)
-        return super().read(image, pixels)
-
-
 def test_no_pixel_but_those_of_two_rows_about_each_node_is_read() -> None:
-    noted, shape = Noted("grey", False), shaped("left")
-    looking = RowSearch(LineProjection(camera("none")), noted, 20.0, NODES, MARKING, LANE, (HEIGHT, WIDTH))
-    looking.look(drawn("none", "left"), shape, HALF, SURE)
-    assert 0 < len(noted.pixels) <= 4 * COUNT * (2 * REACH + 1)
+    looking, shape, plain = search(), shaped("left"), drawn("none", "left")
+    noise = np.random.default_rng(1).integers(0, 256, plain.shape).astype(np.uint8)
+    near: NDArray[np.bool_] = np.zeros(HEIGHT, np.bool_)
     edges = [shape.place + side * LANE * 1j * shape.along for side in (0.5, -0.5)]
     along = np.concatenate([shape.along, shape.along])
     for point, tangent in zip(np.concatenate(edges), along, strict=True):
-        # Every pixel belongs to a node: take away those that do, as far as half a marking and two rows reach.
+        # Every pixel belongs to a node: to rows that half a marking and two rows reach.
         ends = [point + k * MARKING * tangent for k in (0.5, -0.5)]
         high, low = camera("none").ground_to_px([(e.real, e.imag) for e in ends])[:, 1]
-        rows = noted.pixels // WIDTH
-        noted.pixels = noted.pixels[(rows < high - 2.0) | (rows > low + 2.0)]
-    assert len(noted.pixels) == 0
+        near[math.floor(high - 2.0) : math.ceil(low + 2.0) + 1] = True
+    assert near.sum() < 0.7 * HEIGHT
+    expected = looking.look(plain, shape, HALF, SURE)
+    got = looking.look(np.where(near[:, None], plain, noise), shape, HALF, SURE)
+    for name in ("nodes", "residual", "found", "edge"):
+        assert np.array_equal(getattr(got, name), getattr(expected, name))
+    assert seen(expected).any()
+    other = looking.look(np.where(near[:, None], noise, plain), shape, HALF, SURE)
+    assert not np.array_equal(other.residual, expected.residual)
