@@ -176,11 +176,10 @@ class LaneFit:
 
         The origin moves along s to the new foot of the reference point, and the body frame turns.
         """
-        x, y = after_from_before.inverse().apply((self.config.reference_x_m, 0.0)).tolist()
-        s, d, theta = _foot(x, y, shape.points_m, shape.theta_rad, shape.kappa_per_m, self.grid_m)
-        kappa = np.interp(self.nodes_m + s, self.nodes_m, parameters[2:-2])
-        width = parameters[-2] + s * parameters[-1]
-        return np.concatenate(([d, theta + after_from_before.yaw_rad], kappa, [width, parameters[-1]]))
+        there = after_from_before.inverse() @ SE2(self.config.reference_x_m, 0.0)
+        x, y = there.x_m, there.y_m
+        line = shape.points_m, shape.theta_rad, shape.kappa_per_m, self.grid_m
+        return _moved(parameters, (x, y), after_from_before.yaw_rad, line, self.nodes_m)
 
     def solve(
         self,
@@ -192,9 +191,7 @@ class LaneFit:
     ) -> LaneSolution:
         """Fit `samples`, and a bearing of the lane, with a prior; starts at `guess` or at the prior's mean."""
         unit = self.config.lane_width_m
-        weight_prior = 1.0 / prior.sigma**2
-        fixed, pull = self._smooth.copy(), weight_prior * prior.mean
-        fixed.flat[:: self.size + 1] += weight_prior
+        fixed, pull = _fixed(self._smooth, prior.mean, prior.sigma)
         if bearing is not None:
             row = np.zeros(self.size)
             row[1], row[2:-2] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
@@ -218,9 +215,7 @@ class LaneFit:
 
     def covariance(self, solution: LaneSolution) -> FloatArray:
         """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
-        picked = np.zeros((self.size, 3))
-        picked[0, 0], picked[1, 1], picked[-2, 2] = 1.0, -1.0, 1.0
-        return np.asarray(picked.T @ solve(solution.information.copy(), picked.copy()))
+        return _pose_covariance(solution.information)
 
     def direction(self, parameters: FloatArray, s_m: float) -> float:
         """Direction [rad] of the centerline at s, body frame."""
@@ -310,6 +305,50 @@ def _foot(
     )
     s = s_m[i] + ahead
     return s, left - 0.5 * kappa_per_m[i] * ahead**2, np.interp(s, s_m, theta_rad)
+
+
+@compiled
+def _moved(
+    p: FloatArray,
+    reference_m: tuple[float, float],
+    turn_rad: float,
+    line: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    nodes_m: FloatArray,
+) -> FloatArray:
+    """Parameters (m,) of a lane with its origin at the foot of a point, in a frame that has turned.
+
+    `line`: the centerline of the parameters, as `_foot` takes it.
+    """
+    points_m, theta_rad, kappa_per_m, s_m = line
+    s, d, theta = _foot(reference_m[0], reference_m[1], points_m, theta_rad, kappa_per_m, s_m)
+    after, size = p.copy(), len(p)
+    after[0], after[1] = d, theta + turn_rad
+    after[2 : size - 2] = np.interp(nodes_m + s, nodes_m, p[2 : size - 2])
+    after[size - 2] = p[size - 2] + s * p[size - 1]
+    return after
+
+
+@compiled
+def _fixed(smooth: FloatArray, mean: FloatArray, sigma: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """A prior's information matrix (m, m), with that of the smoothness, and its product with the mean (m,)."""
+    fixed, pull = smooth.copy(), np.empty(len(mean))
+    for i in range(len(mean)):
+        weight = 1.0 / (sigma[i] * sigma[i])
+        fixed[i, i] += weight
+        pull[i] = weight * mean[i]
+    return fixed, pull
+
+
+@compiled
+def _pose_covariance(information: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of offset, -heading and width."""
+    size = len(information)
+    picked, covariance = np.zeros((size, 3)), np.empty((3, 3))
+    picked[0, 0], picked[1, 1], picked[size - 2, 2] = 1.0, -1.0, 1.0
+    spread = solve(information.copy(), picked)
+    for j in range(3):
+        covariance[0, j], covariance[1, j], covariance[2, j] = spread[0, j], -spread[1, j], spread[size - 2, j]
+    return covariance
 
 
 @compiled

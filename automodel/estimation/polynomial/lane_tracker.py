@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
 from automodel.estimation.polynomial.lane_fit import (
     Bearing,
@@ -69,6 +70,7 @@ class LaneTracker:
         )
         self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * TAPER]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
+        _carried(np.zeros((1, 4)), (0.0, 0.0, 0.0), 0.0, 0.0)  # compiled now: no frame waits for it
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
         self.forget()
@@ -99,10 +101,9 @@ class LaneTracker:
             return
         self._since_kept += abs(distance_m)
         if len(self._memory):
-            self._memory[:, :2] = after_from_before.apply(self._memory[:, :2])
-            self._memory[:, 3] += WALK * abs(distance_m)
             behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
-            self._memory = self._memory[self._memory[:, 0] > behind]
+            turn = after_from_before
+            self._memory = _carried(self._memory, (turn.x_m, turn.y_m, turn.yaw_rad), WALK * abs(distance_m), behind)
 
     def place(self, parameters: FloatArray) -> None:
         """Believe the lane to have these parameters, without any points yet."""
@@ -164,6 +165,8 @@ class LaneTracker:
 
     def _in_crossing(self, samples: LineSamples) -> NDArray[np.bool_]:
         """Which samples lie inside a crossing, where the road has no lines and what looks like one weighs little."""
+        if self._crossing_s_m < self.fit.grid_m[0] - 2.0 * self.CROSSING_LANES * self.unit:  # long passed, or none yet
+            return np.zeros(len(samples.side), np.bool_)
         s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
         return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
@@ -191,6 +194,21 @@ class LaneTracker:
         new = np.column_stack((samples.points_m[near], samples.side[near], samples.sigma_m[near]))
         self._memory = np.concatenate((self._memory, new))
         self._since_kept = 0.0
+
+
+@compiled
+def _carried(memory: FloatArray, motion: tuple[float, float, float], walk: float, behind_m: float) -> FloatArray:
+    """Points (n, 4) after a motion (x, y, yaw) with a `walk` more of sigma; those beyond `behind_m` are dropped."""
+    x0, y0, yaw = motion
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    after, count = np.empty_like(memory), 0
+    for x, y, side, sigma in memory:
+        ahead = x0 + cos * x - sin * y
+        if ahead > behind_m:
+            after[count, 0], after[count, 1] = ahead, y0 + sin * x + cos * y
+            after[count, 2], after[count, 3] = side, sigma + walk
+            count += 1
+    return after[:count]
 
 
 def _samples(seen: Observation) -> LineSamples:

@@ -43,6 +43,16 @@ class Raster(NamedTuple):
     column_m: float
 
 
+class _Limits(NamedTuple):
+    """From which share of the places on a row, of which at least `seen` are in view, in `need` consecutive rows there
+    is a crossing (`cover`), and from which share on lines along the lane are not used (`busy`)."""
+
+    need: int
+    seen: float
+    cover: float
+    busy: float
+
+
 class CrossingSearch:
     """Finds the first stop line or zebra across the lane.
 
@@ -66,7 +76,9 @@ class CrossingSearch:
         self._raster = Raster(view.x_far_m, view.half_width_m, view.m_per_row, view.m_per_px)
         self._step = marking_width_m * self.STEP_MARKINGS
         self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # consecutive grid rows that are covered
-        _sampled(np.zeros((1, 1), np.uint8), np.zeros((1, 2)), np.zeros(1), np.zeros(1), self._raster)  # is compiled
+        self._limits = _Limits(self._need, self.SEEN * self.COLUMNS, self.COVER, self.BUSY)
+        two = np.arange(2.0)  # compiled now: no frame waits for it
+        _scanned(np.zeros((1, 1), np.uint8), two, (two, np.zeros((2, 2)), two), two, self._raster, self._limits)
 
     def step(self, bright: Image, lane: LaneShape, far_m: float) -> CrossingScan:
         """Scan the lane up to arc length `far_m` in the binary view `bright` (h, w)."""
@@ -75,17 +87,14 @@ class CrossingSearch:
         if inner <= 2 * self.marking_m:
             return CrossingScan(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
         d = np.linspace(-inner, inner, self.COLUMNS)
-        middle_m = np.column_stack([np.interp(s, lane.s_m, lane.points_m[:, axis]) for axis in (0, 1)])
-        theta = np.interp(s, lane.s_m, lane.theta_rad)
-        white, count = _sampled(bright, middle_m, theta, d, self._raster)
-        share = white.sum(axis=1) / np.maximum(count, 1)
-        first = _first_run((count >= self.SEEN * self.COLUMNS) & (share >= self.COVER), self._need)
+        path = lane.s_m, lane.points_m, lane.theta_rad
+        white, first, covered, middle_m, theta = _scanned(bright, s, path, d, self._raster, self._limits)
         crossing = None
-        if first is not None:
+        if first >= 0:
             across = np.column_stack((-np.sin(theta), np.cos(theta)))
             ground = middle_m[:, None] + across[:, None] * d[:, None]
             crossing = self._edge(white, ground, first, s, float(theta[first]))
-        return CrossingScan(crossing=crossing, s_m=s, covered=_widened(share >= self.BUSY, self._need))
+        return CrossingScan(crossing=crossing, s_m=s, covered=covered)
 
     def _edge(self, white: Bools, ground: FloatArray, first: int, s: FloatArray, lane_rad: float) -> Crossing | None:
         """The crossing whose near edge lies about grid row `first`; None where its edge is no straight line."""
@@ -118,16 +127,36 @@ def _median_slope(x: FloatArray, y: FloatArray) -> float:
     return float(np.median((y[i] - y[j])[apart] / (x[i] - x[j])[apart])) if apart.any() else 0.0
 
 
-def _widened(flags: Bools, by: int) -> Bools:
-    """The flags, True also up to `by` places before and after each True."""
-    return np.convolve(flags, np.ones(2 * by + 1), mode="same") > 0
+@compiled
+def _scanned(
+    bright: Image,
+    s_m: FloatArray,
+    path: tuple[FloatArray, FloatArray, FloatArray],
+    d_m: FloatArray,
+    raster: Raster,
+    limits: _Limits,
+) -> tuple[Bools, int, Bools, FloatArray, FloatArray]:
+    """Which places (n, k) of a grid along and across the lane are bright in a view (h, w).
 
-
-def _first_run(covered: Bools, need: int) -> int | None:
-    """Index of the first run of `need` True values."""
-    run = np.convolve(covered.astype(np.intp), np.ones(need, dtype=np.intp), mode="valid")
-    starts = np.flatnonzero(run == need)
-    return int(starts[0]) if len(starts) else None
+    `path`: the lane's arc lengths (m,), points (m, 2) and headings (m,). Also returns the first row of a crossing (-1:
+    there is none), which rows (n,) are covered, and the middles (n, 2) and headings (n,) of the rows at `s_m` (n,);
+    `d_m` (k,) counts to the left.
+    """
+    n = len(s_m)
+    middle_m, theta = np.empty((n, 2)), np.empty(n)
+    theta[:] = np.interp(s_m, path[0], path[2])
+    for axis in range(2):
+        middle_m[:, axis] = np.interp(s_m, path[0], np.ascontiguousarray(path[1][:, axis]))
+    white, inside = _sampled(bright, middle_m, theta, d_m, raster)
+    covered, first, run = np.zeros(n, np.bool_), -1, 0
+    for i in range(n):
+        share = white[i].sum() / max(inside[i], 1)
+        run = run + 1 if inside[i] >= limits.seen and share >= limits.cover else 0
+        if run == limits.need and first < 0:
+            first = i - limits.need + 1
+        if share >= limits.busy:  # and up to `need` rows before and after it
+            covered[max(i - limits.need, 0) : i + limits.need + 1] = True
+    return white, first, covered, middle_m, theta
 
 
 @compiled
