@@ -17,7 +17,7 @@ from automodel.config.toml_reader import parse_toml
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = parse_toml((ROOT / "pyproject.toml").read_text(), "pyproject.toml")["project"]
-ON_A_CAR = ("web", "foxglove")
+ON_A_CAR = ("web", "foxglove", "openvino")
 OLDEST = 17  # of glibc's minor versions that wheels for aarch64 are built for
 
 

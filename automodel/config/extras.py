@@ -17,6 +17,7 @@ INSTALLED_BY = {  # module that is imported -> what pip installs it by
     "distributed": "automodel[cluster]",
     "torch": "automodel[train]",
     "onnx": "automodel[train]",
+    "openvino": "automodel[openvino]",
 }
 
 

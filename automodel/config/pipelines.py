@@ -24,6 +24,9 @@ class WindowsConfig:
         not_negative(self, "coast_lanes", "coast_s")
 
 
+NETWORK_PROVIDERS = ("tensorrt", "cuda", "openvino", "cpu")  # what may run the network, tried in this order
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CenterlineConfig:
     """`centerline` (Cudrano et al. 2020). Lengths are multiples of the lane's width, so that they hold at any scale."""
@@ -31,7 +34,7 @@ class CenterlineConfig:
     markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
     network: str = "512x256"  # size of the network's input: 512x256, or 256x128 for a small board
     model: str = ""  # an ONNX file; empty: the weights that are shipped
-    providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in this order
+    providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order of `NETWORK_PROVIDERS`
     threads: int = 0  # of the network on the CPU; 0: half of the cores
     threshold: float = 0.5  # probability from which a pixel is a marking
     view_ahead_lanes: float = 3.0  # how far ahead of the first visible ground the bird's-eye view reaches
@@ -44,7 +47,7 @@ class CenterlineConfig:
         one_of("markings", self.markings, ("unet", "ridge"))
         one_of("network", self.network, ("512x256", "256x128"))
         for name in self.providers:
-            one_of("providers", name, ("tensorrt", "cuda", "cpu"))
+            one_of("providers", name, NETWORK_PROVIDERS)
         positive(self, "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")
         not_negative(self, "threads", "coast_lanes", "coast_s")
         if self.threshold >= 1.0:

@@ -22,7 +22,7 @@ import cv2
 import automodel
 from automodel.config import CameraConfig, CarConfig, RecordingConfig
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
-from automodel.perception.markings.unet import PROVIDERS, MarkingNetwork, UnetConfig, drawn_lines
+from automodel.perception.markings.unet import MarkingNetwork, UnetConfig, drawn_lines, offered_providers
 from automodel.recording.codec import ImageCodec
 from automodel.runtime.cores import denied, usable_cores
 from automodel.types import Image
@@ -251,7 +251,7 @@ def _network_findings(car: CarConfig) -> Iterator[Finding]:
 
 
 def _provider_finding(tried: _Tried, asked: tuple[str, ...]) -> Finding:
-    what = f"onnxruntime offers {', '.join(tried.offered)}; {tried.notice}"
+    what = f"installed are {', '.join(tried.offered)}; {tried.notice}"
     before = tried.offered[: tried.offered.index(tried.provider)] if tried.provider in tried.offered else ()
     if any(provider in asked for provider in before):
         return warn(
@@ -263,8 +263,6 @@ def _provider_finding(tried: _Tried, asked: tuple[str, ...]) -> Finding:
 
 
 def _try_network(config: UnetConfig) -> _Tried:
-    import onnxruntime
-
     start = time.perf_counter()
     network = MarkingNetwork(config)
     ready = time.perf_counter()
@@ -274,9 +272,8 @@ def _try_network(config: UnetConfig) -> _Tried:
         before = time.perf_counter()
         network.step(image)
         times.append(time.perf_counter() - before)
-    there = onnxruntime.get_available_providers()
     return _Tried(
-        offered=tuple(name for name, provider in PROVIDERS.items() if provider in there),
+        offered=tuple(offered_providers()),
         provider=network.provider,
         notice=network.notice,
         started_s=ready - start,

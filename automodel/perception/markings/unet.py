@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
+import importlib.util
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,13 +18,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from automodel.config.extras import need_extra
+from automodel.config.extras import missing_extra, need_extra
+from automodel.config.pipelines import NETWORK_PROVIDERS
 from automodel.config.toml_reader import ConfigError, not_negative
 from automodel.perception.markings.onnx_check import INPUT, OUTPUT, ROWS, STRIDE, check_onnx
+from automodel.perception.markings.openvino_session import OpenvinoSession
 from automodel.types import Image
 
 SIZES = {"512x256": (512, 256), "256x128": (256, 128)}  # width, height [px]
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
+OPENVINO = "openvino"  # which is no part of onnxruntime
 MAX_BYTES = 8_000_000
 _ERRORS = 3  # onnxruntime's log level; a missing provider is reported by `MarkingNetwork.notice`
 
@@ -38,7 +42,7 @@ class UnetConfig:
 
     model: str = ""  # an ONNX file; empty: the one that ships for this size
     size: str = "512x256"  # the network's input; "256x128" is for small boards
-    providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order tensorrt, cuda, cpu
+    providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order of `NETWORK_PROVIDERS`
     threads: int = 0  # on the CPU; 0: half of the cores
     above: float = 0.0  # share of the image's height, from its top, in which no marking is looked for
     engine_cache: str = ""  # folder for TensorRT's compiled engines; empty: compiled at each start, which takes minutes
@@ -47,8 +51,8 @@ class UnetConfig:
         not_negative(self, "threads", "above")
         if self.size not in SIZES:
             raise ValueError(f"size: {self.size!r} is none of {', '.join(SIZES)}")
-        if not self.providers or not set(self.providers) <= set(PROVIDERS):
-            raise ValueError(f"providers: expected some of {', '.join(PROVIDERS)}, got {list(self.providers)}")
+        if not self.providers or not set(self.providers) <= set(NETWORK_PROVIDERS):
+            raise ValueError(f"providers: expected some of {', '.join(NETWORK_PROVIDERS)}, got {list(self.providers)}")
         if self.above >= 1.0:
             raise ValueError(f"above: expected a share below 1, got {self.above}")
 
@@ -144,11 +148,14 @@ def read_network(config: UnetConfig) -> tuple[str, bytes]:
 
 def _first_session(config: UnetConfig, name: str, data: bytes, first_row: int) -> tuple[str, Any, str]:
     """The first provider on which the network passes its test, its session, and a notice of one line."""
-    available, failed = _runtime().get_available_providers(), []
+    offered, failed = offered_providers(), []
     width, height = SIZES[config.size]
-    for provider in (p for p in PROVIDERS if p in config.providers):
-        if PROVIDERS[provider] not in available:
-            failed.append(f"{provider}: not in this onnxruntime")
+    for provider in (p for p in NETWORK_PROVIDERS if p in config.providers):
+        if provider not in offered:
+            own = provider == OPENVINO
+            failed.append(
+                missing_extra("provider openvino", OPENVINO) if own else f"{provider}: not in this onnxruntime"
+            )
             continue
         try:
             session = open_session(data, provider, config.threads, config.engine_cache, rows=height - first_row)
@@ -161,16 +168,26 @@ def _first_session(config: UnetConfig, name: str, data: bytes, first_row: int) -
     raise ConfigError(f"{name}: runs on none of the configured providers: {'; '.join(failed)}")
 
 
+def offered_providers() -> list[str]:
+    """Which of `NETWORK_PROVIDERS` are installed, in that order."""
+    there = _runtime().get_available_providers()
+    openvino = importlib.util.find_spec(OPENVINO) is not None
+    return [name for name in NETWORK_PROVIDERS if (openvino if name == OPENVINO else PROVIDERS[name] in there)]
+
+
 def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "", *, rows: int = 0) -> Any:
-    """An onnxruntime session of checked bytes on one of PROVIDERS; raises one of `session_errors()`.
+    """A session of checked bytes on one of `NETWORK_PROVIDERS`; raises one of `session_errors()`.
 
     `threads` 0 is half of the cores: camera, recorder and link need the others, and a thread that waits for a core
     delays all threads. `rows` is the height of the images, for a network whose height is open; 0: it may change.
     """
+    threads = threads or max(1, _cores() // 2)
+    if provider == OPENVINO:
+        return OpenvinoSession(data, threads, rows)
     onnxruntime = _runtime()
     onnxruntime.set_default_logger_severity(_ERRORS)
     options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads, options.inter_op_num_threads = threads or max(1, _cores() // 2), 1
+    options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.log_severity_level = _ERRORS
     if rows:
         options.add_free_dimension_override_by_name(ROWS, rows)

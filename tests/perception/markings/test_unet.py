@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -16,6 +17,7 @@ import pytest
 
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings import onnx_check, unet
+from automodel.perception.markings.openvino_session import OpenvinoSession
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig, drawn_lines, self_test
 from tests.support import onnx_files as files
 
@@ -266,6 +268,35 @@ def test_no_provider_at_all_is_an_error(path: Path, monkeypatch: pytest.MonkeyPa
     assert (
         refusal(path, providers=("cuda",)) == "runs on none of the configured providers: cuda: not in this onnxruntime"
     )
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("above", [0.0, 0.25])
+def test_openvino_gives_the_masks_of_onnxruntime(size: str, above: float) -> None:
+    pytest.importorskip("openvino")
+    random = np.random.default_rng(7)
+    ours, theirs = (
+        MarkingNetwork(UnetConfig(size=size, providers=(provider,), threads=1, above=above))
+        for provider in ("cpu", "openvino")
+    )
+    assert theirs.provider == "openvino"
+    assert theirs.first_row == ours.first_row
+    picture, lines = drawn_lines(*SIZES[size])
+    for image in (picture, picture[:, ::-1].copy(), random.integers(0, 256, picture.shape).astype(np.uint8)):
+        expected, got = ours.step(image).astype(int), theirs.step(image).astype(int)
+        assert np.abs(got - expected).max() <= 2  # of 255: the order of sums is another one
+        assert np.count_nonzero((got >= 128) != (expected >= 128)) <= 0.001 * lines.size
+    assert theirs.faults == 0
+
+
+def test_openvino_that_is_not_installed_is_passed_over(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "openvino" else find(name))
+    network = MarkingNetwork(config(path, providers=("openvino", "cpu")))
+    assert network.provider == "cpu"
+    assert network.notice.endswith("which is not installed: pip install 'automodel[openvino]')")
+    with pytest.raises(ConfigError, match="provider openvino needs openvino"):
+        OpenvinoSession(path.read_bytes(), 1, 0)
 
 
 ALL = list(unet.PROVIDERS.values())
