@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import shutil
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from types import TracebackType
 
@@ -71,6 +77,7 @@ class AnimationWriter:
 class VideoWriter:
     """Writes frames (h, w) or (h, w, 3) BGR, all of the same even size, into an MP4 file.
 
+    In H.264 where the program ffmpeg or OpenCV can, else in MPEG-4, which is larger and which browsers do not play.
     The file appears when the `with` block ends without an error, if a frame was written. Raises ConfigError where it
     cannot be written.
     """
@@ -84,7 +91,7 @@ class VideoWriter:
         if not self.path.parent.is_dir():
             raise ConfigError(f"{path}: there is no folder {self.path.parent}")
         self._output = output_path(self.path)
-        self._writer: cv2.VideoWriter | None = None
+        self._writer: _Ffmpeg | _OpenCv | None = None
         self._shape: tuple[int, ...] = ()
 
     def __enter__(self) -> VideoWriter:
@@ -94,8 +101,11 @@ class VideoWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._writer is not None:
-            self._writer.release()
+        failed = "" if self._writer is None else self._writer.release()
+        if failed and error is None:
+            error = self._refused(failed)
+            self._output.__exit__(ConfigError, error, None)
+            raise error
         self._output.__exit__(kind, error, trace)
 
     def write(self, image: Image) -> None:
@@ -105,14 +115,110 @@ class VideoWriter:
             self._writer, self._shape = self._open(shape[1], shape[0]), shape
         if shape != self._shape:
             raise ValueError(f"image: expected shape {self._shape} as the first frame, got {shape}")
-        self._writer.write(image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)))
+        colour = image if image.ndim == 3 else np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), np.uint8)
+        if not self._writer.write(colour):
+            failed, self._writer = self._writer.release(), None
+            raise self._refused(failed)
 
-    def _open(self, width_px: int, height_px: int) -> cv2.VideoWriter:
+    def _refused(self, why: str) -> ConfigError:
+        return ConfigError(f"{self.path}: cannot be written as a video: {why}")
+
+    def _open(self, width_px: int, height_px: int) -> _Ffmpeg | _OpenCv:
         if width_px % 2 or height_px % 2:
             raise ValueError(f"image: expected an even size, got {width_px}x{height_px}")
-        writer = cv2.VideoWriter(
-            str(self._part), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"mp4v"), self._rate_hz, (width_px, height_px)
-        )
-        if not writer.isOpened():
-            raise ConfigError(f"{self.path}: cannot be written as a video; is the folder writable, the disk full?")
+        size = width_px, height_px
+        ffmpeg = ffmpeg_with_h264()
+        if ffmpeg:
+            try:
+                self._part.open("ab").close()  # ffmpeg would complain at the end only
+            except OSError as error:
+                raise self._refused(str(error.strerror)) from None
+            return _Ffmpeg(ffmpeg, self._part, self._rate_hz, size)
+        writer = _OpenCv(self._part, "avc1" if opencv_writes_h264() else "mp4v", self._rate_hz, size)
+        if not writer.is_open:
+            raise self._refused("is the folder writable, the disk full?")
         return writer
+
+
+class _OpenCv:
+    """OpenCV's own encoder."""
+
+    def __init__(self, path: Path, codec: str, rate_hz: float, size: tuple[int, int]) -> None:
+        self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*codec), rate_hz, size)
+        self.is_open = self._writer.isOpened()
+
+    def write(self, image: Image) -> bool:
+        self._writer.write(image)
+        return True
+
+    def release(self) -> str:
+        self._writer.release()
+        return ""
+
+
+class _Ffmpeg:
+    """The program ffmpeg, which gets the frames through a pipe.
+
+    `write`: whether it took the frame; `release` ends it and returns what it complained about, if it failed.
+    """
+
+    def __init__(self, program: str, path: Path, rate_hz: float, size: tuple[int, int]) -> None:
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 (`release` closes it)
+        frames = ["-f", "rawvideo", "-pix_fmt", "bgr24", "-s", "{}x{}".format(*size), "-framerate", f"{rate_hz:.9g}"]
+        coded = ["-c:v", "libx264", "-preset", "veryfast", "-crf", "23", "-pix_fmt", "yuv420p"]
+        ends = ["-movflags", "+faststart", "-y", str(path)]  # what a page shows before all of it is there
+        self._process = subprocess.Popen(
+            [program, "-nostdin", "-loglevel", "error", *frames, "-i", "pipe:0", *coded, *ends],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._complaints,
+            start_new_session=True,  # a Ctrl-C is ours
+        )
+
+    def write(self, image: Image) -> bool:
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(np.ascontiguousarray(image).data)
+        except OSError:  # it has ended
+            return False
+        return True
+
+    def release(self) -> str:
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):
+            self._process.stdin.close()
+        failed = self._process.wait() != 0
+        self._complaints.seek(0)
+        told = self._complaints.read().decode(errors="replace").strip().splitlines()
+        self._complaints.close()
+        return (told[-1] if told else "ffmpeg failed") if failed else ""
+
+
+@functools.cache
+def ffmpeg_with_h264() -> str:
+    """The path of an ffmpeg that writes H.264; empty where there is none."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        return ""
+    try:
+        command = [program, "-hide_banner", "-encoders"]
+        asked = subprocess.run(command, capture_output=True, timeout=20.0, check=False, stdin=subprocess.DEVNULL)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return program if b" libx264 " in asked.stdout else ""
+
+
+@functools.cache
+def opencv_writes_h264() -> bool:
+    """Whether this OpenCV writes H.264: asked in another process, because its libraries complain where it does not."""
+    code = (
+        "import cv2, sys, tempfile\n"
+        "with tempfile.TemporaryDirectory() as folder:\n"
+        "    avc1 = cv2.VideoWriter.fourcc(*'avc1')\n"
+        "    sys.exit(not cv2.VideoWriter(folder + '/v.mp4', cv2.CAP_FFMPEG, avc1, 20, (64, 48)).isOpened())\n"
+    )
+    try:
+        asked = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=20.0, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return asked.returncode == 0

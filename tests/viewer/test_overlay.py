@@ -12,7 +12,7 @@ from automodel.config import CameraConfig, ConfigError, Extrinsics, Intrinsics
 from automodel.curves import arc, line
 from automodel.geometry import GroundCamera
 from automodel.signals import Command, Crossing, LaneEstimate, LaneLine, LanePose, LaneStatus
-from automodel.viewer import overlay
+from automodel.viewer import overlay, video
 from automodel.viewer.overlay import crossing_ends, draw, scale_of, status_lines
 from automodel.viewer.video import VideoWriter, film_writer
 
@@ -231,14 +231,26 @@ def test_sizes_are_even() -> None:
 # --- video ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_video_is_written_at_its_rate(tmp_path: Path) -> None:
+@pytest.fixture(params=["ffmpeg", "opencv"])
+def encoder(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """What writes a video: the program ffmpeg, or OpenCV, which has to where there is none."""
+    if request.param == "opencv":
+        monkeypatch.setattr(video, "ffmpeg_with_h264", lambda: "")
+    elif not video.ffmpeg_with_h264():
+        pytest.skip("there is no ffmpeg that writes H.264")
+    return str(request.param)
+
+
+def test_a_video_is_written_at_its_rate(encoder: str, tmp_path: Path) -> None:
     path = tmp_path / "v.mp4"
-    with VideoWriter(path, 20.0) as video:
+    with VideoWriter(path, 20.0) as film:
         for level in range(0, 200, 20):
-            video.write(np.full((48, 64, 3), level, np.uint8))
-        video.write(np.full((48, 64), 200, np.uint8))
+            film.write(np.full((48, 64, 3), level, np.uint8))
+        film.write(np.full((48, 64), 200, np.uint8))
     capture = cv2.VideoCapture(str(path))
     assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(20.0)
+    h264 = int(capture.get(cv2.CAP_PROP_FOURCC)) == cv2.VideoWriter.fourcc(*"h264")
+    assert h264 == (encoder == "ffmpeg" or video.opencv_writes_h264())
     levels = []
     while True:
         there, image = capture.read()
@@ -277,7 +289,37 @@ def test_an_animated_picture_that_is_too_long_or_not_finished_is_not_written(tmp
     assert not list(tmp_path.iterdir())
 
 
-def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+def write_frames(path: Path, count: int) -> None:
+    with VideoWriter(path, 20.0) as film:
+        for _ in range(count):
+            film.write(np.zeros((480, 640), np.uint8))
+
+
+def test_an_ffmpeg_that_fails_is_told_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, path = tmp_path / "ffmpeg", tmp_path / "v.mp4"
+    monkeypatch.setattr(video, "ffmpeg_with_h264", lambda: str(program))
+    for script in ("cat >/dev/null", "true"):  # it fails at the end, or takes no frame
+        program.write_text(f"#!/bin/sh\n{script}\necho 'first' >&2\necho 'No space left on device' >&2\nexit 1\n")
+        program.chmod(0o755)
+        path.write_bytes(b"the old one")
+        with pytest.raises(ConfigError, match="written as a video: No space left on device"):
+            write_frames(path, 200)
+        assert path.read_bytes() == b"the old one"
+        assert {file.name for file in tmp_path.iterdir()} == {"ffmpeg", "v.mp4"}
+
+
+def test_what_writes_h264_is_asked_of_the_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "ffmpeg"
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    for said, found in ((" V....D libx264  H.264 ", str(program)), (" V....D mpeg4 ", "")):
+        program.write_text(f"#!/bin/sh\necho '{said}'\n")
+        program.chmod(0o755)
+        assert video.ffmpeg_with_h264.__wrapped__() == found
+    monkeypatch.setenv("PATH", str(tmp_path / "nowhere"))
+    assert video.ffmpeg_with_h264.__wrapped__() == ""
+
+
+def test_videos_that_cannot_be_written_are_named(encoder: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"v\.avi: videos are written as MP4"):
         VideoWriter(tmp_path / "v.avi", 20.0)
     with pytest.raises(ConfigError, match="there is no folder"):
@@ -285,15 +327,15 @@ def test_videos_that_cannot_be_written_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="rate_hz"):
         VideoWriter(tmp_path / "v.mp4", 0.0)
     (tmp_path / "folder.mp4").mkdir()
-    with VideoWriter(tmp_path / "folder.mp4", 20.0) as video, pytest.raises(ConfigError, match="cannot be written"):
-        video.write(np.zeros((48, 64), np.uint8))
+    with VideoWriter(tmp_path / "folder.mp4", 20.0) as film, pytest.raises(ConfigError, match="cannot be written"):
+        film.write(np.zeros((48, 64), np.uint8))
 
 
-def test_a_video_that_is_not_finished_leaves_the_old_one(tmp_path: Path) -> None:
+def test_a_video_that_is_not_finished_leaves_the_old_one(encoder: str, tmp_path: Path) -> None:
     path = tmp_path / "v.mp4"
     path.write_bytes(b"the old one")
-    with pytest.raises(RuntimeError, match="stop"), VideoWriter(path, 20.0) as video:  # noqa: PT012
-        video.write(np.zeros((48, 64), np.uint8))
+    with pytest.raises(RuntimeError, match="stop"), VideoWriter(path, 20.0) as film:  # noqa: PT012
+        film.write(np.zeros((48, 64), np.uint8))
         raise RuntimeError("stop")
     with VideoWriter(path, 20.0):
         pass  # nothing written
@@ -301,10 +343,10 @@ def test_a_video_that_is_not_finished_leaves_the_old_one(tmp_path: Path) -> None
     assert path.read_bytes() == b"the old one"
 
 
-def test_pictures_of_a_video_have_one_even_size(tmp_path: Path) -> None:
-    with VideoWriter(tmp_path / "v.mp4", 20.0) as video:
+def test_pictures_of_a_video_have_one_even_size(encoder: str, tmp_path: Path) -> None:
+    with VideoWriter(tmp_path / "v.mp4", 20.0) as film:
         with pytest.raises(ValueError, match="even"):
-            video.write(np.zeros((47, 64), np.uint8))
-        video.write(np.zeros((48, 64), np.uint8))
+            film.write(np.zeros((47, 64), np.uint8))
+        film.write(np.zeros((48, 64), np.uint8))
         with pytest.raises(ValueError, match="first frame"):
-            video.write(np.zeros((64, 64), np.uint8))
+            film.write(np.zeros((64, 64), np.uint8))
