@@ -104,7 +104,10 @@ class SerialTransport:
         if self._serial is None:
             raise PortLost(f"{self._port}: not open")
         try:
-            return self._serial.read(_READ_BYTES)
+            # To read or poll an empty tty waits for the kernel's worker that fills it, whatever the timeout: on a busy
+            # machine for half a second. To ask how much there is does not.
+            waiting = self._serial.in_waiting
+            return os.read(self._serial.fileno(), min(waiting, _READ_BYTES)) if waiting else b""
         except OSError as error:
             raise self._lost(error) from None
 

@@ -5,9 +5,9 @@ Where the system allows it loop, camera and recorder get nearly all of a core ag
 are never swapped out (mlockall).
 
 Not SCHED_FIFO: with all cores busy with other work, loops at SCHED_FIFO stood still for 70 to 360 ms in reads of the
-serial port, perhaps because a worker of the kernel, which has no such priority, has to run first. At this niceness that
-was seen less, though not never. For the same reason the loop may use all cores:
-its own is where nothing else is put.
+serial port, which waited for a worker of the kernel that has no such priority. The port is no longer read so
+(`firmware_link.transport`), but that worker still hands its bytes on, and must find a core. For the same reason the
+loop may use all cores: its own is where nothing else is put.
 """
 
 from __future__ import annotations

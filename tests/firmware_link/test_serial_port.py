@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +18,7 @@ from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from firmware_link.errors import LinkError, PortLost, PortNotFound, PortRefused
+from firmware_link.framing import Decoder, RawFrame
 from firmware_link.transport import SerialTransport
 
 MS = 1_000_000
@@ -51,9 +53,32 @@ def stepped_until(pty: PtyBoard, start_ms: int, wanted: Callable[[], bool], limi
     raise AssertionError("never came to be")
 
 
+def heard(port: SerialTransport, decoder: Decoder, frames: list[RawFrame]) -> bool:
+    """Whether a frame has arrived; it joins the others."""
+    frames += decoder.feed(port.read())
+    return bool(frames)
+
+
 def repeat(function: Callable[[], object], times: int) -> None:
     for _ in range(times):
         function()
+
+
+def test_an_empty_port_is_neither_read_nor_polled(pty: PtyBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both wait for the kernel's worker, whatever the timeout: see `SerialTransport.read`."""
+    port = SerialTransport(pty.path, 115200)
+    port.open()
+    at_ms = stepped_until(pty, 0, lambda: port.read() == b"")
+    poll_of_the_board, waited = pty._poll, []
+    with monkeypatch.context() as patch:
+        for name in ("select", "poll"):
+            patch.setattr(select, name, lambda *_: waited.append("polled"))
+        patch.setattr(os, "read", lambda *_: waited.append("read"))
+        assert port.read() == b""
+    assert not waited
+    pty._poll = poll_of_the_board
+    stepped_until(pty, at_ms, lambda: port.read() != b"")
+    port.close()
 
 
 def test_missing_port_names_the_likely_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,10 +140,11 @@ def test_opening_resets_each_time_and_stepping_needs_no_thread(pty: PtyBoard) ->
     assert board.counters.starts == 1  # power
     for opening in range(2, 5):
         port.open()
-        got: list[bytes] = []
-        t_ms = stepped(pty, t_ms, 30, lambda: got.append(port.read()))  # noqa: B023 - called within the turn
+        frames: list[RawFrame] = []
+        t_ms = stepped(pty, t_ms, 30)
+        t_ms = stepped_until(pty, t_ms, lambda: heard(port, decoder, frames))  # noqa: B023 - called within the turn
         assert board.counters.starts == opening
-        hello = messages.decode(decoder.feed(b"".join(got))[0])
+        hello = messages.decode(frames[0])
         assert isinstance(hello, messages.Hello)
         assert hello.boot_id == opening
         port.close()
