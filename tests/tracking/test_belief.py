@@ -366,3 +366,16 @@ def test_a_thing_with_corners_is_clutter_even_where_the_road_may_bend() -> None:
     assert Evidence(wide).of_line(corners, LEFT) < wide.anything().of_line(corners)
     smooth = line_of(STRAIGHT, LEFT, 0.5, 1.4)
     assert Evidence(wide).of_line(smooth, LEFT) > wide.anything().of_line(smooth)
+
+
+def test_clutter_is_the_sum_of_a_smooth_thing_and_of_one_with_corners() -> None:
+    wide = belief(STRAIGHT, (0.02, 0.1, 1.0, 0.05))
+    anything, model = wide.anything(), wide.road
+    unit = model.lane_width_m
+    somewhere = np.diag(np.square((model.anywhere * unit, model.any_turn_rad, model.any_bend / unit, 0.0)))
+    smooth = Evidence(LaneBelief.arc(np.zeros(4), somewhere, model, wide.reference_x_m))
+    for line in (line_of(STRAIGHT, LEFT, 0.5, 1.4), line_of(ARCS[2], RIGHT, 0.3, 1.2)):
+        sigma_m, y = model.anywhere * unit, line.points_m[:, 1]
+        corners = float((-0.5 * (y / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))).sum())
+        expected = np.logaddexp(smooth.of_line(line), corners - anything.CORNERS)
+        assert anything.of_line(line) == pytest.approx(float(expected), rel=1e-12)

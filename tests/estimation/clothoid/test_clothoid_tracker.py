@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, Parameter
-from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
+from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig, _of_known_width
 from automodel.types import FloatArray
 
 REFERENCE, SPACING, WIDTH = 0.17, 0.25, 0.44
@@ -362,3 +362,20 @@ def test_a_lane_that_was_forgotten_is_not_there() -> None:
     assert (made.parameters, made.phase_m, made.iterations) == (None, 0.0, 0)
     with pytest.raises(ValueError, match="call start first"):
         made.shape()
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_lone_line_is_weighed_with_the_width_known(side: float) -> None:
+    """The covariance given width and taper, by the formula of conditional normals, on a matrix that mixes all."""
+    root = np.random.default_rng(2).normal(0.0, 1.0, (9, 9))
+    p = root @ root.T
+    known, rest = [int(Parameter.WIDTH), int(Parameter.TAPER)], [0, 1, 4, 5, 6, 7, 8]
+    alone, moved = _of_known_width(p, side)
+    explained = p[np.ix_(rest, known)] @ np.linalg.solve(p[np.ix_(known, known)], p[np.ix_(known, rest)])
+    assert alone[np.ix_(rest, rest)] == pytest.approx(p[np.ix_(rest, rest)] - explained, rel=1e-9, abs=1e-12)
+    assert alone[np.ix_(known, known)] == pytest.approx(np.diag(1e-6 * p.diagonal()[known]))
+    assert not alone[np.ix_(known, rest)].any()
+    # With a metre more of width the centre moves half a metre towards the other line, and the lone line stays.
+    assert moved[Parameter.OFFSET].tolist() == [0.5 * side, 0.0]
+    assert moved[Parameter.WIDTH].tolist() == [1.0, 0.0]
+    assert moved[Parameter.HEADING].tolist() == [0.0, -0.5 * side]
