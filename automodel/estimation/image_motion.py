@@ -77,8 +77,9 @@ class ImageMotion:
         self._scale = 1
         while camera.camera.width_px / self._scale > self.config.width_px:
             self._scale *= 2
-        self._mask: Image | None = None
         self._middle = 0.5 * (self._scale - 1.0)
+        height, width = camera.camera.height_px // self._scale, camera.camera.width_px // self._scale
+        self._mask = self._ground_mask(height, width)  # made now: a frame that asks for it first would be late
         self.reset()
 
     def reset(self) -> None:
@@ -190,8 +191,6 @@ class ImageMotion:
     def _follow(self, before: Image, after: Image, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Corners (n, 2) [px], and where they went."""
         config = self.config
-        if self._mask is None:
-            self._mask = self._ground_mask(before.shape)
         apart = max(before.shape[1] / 80.0, 3.0)
         found = cv2.goodFeaturesToTrack(before, config.corners, self.QUALITY, apart, mask=self._mask)
         if found is None:
@@ -262,9 +261,8 @@ class ImageMotion:
         votes = [np.count_nonzero(self._near(start, end, moved)) for moved in motions]
         return np.asarray(motions[int(np.argmax(votes))])
 
-    def _ground_mask(self, shape: tuple[int, ...]) -> Image:
-        """255 where the ground is near enough to be looked at."""
-        height, width = shape[:2]
+    def _ground_mask(self, height: int, width: int) -> Image:
+        """255 where the ground is near enough to be looked at, in the small image."""
         v, u = np.mgrid[0:height, 0:width]
         pixels = np.stack((u, v), axis=-1).reshape(-1, 2) * self._scale + self._middle
         ground = self._camera.px_to_ground(pixels.astype(np.float64))
