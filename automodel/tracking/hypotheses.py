@@ -12,8 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from automodel.geometry.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
@@ -190,14 +188,13 @@ def _beside(one: Look, other: Look) -> bool:
 
 def _possible(belief: LaneBelief, line: SightedLine, role: float) -> bool:
     """Whether the line may play the role: what lies too far aside need not be weighed."""
-    away = line.points_m[0] - np.array((belief.reference_x_m, 0.0))
-    sigma = np.sqrt(belief.covariance.diagonal()[[OFFSET, THETA]])
-    reach = 4.0 * float(sigma[0]) + 4.0 * float(sigma[1]) * abs(float(away[0]))
-    reach += 0.5 * belief.road.lane_width_m
-    theta = -belief.heading_rad
-    left = away[1] * math.cos(theta) - away[0] * math.sin(theta) + belief.offset_m
-    bend = 0.5 * abs(belief.curvature_per_m) * float(away @ away)
-    return bool(abs(left - role * belief.width_m) < reach + bend)
+    x, y = line.points_m[0].tolist()
+    x -= belief.reference_x_m
+    offset, theta = (math.sqrt(belief.covariance[i, i]) for i in (OFFSET, THETA))
+    reach = 4.0 * offset + 4.0 * theta * abs(x) + 0.5 * belief.road.lane_width_m
+    left = y * math.cos(belief.heading_rad) + x * math.sin(belief.heading_rad) + belief.offset_m
+    bend = 0.5 * abs(belief.curvature_per_m) * (x * x + y * y)
+    return abs(left - role * belief.width_m) < reach + bend
 
 
 def _kind(line: SightedLine, dashed: float) -> float:

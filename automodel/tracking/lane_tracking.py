@@ -470,11 +470,11 @@ class LaneTracking:
 
     def _measured(self, pose: LanePose) -> LaneBelief:
         """A pose as a belief."""
-        covariance = np.zeros((4, 4))
-        order = np.ix_((Part.OFFSET, Part.THETA, Part.WIDTH), (Part.OFFSET, Part.THETA, Part.WIDTH))
-        sign = np.array((1.0, -1.0, 1.0))
-        covariance[order] = pose.covariance * np.outer(sign, sign)
-        covariance[Part.KAPPA, Part.KAPPA] = (self.config.bend / self._unit) ** 2
+        (d, d_turn, d_width), (_, turn, turn_width), (_, _, width) = pose.covariance.tolist()
+        covariance = np.diag((d, turn, (self.config.bend / self._unit) ** 2, width))  # in the order of `Part`
+        covariance[Part.OFFSET, Part.THETA] = covariance[Part.THETA, Part.OFFSET] = -d_turn
+        covariance[Part.OFFSET, Part.WIDTH] = covariance[Part.WIDTH, Part.OFFSET] = d_width
+        covariance[Part.THETA, Part.WIDTH] = covariance[Part.WIDTH, Part.THETA] = -turn_width
         mean = np.array((pose.offset_m, -pose.heading_rad, pose.curvature_per_m, pose.width_m))
         return LaneBelief.arc(mean, covariance, self._bends.road, self._reference_x_m)
 
