@@ -82,6 +82,28 @@ def test_the_midpoint_of_skew_rays_is_halfway() -> None:
     np.testing.assert_allclose(middle, (5.0, 0.0, 0.5), atol=1e-12)
 
 
+@pytest.mark.parametrize("turn_rad", [0.0, 1e-15, -1e-15])
+def test_a_ridge_matches_a_stripe_once_where_epipolar_lines_run_along_the_rows(turn_rad: float) -> None:
+    """Rectified cameras: an epipolar line meets the ridges of its own row, on one side of them or the other by rounding.
+
+    So do those at the ends of a stripe.
+    """
+    mounts = (Extrinsics(x_m=1.7, y_m=y, z_m=1.1, pitch_rad=0.1 + y * turn_rad) for y in (0.3, -0.3))
+    lens = mirror_cameras(distortion=0.0).left.camera
+    level = StereoRig(*(GroundCamera(lens, mount) for mount in mounts))
+    left, right = look(level, draw_pair(level))
+    known_m = np.full(len(left.stripe), 0.02)
+    matches = match(left, right, known_m, NOISE_PX)
+    pairs = np.column_stack((matches.ridge, matches.right))
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    rows = {(stripe, row) for stripe, row in zip(right.stripe.tolist(), right.pixels[:, 1].tolist(), strict=True)}
+    partner = dict(zip(left.stripe[matches.ridge].tolist(), matches.right.tolist(), strict=True))
+    both = [(partner.get(s), v) in rows for s, v in zip(left.stripe.tolist(), left.pixels[:, 1].tolist(), strict=True)]
+    assert np.count_nonzero(both) > 100
+    assert np.isin(np.flatnonzero(both), matches.ridge).mean() > 0.95
+    assert (witnesses(left, right, known_m, NOISE_PX)[both] >= 0).mean() > 0.95
+
+
 def test_matches_lie_on_the_lines_in_space() -> None:
     matches, fit = measure(RIG, draw_pair(RIG), PlaneFilter(float(RIG.middle_m[2])))
     points = matches.points_m[fit.inliers]
