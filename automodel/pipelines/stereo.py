@@ -116,6 +116,7 @@ class Stereo:
             self._look_for(self._width.width_m)
         self._plane.reset()
         self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
+        self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._pair.forget()
@@ -194,6 +195,7 @@ class Stereo:
         row_m = np.diff(self._rows_m).mean()
         fit = fit_plane(matches, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0))
         self._one_eyed = not fit.inliers.any()
+        self.plane_reach_m = float(matches.points_m[fit.inliers, 0].max(initial=0.0))
         before = self._plane.plane.level_from_body
         self._plane.update(fit.step, fit.covariance)
         turn = self._plane.plane.level_from_body @ before.T
@@ -214,9 +216,9 @@ class Stereo:
         odds = np.zeros(one.count)
         if image is None:
             return odds
-        if other.count:  # else it may be blind
+        if other.count and other_image is not None:  # else it may be blind
             known_m = self._plane.height_sigma_m(on_ground(one.eye, one.directions) - self._rig.middle_m[:2])
-            odds = log_odds(one, witnesses(one, other, known_m, NOISE_PX))
+            odds = log_odds(one, witnesses(one, other, (image, other_image), known_m, NOISE_PX))
         camera, reflections = (self._rig.left, self._rig.right)[eye], self._reflections[eye]
         ground = camera.px_to_ground(one.pixels)
         for k in np.flatnonzero((odds >= 0.0) & (odds < SURE)).tolist():

@@ -18,6 +18,8 @@ from automodel.geometry.stereo_rig import Eye, image_of
 from automodel.perception.stereo.stripes import Field, Stripes, Traces
 from automodel.types import Bools, FloatArray, Image, Ints
 
+GATE = 3.0  # sigmas within which a match lies: the root of chi-square's 0.9973 quantile of one degree of freedom
+PLAIN = 0.5  # share of a ridge's contrast that the other image has where it shows none
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
 _FAR_M = 1e4  # as good as infinitely far
 _PROFILE, _REACH = 8, 1.5  # samples of a profile on each side of a ridge, and its length there in the ridge's widths
@@ -47,7 +49,7 @@ def match(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: f
     """Match the stripes of a pair.
 
     `height_sigma_m` (n,): how well the height of the ground is known at each ridge of the left image; what lies further
-    away than three times that and the noise [px] is no match.
+    away than `GATE` sigmas of both that and the noise [px] is no match.
     """
     found = _cut(
         left.eye, right.eye, left.directions, left.stripe, right.pixels, right.directions, right.stripe,
@@ -56,15 +58,17 @@ def match(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: f
     return Matches(*found)
 
 
-def witnesses(one: Stripes, other: Stripes, height_sigma_m: FloatArray, noise_px: float) -> Ints:
+def witnesses(
+    one: Stripes, other: Stripes, images: tuple[Image, Image], height_sigma_m: FloatArray, noise_px: float
+) -> Ints:
     """What the other image says of each ridge (n,) of an image: 1, it shows one where the ground puts this one;
-    -1, it shows that place without one; 0, the place is out of its view, or the epipolar line runs along the stripe.
+    -1, it shows plain ground there; 0, something else, the place is out of its view, or the epipolar line runs along
+    the stripe.
 
-    `height_sigma_m` (n,): how well the height of the ground is known at each ridge.
+    `images`: this one and the other, grey. `height_sigma_m` (n,): how well the height of the ground is known at each
+    ridge.
     """
-    return _borne_out(
-        one.eye, other.eye, one.directions, one.stripe, other.traces, other.field, height_sigma_m, noise_px,
-    )  # fmt: skip
+    return _borne_out(one.eye, other.eye, _Ridges.of(one), other.traces, other.field, images, height_sigma_m, noise_px)
 
 
 def mirrored(one: Stripes, ridges: Bools, image: Image, other: Eye, other_image: Image) -> float:
@@ -170,39 +174,93 @@ def _crossing(line: _Line, pixels: FloatArray, chain: Ints, k: int) -> tuple[flo
     return share, far, abs(beyond - side) / math.hypot(eu - du, ev - dv)
 
 
+class _Ridges(NamedTuple):
+    """Of `Stripes`, for compiled functions."""
+
+    pixels: FloatArray
+    width_px: FloatArray
+    directions: FloatArray
+    stripe: Ints
+
+    @classmethod
+    def of(cls, stripes: Stripes) -> _Ridges:
+        return cls(stripes.pixels, stripes.width_px, stripes.directions, stripes.stripe)
+
+
+@compiled
+def _standing_out(image: Image, pixel: FloatArray, width_px: float) -> float:
+    """By how much [grey levels] a ridge is brighter, or darker, than the ground beside it."""
+    row, last = image[int(pixel[1])], image.shape[1] - 1
+    quarter, beside = 0.25 * width_px, (width_px, 1.5 * width_px)
+    top, tops, ground, grounds = 0.0, 0, 0.0, 0
+    for k in range(max(math.ceil(pixel[0] - beside[1]), 0), min(int(pixel[0] + beside[1]), last) + 1):
+        away = abs(k - pixel[0])
+        if away <= max(quarter, 0.5):
+            top, tops = top + row[k], tops + 1
+        elif away >= beside[0]:
+            ground, grounds = ground + row[k], grounds + 1
+    return abs(top / tops - ground / grounds) if tops and grounds else math.nan
+
+
+@compiled
+def _contrast(image: Image, line: _Line, reach_px: float) -> float:
+    """The range [grey levels] of an image along an epipolar line, about where the ground puts a ridge.
+
+    NaN where it leaves the image. A sample is the mean of nine pixels.
+    """
+    height, width = image.shape
+    least, most, away = math.inf, -math.inf, -reach_px
+    while away <= reach_px:
+        u, v = int(line.u + away * line.along_u + 0.5), int(line.v + away * line.along_v + 0.5)
+        if not (1 <= u < width - 1 and 1 <= v < height - 1):
+            return math.nan
+        mean = 0.0
+        for i in range(-1, 2):
+            for j in range(-1, 2):
+                mean += image[v + i, u + j] / 9.0
+        least, most, away = min(least, mean), max(most, mean), away + 1.0
+    return most - least
+
+
 @compiled
 def _borne_out(
     one: Eye,
     other: Eye,
-    directions: FloatArray,
-    stripe: Ints,
+    ridges: _Ridges,
     traces: Traces,
     field: Field,
+    images: tuple[Image, Image],
     height_sigma_m: FloatArray,
     noise_px: float,
 ) -> Ints:
     """See `witnesses`."""
-    n = len(directions)
+    n = len(ridges.stripe)
     found = np.zeros(n, np.intp)
-    lines = [_epipolar_line(one, other, directions[i]) for i in range(n)]
+    lines = [_epipolar_line(one, other, ridges.directions[i]) for i in range(n)]
     for i in range(n):
         line = lines[i]
         if not (line.rise > 0.0 and _in_view(line.u, line.v, field)):
             continue
         before, after = max(i - 1, 0), min(i + 1, n - 1)
-        before, after = before if stripe[before] == stripe[i] else i, after if stripe[after] == stripe[i] else i
+        before = before if ridges.stripe[before] == ridges.stripe[i] else i
+        after = after if ridges.stripe[after] == ridges.stripe[i] else i
         du, dv = lines[after].u - lines[before].u, lines[after].v - lines[before].v
         if not abs(line.along_u * dv - line.along_v * du) > GLANCING * math.hypot(du, dv):
             continue
-        room = 3.0 * math.hypot(line.rise * height_sigma_m[i], noise_px)
-        found[i] = -1
+        room = GATE * math.hypot(line.rise * height_sigma_m[i], noise_px)
+        reach = room + ridges.width_px[i]
+        nearest = math.inf
         for k in range(len(traces.pixels) - 1):
-            if (
-                traces.chain[k] == traces.chain[k + 1]
-                and abs(_crossing(line, traces.pixels, traces.chain, k)[1]) <= room
-            ):
-                found[i] = 1
-                break
+            if traces.chain[k] == traces.chain[k + 1]:
+                away = abs(_crossing(line, traces.pixels, traces.chain, k)[1])
+                nearest = away if away < nearest else nearest
+        if nearest <= room:
+            found[i] = 1
+        elif nearest <= reach:
+            found[i] = -1
+        else:
+            here = _standing_out(images[0], ridges.pixels[i], ridges.width_px[i])
+            found[i] = -1 if _contrast(images[1], line, reach) < PLAIN * here else 0
     return found
 
 
@@ -241,7 +299,7 @@ def _cut(
     count = 0
     for i in range(len(directions)):
         line = _epipolar_line(left, right, directions[i])
-        room = 3.0 * math.hypot(line.rise * height_sigma_m[i], noise_px)
+        room = GATE * math.hypot(line.rise * height_sigma_m[i], noise_px)
         for k in range(len(pixels) - 1 if line.rise > 0.0 else 0):
             if other[k] != other[k + 1] or count == most:
                 continue
