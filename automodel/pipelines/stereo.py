@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -29,8 +30,9 @@ from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
+from automodel.tracking.lane_change import LaneChanges
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
-from automodel.types import Bools, FloatArray, Image
+from automodel.types import Bools, FloatArray, Image, Ints
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
@@ -65,6 +67,9 @@ class Stereo:
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        self._changes = LaneChanges()
+        if options.lane_changes and not car.lane.left == car.lane.right == "any":
+            raise ValueError('lane_changes: needs [lane] left and right "any": each lane has lines of its own')
         self.stages = StageClock()
         self.reset()
 
@@ -119,6 +124,7 @@ class Stereo:
         self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
+        self._changes.reset()
         self._pair.forget()
 
     def step(self, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
@@ -141,6 +147,7 @@ class Stereo:
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
         if self._tracking.lost:
+            self._changes.reset()
             belief = self._start(frame.t_ns, images[0], lines)
             if belief is None:
                 self._pair.forget()
@@ -155,6 +162,8 @@ class Stereo:
                 followed = self._fit(lines)
             self.stages.lap("doubt")
         estimate = self._tracking.follow(left_frame, followed)
+        if self._options.lane_changes:  # has the car driven into the next lane?
+            estimate = self._change_lane(left_frame, estimate, lines)
         if self._tracking.lost:
             self._pair.forget()
         self.stages.lap("estimate")
@@ -263,7 +272,8 @@ class Stereo:
         mine = [k for k, side in enumerate(sides) if side]
         points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
         side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])
-        good = self._pair.update(points, side, self._sigma_m(points))
+        counts = np.array([len(lines[k]) for k in mine], dtype=np.intp)
+        good = self._pair.update(points, side, self._sigma_m(points, np.repeat(counts, counts)))
         left, right = points[good & (side > 0.0)], points[good & (side < 0.0)]
         state, covariance = self._pair.state, self._pair.covariance
         sign = np.array((1.0, -1.0, 1.0))
@@ -281,13 +291,33 @@ class Stereo:
             centerline=self._pair.curve(0.0),
         )
 
-    def _sigma_m(self, points_m: FloatArray) -> FloatArray:
-        """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty."""
+    def _change_lane(self, frame: Frame, estimate: LaneEstimate, lines: list[FloatArray]) -> LaneEstimate:
+        """The estimate of the next lane, where the car is on its way there and both of its lines are seen."""
+        side = 0 if estimate.pose is None else self._changes.due(estimate.pose)
+        if not side or self._tracking.in_doubt:
+            return estimate
+        before = self._pair.state, self._pair.covariance
+        self._pair.change_lane(side, self._tracking.road.width_sigma * self._unit)
+        followed = self._fit(lines)
+        if not (followed.left.seen and followed.right.seen):  # there may be no lane
+            self._pair.state, self._pair.covariance = before
+            return estimate
+        self._tracking.change_lane(side)
+        self._changes.changed(side)
+        return replace(self._tracking.follow(frame, followed), lane_change=side)
+
+    def _sigma_m(self, points_m: FloatArray, together: Ints) -> FloatArray:
+        """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty.
+
+        `together` (n,): the knots of each one's line, which share an error: a whole line can be one wrong thing, and
+        as many knots are no more witnesses than one.
+        """
         middle, road = self._rig.middle_m, self._tracking.road
         away = points_m - middle[:2]
         pixel = NOISE_PX * np.hypot(*away.T) / self._rig.left.camera.matrix[0, 0]
         tilted = away[:, 1] / middle[2] * self._plane.height_sigma_m(away)
-        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2)
+        shared = together * (road.line_sigma * self._unit) ** 2
+        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2 + shared)
 
     def _line(self, points_m: FloatArray, lanes: float) -> LaneLine:
         seen = len(points_m) >= SEEN

@@ -215,6 +215,16 @@ class LaneBelief:
         spacing = STATION * self.road.lane_width_m
         return line_beside(self.state, self.covariance, self.start_m, spacing, self.reference_x_m, role, s_m)
 
+    def beside_it(self, side: int) -> LaneBelief:
+        """The lane on a side, +1 left or -1 right, of which no more is known than of any: its width is its own."""
+        away = np.eye(len(self.state))
+        away[OFFSET, WIDTH] = -side
+        state, covariance = away @ self.state, away @ self.covariance @ away.T
+        own = np.zeros(len(state))  # of its width, half of which lies this side of its middle
+        own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
+        covariance += (self.road.width_sigma * self.road.lane_width_m) ** 2 * np.outer(own, own)
+        return replace(self, state=state, covariance=covariance)
+
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""
         spacing, drift = STATION * self.road.lane_width_m, self.road.drift()

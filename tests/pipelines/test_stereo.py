@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from automodel.assembly.parts import make_pipeline
+from automodel.assembly.simulated_car import renderers
+from automodel.bench.stereo_paper import mirror_car
 from automodel.config import CarConfig, ConfigError, LaneConfig, SecondCamera
 from automodel.pipelines.stereo import Stereo
+from automodel.runtime.input_checks import LaneJumpCheck
 from automodel.runtime.loop import Loop
-from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sim.appearance import Appearance
+from automodel.sim.highway import Highway, HighwayDrive, LaneChange
 from automodel.sim.track_files import load_track
+from automodel.sim.truth import TruthFollower
 from tests.support.rendered_drives import Seen, check_sound
 from tests.support.stereo_drives import StereoDrive, stereo_car
 
@@ -159,3 +166,60 @@ def test_the_loop_gives_pairs_to_a_pipeline_of_two_cameras() -> None:
         with pytest.raises(KeyboardInterrupt):
             loop.tick(pair, motion(1), None, 1)
         assert isinstance(pipeline.seen[0], kind)
+
+
+@pytest.fixture(scope="module")
+def overtaking() -> tuple[CarConfig, list[tuple[LaneEstimate, int]]]:
+    """A drive that changes to the next lane and back, and for each estimate the lane it is of."""
+    car = mirror_car()
+    track, lanes = Highway(straights_m=(200.0, 50.0)).build()
+    ways = LaneChange(from_s=0.6, lasts_s=3.0), LaneChange(from_s=4.2, lasts_s=3.0, to=-1)
+    drive = HighwayDrive(lanes[0], 25.0, ways, wander_m=0.0)
+    eyes, pipeline = renderers(track, car, LOOK), Stereo(car)
+    followers = [TruthFollower(lane, car.vehicle.reference_x_m) for lane in lanes]
+    found = []
+    for index in range(154):
+        t_s = index / 20.0
+        at, t_ns = drive.pose(t_s), round(t_s * 1e9)
+        place = at.x_m, at.y_m, at.yaw_rad
+        left, right = (eye.render(*place, at.speed_mps, at.yaw_rate_radps, index) for eye in eyes)
+        moved = Motion(t_ns=t_ns, speed_mps=at.speed_mps, yaw_rate_radps=drive.pose(t_s - 0.025).yaw_rate_radps)
+        estimate = pipeline.step(StereoFrame(t_ns=t_ns, index=index, left=left, right=right), moved)
+        truths = [follower.step(*place) for follower in followers]
+        if estimate.pose is not None:
+            off = [abs(estimate.pose.offset_m - truth.offset_m) for truth in truths]
+            assert min(off) < 0.05
+            found.append((estimate, off.index(min(off))))
+    return car, found
+
+
+def test_a_lane_change_is_one(overtaking: tuple[CarConfig, list[tuple[LaneEstimate, int]]]) -> None:
+    found = overtaking[1]
+    assert len(found) > 145
+    lanes = [lane for _, lane in found]
+    changes = [(k, one.lane_change) for k, (one, _) in enumerate(found) if one.lane_change]
+    assert [side for _, side in changes] == [1, -1]
+    for k, side in changes:
+        assert lanes[k] - lanes[k - 1] == side
+        before, after = found[k - 1][0].pose, found[k][0].pose
+        assert before is not None
+        assert after is not None
+        assert 0.65 < abs(before.offset_m) / (0.5 * before.width_m) < 0.77  # a tenth of a metre a frame
+        assert after.width_m == pytest.approx(before.width_m, abs=0.05)
+    assert sum(a != b for a, b in pairwise(lanes)) == 2
+
+
+def test_the_check_for_jumps_knows_a_lane_change(
+    overtaking: tuple[CarConfig, list[tuple[LaneEstimate, int]]],
+) -> None:
+    car, found = overtaking
+    told, untold = LaneJumpCheck(car.vehicle), LaneJumpCheck(car.vehicle)
+    assert [jump for one, _ in found if (jump := told.step(one)) is not None] == []
+    silent = (replace(one, lane_change=0) for one, _ in found)
+    assert any("jumped sideways" in jump for one in silent if (jump := untold.step(one)) is not None)
+
+
+def test_lane_changes_do_not_go_with_lines_that_tell_the_lane() -> None:
+    car = dataclasses.replace(mirror_car(), lane=LaneConfig(width_m=3.6, left="dashed"))
+    with pytest.raises(ConfigError, match="lane_changes: needs"):
+        make_pipeline("stereo", car)

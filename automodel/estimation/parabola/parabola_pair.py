@@ -190,6 +190,18 @@ class ParabolaPair:
         for last in range(ROAD, SIZE - 1):
             self._go_on(last)
 
+    def change_lane(self, side: int, width_sigma_m: float) -> None:
+        """The neighbour lane on a side, +1 left or -1 right, becomes the lane.
+
+        `width_sigma_m`: by how much its width differs from this one's.
+        """
+        away = np.eye(SIZE)
+        away[OFFSET, WIDTH] = -side
+        self.state, self.covariance = away @ self.state, away @ self.covariance @ away.T
+        own = np.zeros(SIZE)  # of its width, half of which lies this side of its middle
+        own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
+        self.covariance += width_sigma_m**2 * np.outer(own, own)
+
     @property
     def curvature_per_m(self) -> float:
         """The centerline's curvature beside the car [1/m]."""
