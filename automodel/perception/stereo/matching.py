@@ -23,7 +23,8 @@ PLAIN = 0.5  # share of a ridge's contrast that the other image has where it sho
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
 _FAR_M = 1e4  # as good as infinitely far
 _PROFILE, _REACH = 8, 1.5  # samples of a profile on each side of a ridge, and its length there in the ridge's widths
-_LEAST = 0.7  # share of a profile that both images must show
+_LEAST = 0.5  # share of a profile that both images must show: one flank and the ridge itself
+_BRIGHTER = 1.25  # than all of a profile: what the other image shows there is another thing
 _ON_PX = 1e-6  # from an epipolar line: a ridge that is nearer lies on it
 _STEP = 1e-3  # share of a ray's length over which its image is taken to be straight
 
@@ -93,13 +94,19 @@ def _likeness(
         u, v = image_of(other, other.centre_m[0] + way[0], other.centre_m[1] + way[1], other.centre_m[2] + way[2])
         if not (0.0 <= v <= image.shape[0] - 1.0 and 0.0 <= u <= last):
             continue
-        count = 0
+        brightest, count = 0.0, 0
+        for k in range(samples):
+            here = math.floor(pixels[i, 0] + _REACH * width_px[i] * (k - _PROFILE) / _PROFILE + 0.5)
+            if 0 <= here <= last:
+                brightest = max(brightest, float(image[int(pixels[i, 1]), here]))
         for k in range(samples):
             away = _REACH * width_px[i] * (k - _PROFILE) / _PROFILE
             here, there = math.floor(pixels[i, 0] + away + 0.5), math.floor(u + away + 0.5)
-            if min(here, there) >= 0 and max(here, there) <= last:
-                profiles[0, count] = image[int(pixels[i, 1]), here]
-                profiles[1, count] = other_image[int(v + 0.5), there]
+            if min(here, there) < 0 or max(here, there) > last:
+                continue
+            profiles[0, count] = image[int(pixels[i, 1]), here]
+            profiles[1, count] = other_image[int(v + 0.5), there]
+            if profiles[1, count] < _BRIGHTER * brightest:  # else paint lies there, in front of what is mirrored
                 count += 1
         if count < _LEAST * samples:
             continue

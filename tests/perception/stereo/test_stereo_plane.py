@@ -247,6 +247,21 @@ def test_a_lamp_that_the_floor_mirrors_looks_the_same_in_both_images() -> None:
     assert mirrored(left, every, pair[0], right.eye, pair[0]) > 0.9
 
 
+def test_a_mirrored_lamp_is_known_beside_the_paint_that_the_other_image_shows_next_to_it() -> None:
+    """A bell of light at the same place of two parallel cameras' images, and in one of them a line on its flank."""
+    ahead = StereoRig(*(GroundCamera(RIG.left.camera, Extrinsics(x_m=1.7, y_m=y, z_m=1.1)) for y in (0.9, -0.9)))
+    left, right = look(ahead, draw_pair(ahead, lines=(Line(0.5 * LANE_M),)))
+    every, rows = np.ones(len(left.stripe), np.bool_), np.arange(480)[:, None]
+    middle = np.interp(rows, left.pixels[::-1, 1], left.pixels[::-1, 0])
+    width = np.interp(rows, left.pixels[::-1, 1], left.width_px[::-1])
+    away = (np.arange(640) - middle) / width
+    lamp = (60.0 + 80.0 * np.exp(-2.0 * away**2)).astype(np.uint8)
+    beside = np.where((away > 0.5) & (away < 1.6), 230, lamp).astype(np.uint8)
+    assert mirrored(left, every, lamp, right.eye, beside) > 0.9
+    assert mirrored(left, every, lamp, right.eye, np.full_like(lamp, 60)) < 0.1
+    assert mirrored(left, every, lamp, right.eye, np.full_like(lamp, 230)) < 0.1
+
+
 def test_a_streak_points_to_its_camera() -> None:
     way = np.linspace(3.0, 8.0, 12)
     assert radial(np.column_stack((way, 0.2 * way)), 0.035) == 1.0
