@@ -37,6 +37,7 @@ from automodel.types import Bools, FloatArray, Image, Ints
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
+THIN = 8  # every so many-th pixel of every so many-th row tells whether an image is the last one: noise changes all
 ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
 PIECES = 9  # of the view's length, in each of which paint is told from reflections
@@ -107,7 +108,12 @@ class Stereo:
         ]
         if blind:
             blind[-1] += ": the ground plane of the last good pair was used"
-        return "; ".join(text for text in (self._width.warning, *blind) if text)
+        frozen = [
+            f"the {eye} camera gave the same image again in {count} pairs in which the other one's changed: not used"
+            for eye, count in zip(("left", "right"), self._frozen, strict=True)
+            if count
+        ]
+        return "; ".join(text for text in (self._width.warning, *blind, *frozen) if text)
 
     @property
     def plane(self) -> Plane:
@@ -122,6 +128,8 @@ class Stereo:
         self._plane.reset()
         self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
         self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
+        self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
+        self._before: list[Image | None] = [None, None]
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._changes.reset()
@@ -142,7 +150,8 @@ class Stereo:
         if self._width.step(images[0]):
             self._look_for(self._width.width_m)
         self.stages.lap("width")
-        grey = [None if image is None else _grey(image) for image in images]
+        frozen = self._repeats(images)
+        grey = [None if image is None or same else _grey(image) for image, same in zip(images, frozen, strict=True)]
         left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
@@ -194,6 +203,18 @@ class Stereo:
             self._pairs += 1
             self._blind = [n + (not one.count) for n, one in zip(self._blind, (left, right), strict=True)]
         return left, right
+
+    def _repeats(self, images: Sequence[Image | None]) -> list[bool]:
+        """Which of the images are those of the pair before, while the other eye's changes: a camera hangs."""
+        thin = [None if image is None else image[::THIN, ::THIN].copy() for image in images]
+        same = [
+            now is not None and before is not None and np.array_equal(now, before)
+            for now, before in zip(thin, self._before, strict=True)
+        ]
+        self._before = thin
+        frozen = [one and not all(same) for one in same]
+        self._frozen = [count + one for count, one in zip(self._frozen, frozen, strict=True)]
+        return frozen
 
     def _on_ground(self, images: Sequence[Image | None], left: Stripes, right: Stripes) -> list[FloatArray]:
         """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,6 +93,41 @@ def test_one_eye_goes_on_alone_and_the_pair_comes_back(eye: int) -> None:
     assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
     assert isinstance(drive.estimator, Stereo)
     assert ("left", "right")[eye] in drive.estimator.warning
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_a_frozen_eye_is_noticed_and_the_other_one_goes_on(eye: int) -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK)
+    picture, kept = drive.picture, []
+
+    def frozen(*args: Any) -> StereoFrame:
+        pair: StereoFrame = picture(*args)
+        kept.append((pair.left, pair.right)[eye])
+        return replace(pair, **{("left", "right")[eye]: kept[min(len(kept) - 1, 15)]})
+
+    drive.picture = frozen  # type: ignore[method-assign]
+    seen = drive.run(0.0, 2.5)
+    assert all(one.estimate.valid for one in seen[2:])
+    bounds = np.array([one.estimate.pose.offset_bound_m for one in seen if one.estimate.pose])
+    assert (errors_m(seen) < bounds).all()
+    assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
+    assert isinstance(drive.estimator, Stereo)
+    side = ("left", "right")[eye]
+    assert f"the {side} camera gave the same image again in {len(seen) - 16} pairs" in drive.estimator.warning
+
+
+@pytest.mark.parametrize("yaw_rad", [0.01, 0.03])
+def test_the_plane_takes_in_an_eye_that_looks_elsewhere_than_calibrated(yaw_rad: float) -> None:
+    """A pitch of the ground looks like it; the lane is where it was."""
+    assert CAR.camera.right is not None
+    there = CAR.camera.right.extrinsics
+    right = replace(CAR.camera.right, extrinsics=replace(there, yaw_rad=there.yaw_rad + yaw_rad))
+    pipeline = Stereo(replace(CAR, camera=replace(CAR.camera, right=right)))
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK, pipeline=pipeline)
+    seen = drive.run(0.0, 1.5)
+    assert all(one.estimate.status is LaneStatus.TRACKING for one in seen[5:])
+    assert errors_m(seen).mean() < 0.03 * CAR.lane.width_m
+    assert pipeline.plane.pitch_rad == pytest.approx(0.66 * yaw_rad, abs=0.01)
 
 
 def test_nothing_is_said_of_two_good_eyes(lap: tuple[StereoDrive, list[Seen]]) -> None:
