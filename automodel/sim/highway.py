@@ -17,7 +17,7 @@ from automodel.sim.paint import Grain, Paint, paint_line
 from automodel.sim.track import Lane, Track, constant, lane_between, reversed_lane
 from automodel.sim.track_files import join_pieces
 from automodel.sim.track_sections import ArcPiece, ClothoidPiece, LinePiece, Marking, OriginSection, Piece
-from automodel.sim.trajectory import DrivenPose
+from automodel.sim.trajectory import DrivenPose, pose_on
 
 MARGIN_M = 60.0  # of the floor beside the road
 EASING_M = 80.0  # of a clothoid between a straight and an arc
@@ -123,12 +123,4 @@ class HighwayDrive:
 
     def pose(self, t_s: float) -> DrivenPose:
         """The pose at `t_s` seconds after the start."""
-        s = t_s * self.speed_mps
-        x, y = self.path.position(s)
-        return DrivenPose(
-            x_m=float(x),
-            y_m=float(y),
-            yaw_rad=math.remainder(float(self.path.heading(s)), math.tau),
-            speed_mps=self.speed_mps,
-            yaw_rate_radps=float(self.path.curvature(s)) * self.speed_mps,
-        )
+        return pose_on(self.path, t_s * self.speed_mps, self.speed_mps)

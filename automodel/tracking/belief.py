@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, innovation, log_likelihood, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, line_beside, moved
@@ -217,12 +217,8 @@ class LaneBelief:
 
     def beside_it(self, side: int) -> LaneBelief:
         """The lane on a side, +1 left or -1 right, of which no more is known than of any: its width is its own."""
-        away = np.eye(len(self.state))
-        away[OFFSET, WIDTH] = -side
-        state, covariance = away @ self.state, away @ self.covariance @ away.T
-        own = np.zeros(len(state))  # of its width, half of which lies this side of its middle
-        own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
-        covariance += (self.road.width_sigma * self.road.lane_width_m) ** 2 * np.outer(own, own)
+        width_sigma_m = self.road.width_sigma * self.road.lane_width_m
+        state, covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
         return replace(self, state=state, covariance=covariance)
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:

@@ -103,9 +103,10 @@ def test_a_frozen_eye_is_noticed_and_the_other_one_goes_on(eye: int) -> None:
     def frozen(*args: Any) -> StereoFrame:
         pair: StereoFrame = picture(*args)
         kept.append((pair.left, pair.right)[eye])
-        return replace(pair, **{("left", "right")[eye]: kept[min(len(kept) - 1, 15)]})
+        still = kept[min(len(kept) - 1, 15)]
+        return replace(pair, left=still) if eye == 0 else replace(pair, right=still)
 
-    drive.picture = frozen  # type: ignore[method-assign]
+    drive.picture = frozen  # type: ignore[method-assign, assignment]
     seen = drive.run(0.0, 2.5)
     assert all(one.estimate.valid for one in seen[2:])
     bounds = np.array([one.estimate.pose.offset_bound_m for one in seen if one.estimate.pose])

@@ -26,7 +26,7 @@ from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
-from automodel.geometry.lane_path import curvature, foot_on, lane_path, path_row, place_on, station
+from automodel.geometry.lane_path import curvature, foot_on, lane_path, next_lane, path_row, place_on, station
 from automodel.types import Bools, Complexes, FloatArray, Floats
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
@@ -195,12 +195,7 @@ class ParabolaPair:
 
         `width_sigma_m`: by how much its width differs from this one's.
         """
-        away = np.eye(SIZE)
-        away[OFFSET, WIDTH] = -side
-        self.state, self.covariance = away @ self.state, away @ self.covariance @ away.T
-        own = np.zeros(SIZE)  # of its width, half of which lies this side of its middle
-        own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
-        self.covariance += width_sigma_m**2 * np.outer(own, own)
+        self.state, self.covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
 
     @property
     def curvature_per_m(self) -> float:
