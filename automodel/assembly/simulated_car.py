@@ -96,12 +96,17 @@ def renderer(track: Track, car: CarConfig, look: Appearance, nod_max_rad: float 
     return Renderer(paint, track.floor, track.obstacles, eye, look, roadside=track.roadside, nod_max_rad=nod_max_rad)
 
 
-def eyes(track: Track, car: CarConfig, look: Appearance) -> Renderer | EyePair:
-    """The camera of `car` over `track`, or both of a pair, each with noise of its own."""
+def renderers(track: Track, car: CarConfig, look: Appearance, nod_max_rad: float = 0.0) -> list[Renderer]:
+    """The camera of `car` over `track`, or both of a pair, left first, each with noise of its own."""
     cameras = (dataclasses.replace(car, camera=camera) for camera in car.camera.eyes)
     seeds = (dataclasses.replace(look, noise_seed=look.noise_seed + number) for number in range(2))
-    renderers = [renderer(track, one, own) for one, own in zip(cameras, seeds, strict=False)]
-    return EyePair(*renderers) if len(renderers) > 1 else renderers[0]
+    return [renderer(track, one, own, nod_max_rad) for one, own in zip(cameras, seeds, strict=False)]
+
+
+def eyes(track: Track, car: CarConfig, look: Appearance) -> Renderer | EyePair:
+    """The camera of `car` over `track`, or both of a pair."""
+    found = renderers(track, car, look)
+    return EyePair(*found) if len(found) > 1 else found[0]
 
 
 def build_world(car: CarConfig, simulation: Simulation) -> World:

@@ -329,6 +329,47 @@ def contour_paper(
     return 0
 
 
+@command.command("stereo-paper")
+@SEVERAL
+@click.option("--light", "lights", multiple=True, type=click.Choice(["day", "night"]), help="[default: both]")
+@click.option("--bounce", "bounces", multiple=True, type=click.FloatRange(0.0, 2.0), callback=finite,
+              help="Pitch of the car on its springs, in degrees either way.  [default: 0 and 1]")  # fmt: skip
+@click.option("--seconds", type=click.FloatRange(1.0, 25.0), callback=finite, default=25.0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of floor, noise and odometry.")
+@SWEEP
+@CSV
+@JSON
+def stereo_paper(
+    pipelines: tuple[str, ...],
+    lights: tuple[str, ...],
+    bounces: tuple[float, ...],
+    seconds: float,
+    seed: int,
+    sweep: Sweep,
+    csv_file: Path | None,
+    as_json: bool,
+) -> int:
+    """The highway sequence of the paper behind `stereo`, simulated: its figures, ours, and the monocular pipelines'.
+
+    Example:
+
+    automodel bench stereo-paper --light day --pipeline stereo
+    """
+    from automodel.bench.stereo_paper import BOUNCES_DEG, COLUMNS, LIGHTS, Ride, measure
+
+    check_outputs({"--csv": csv_file}, {})
+    names = pipelines or (*PAIR_PIPELINES, *PIPELINE_NAMES)
+    rides = [
+        Ride(light=light, bounce_deg=bounce, pipelines=names, seed=seed, seconds=seconds)
+        for light in lights or LIGHTS
+        for bounce in bounces or BOUNCES_DEG
+    ]
+    rows = measure(rides, sweep)
+    _write(csv_file, rows, seed)
+    show("bench stereo-paper", rows, as_json, COLUMNS)
+    return 0
+
+
 @command.command("cluster")
 @click.option("--cases", type=click.IntRange(4), default=200, show_default=True, help="Drives, of a seed each.")
 @click.option("--frames", type=click.IntRange(2), default=10, show_default=True, help="Of each drive.")

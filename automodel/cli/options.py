@@ -7,7 +7,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import click
 
@@ -42,10 +42,14 @@ class PartName(click.ParamType):  # type: ignore[type-arg]
 PIPELINE = PartName(PIPELINES)
 
 
-def finite(ctx: click.Context, param: click.Parameter, value: float | None) -> float | None:
-    """A callback that refuses NaN and infinity, which float() takes for numbers."""
-    if value is not None and not math.isfinite(value):
-        raise click.BadParameter(f"expected a finite number, got {value}", ctx, param)
+Number = TypeVar("Number", float, None, "tuple[float, ...]")
+
+
+def finite(ctx: click.Context, param: click.Parameter, value: Number) -> Number:
+    """A callback that refuses NaN and infinity, which float() takes for numbers, in one value or in several."""
+    for one in value if isinstance(value, tuple) else (value,):
+        if one is not None and not math.isfinite(one):
+            raise click.BadParameter(f"expected a finite number, got {one}", ctx, param)
     return value
 
 

@@ -95,6 +95,7 @@ class StereoConfig:
     contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
     coast_lanes: float = 6.0  # distance that the lane is carried on without any line, at most
     coast_s: float = 2.5  # and for how long at most
+    lane_changes: bool = False  # true: the next lane becomes the lane when the car drives there; it leads the same way
 
     def __post_init__(self) -> None:
         positive(self, "look_ahead_lanes", "view_half_lanes")

@@ -132,3 +132,17 @@ def path_row(
         row[ROAD + first] += (1.0 - share) * moved
         row[ROAD + first + 1] += share * moved
     return x, y, heading
+
+
+def next_lane(
+    state: FloatArray, covariance: FloatArray, side: int, width_sigma_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """State (n,) and covariance (n, n) of the neighbour lane on a side, +1 left or -1 right, by those of a lane.
+
+    `width_sigma_m`: by how much its width differs from this one's.
+    """
+    away = np.eye(len(state))
+    away[OFFSET, WIDTH] = -side
+    own = np.zeros(len(state))  # of its width, half of which lies this side of its middle
+    own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
+    return away @ state, away @ covariance @ away.T + width_sigma_m**2 * np.outer(own, own)

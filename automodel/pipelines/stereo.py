@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -29,12 +30,14 @@ from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
+from automodel.tracking.lane_change import LaneChanges
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
-from automodel.types import Bools, FloatArray, Image
+from automodel.types import Bools, FloatArray, Image, Ints
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
+THIN = 8  # every so many-th pixel of every so many-th row tells whether an image is the last one: noise changes all
 ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
 PIECES = 9  # of the view's length, in each of which paint is told from reflections
@@ -65,6 +68,9 @@ class Stereo:
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
         self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        self._changes = LaneChanges()
+        if options.lane_changes and not car.lane.left == car.lane.right == "any":
+            raise ValueError('lane_changes: needs [lane] left and right "any": each lane has lines of its own')
         self.stages = StageClock()
         self.reset()
 
@@ -102,7 +108,12 @@ class Stereo:
         ]
         if blind:
             blind[-1] += ": the ground plane of the last good pair was used"
-        return "; ".join(text for text in (self._width.warning, *blind) if text)
+        frozen = [
+            f"the {eye} camera gave the same image again in {count} pairs in which the other one's changed: not used"
+            for eye, count in zip(("left", "right"), self._frozen, strict=True)
+            if count
+        ]
+        return "; ".join(text for text in (self._width.warning, *blind, *frozen) if text)
 
     @property
     def plane(self) -> Plane:
@@ -116,8 +127,12 @@ class Stereo:
             self._look_for(self._width.width_m)
         self._plane.reset()
         self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
+        self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
+        self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
+        self._before: list[Image | None] = [None, None]
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
+        self._changes.reset()
         self._pair.forget()
 
     def step(self, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
@@ -135,11 +150,13 @@ class Stereo:
         if self._width.step(images[0]):
             self._look_for(self._width.width_m)
         self.stages.lap("width")
-        grey = [None if image is None else _grey(image) for image in images]
+        frozen = self._repeats(images)
+        grey = [None if image is None or same else _grey(image) for image, same in zip(images, frozen, strict=True)]
         left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
         if self._tracking.lost:
+            self._changes.reset()
             belief = self._start(frame.t_ns, images[0], lines)
             if belief is None:
                 self._pair.forget()
@@ -154,6 +171,8 @@ class Stereo:
                 followed = self._fit(lines)
             self.stages.lap("doubt")
         estimate = self._tracking.follow(left_frame, followed)
+        if self._options.lane_changes:  # has the car driven into the next lane?
+            estimate = self._change_lane(left_frame, estimate, lines)
         if self._tracking.lost:
             self._pair.forget()
         self.stages.lap("estimate")
@@ -185,6 +204,18 @@ class Stereo:
             self._blind = [n + (not one.count) for n, one in zip(self._blind, (left, right), strict=True)]
         return left, right
 
+    def _repeats(self, images: Sequence[Image | None]) -> list[bool]:
+        """Which of the images are those of the pair before, while the other eye's changes: a camera hangs."""
+        thin = [None if image is None else image[::THIN, ::THIN].copy() for image in images]
+        same = [
+            now is not None and before is not None and np.array_equal(now, before)
+            for now, before in zip(thin, self._before, strict=True)
+        ]
+        self._before = thin
+        frozen = [one and not all(same) for one in same]
+        self._frozen = [count + one for count, one in zip(self._frozen, frozen, strict=True)]
+        return frozen
+
     def _on_ground(self, images: Sequence[Image | None], left: Stripes, right: Stripes) -> list[FloatArray]:
         """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""
         middle = self._rig.middle_m
@@ -194,6 +225,7 @@ class Stereo:
         row_m = np.diff(self._rows_m).mean()
         fit = fit_plane(matches, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0))
         self._one_eyed = not fit.inliers.any()
+        self.plane_reach_m = float(matches.points_m[fit.inliers, 0].max(initial=0.0))
         before = self._plane.plane.level_from_body
         self._plane.update(fit.step, fit.covariance)
         turn = self._plane.plane.level_from_body @ before.T
@@ -214,9 +246,9 @@ class Stereo:
         odds = np.zeros(one.count)
         if image is None:
             return odds
-        if other.count:  # else it may be blind
+        if other.count and other_image is not None:  # else it may be blind
             known_m = self._plane.height_sigma_m(on_ground(one.eye, one.directions) - self._rig.middle_m[:2])
-            odds = log_odds(one, witnesses(one, other, known_m, NOISE_PX))
+            odds = log_odds(one, witnesses(one, other, (image, other_image), known_m, NOISE_PX))
         camera, reflections = (self._rig.left, self._rig.right)[eye], self._reflections[eye]
         ground = camera.px_to_ground(one.pixels)
         for k in np.flatnonzero((odds >= 0.0) & (odds < SURE)).tolist():
@@ -261,7 +293,8 @@ class Stereo:
         mine = [k for k, side in enumerate(sides) if side]
         points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
         side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])
-        good = self._pair.update(points, side, self._sigma_m(points))
+        counts = np.array([len(lines[k]) for k in mine], dtype=np.intp)
+        good = self._pair.update(points, side, self._sigma_m(points, np.repeat(counts, counts)))
         left, right = points[good & (side > 0.0)], points[good & (side < 0.0)]
         state, covariance = self._pair.state, self._pair.covariance
         sign = np.array((1.0, -1.0, 1.0))
@@ -279,13 +312,33 @@ class Stereo:
             centerline=self._pair.curve(0.0),
         )
 
-    def _sigma_m(self, points_m: FloatArray) -> FloatArray:
-        """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty."""
+    def _change_lane(self, frame: Frame, estimate: LaneEstimate, lines: list[FloatArray]) -> LaneEstimate:
+        """The estimate of the next lane, where the car is on its way there and both of its lines are seen."""
+        side = 0 if estimate.pose is None else self._changes.due(estimate.pose)
+        if not side or self._tracking.in_doubt:
+            return estimate
+        before = self._pair.state, self._pair.covariance
+        self._pair.change_lane(side, self._tracking.road.width_sigma * self._unit)
+        followed = self._fit(lines)
+        if not (followed.left.seen and followed.right.seen):  # there may be no lane
+            self._pair.state, self._pair.covariance = before
+            return estimate
+        self._tracking.change_lane(side)
+        self._changes.changed(side)
+        return replace(self._tracking.follow(frame, followed), lane_change=side)
+
+    def _sigma_m(self, points_m: FloatArray, together: Ints) -> FloatArray:
+        """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty.
+
+        `together` (n,): the knots of each one's line, which share an error: a whole line can be one wrong thing, and
+        as many knots are no more witnesses than one.
+        """
         middle, road = self._rig.middle_m, self._tracking.road
         away = points_m - middle[:2]
         pixel = NOISE_PX * np.hypot(*away.T) / self._rig.left.camera.matrix[0, 0]
         tilted = away[:, 1] / middle[2] * self._plane.height_sigma_m(away)
-        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2)
+        shared = together * (road.line_sigma * self._unit) ** 2
+        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2 + shared)
 
     def _line(self, points_m: FloatArray, lanes: float) -> LaneLine:
         seen = len(points_m) >= SEEN

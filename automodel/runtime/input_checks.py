@@ -65,6 +65,7 @@ class LaneJumpCheck:
             return None
         most_m, most_rad = self._most(right.pose, pose, right.status is LaneStatus.COASTING)
         sideways_m = pose.offset_m - right.pose.offset_m
+        sideways_m += 0.5 * estimate.lane_change * (right.pose.width_m + pose.width_m)  # measured from the next lane
         if abs(sideways_m) > most_m:
             return f"the lane has jumped sideways by {abs(sideways_m):.2f} m"
         turn_rad = math.remainder(pose.heading_rad - right.pose.heading_rad, math.tau)

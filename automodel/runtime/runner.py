@@ -286,6 +286,10 @@ class Runner:
             faults += record.tick.lane_faults
         if faults:
             self._run_log.report("fault", "; ".join(faults), record.t_ns)
+        if record.tick is not None and record.tick.estimate.lane_change:
+            side = "left" if record.tick.estimate.lane_change > 0 else "right"
+            text = f"the lane on the {side} is the lane now"
+            self._run_log.note(Event(t_ns=record.t_ns, kind="lane-change", text=text))
         for event in record.decision.events:
             self._run_log.note(event)
             self._stops += event.kind == "stop"

@@ -193,7 +193,7 @@ SHADES = {
 
 
 class NoddingView:
-    """A camera that pitches about its optical centre: its image is a view of that of a `wide` camera at rest.
+    """A camera that pitches with its car, about its optical centre: its image is a view of a `wide` camera's at rest.
 
     `wide` has the same lens and place and a margin on each side, for pitches up to `max_rad` either way.
     """
@@ -204,8 +204,14 @@ class NoddingView:
         if not np.isfinite(corner).all():
             raise ValueError("camera: a lens whose image corners see nothing cannot nod")
         slope = math.tan(max_rad)
-        across = math.ceil(float(model.matrix[0, 0] * corner[0] * (corner[1] + slope) * slope)) + 2
-        down = math.ceil(float(model.matrix[1, 1] * (1.0 + corner[1] * (corner[1] + slope)) * slope)) + 2
+        axis = np.abs(
+            camera.cam_from_body[:, 1]
+        )  # about which the car pitches: of a camera that looks aside, not its x
+        turn, aside = slope * float(axis[2]), slope * float(axis[1])
+        turned = turn * corner[1] + aside * (1.0 + corner[0] * (corner[0] + aside)), turn * corner[0]
+        across = corner[0] * (corner[1] + slope) * slope + turned[0]
+        down = (1.0 + corner[1] * (corner[1] + slope)) * slope + turned[1]
+        across, down = (math.ceil(float(model.matrix[k, k] * margin)) + 2 for k, margin in enumerate((across, down)))
         lens = Intrinsics(
             fx_px=float(model.matrix[0, 0]),
             fy_px=float(model.matrix[1, 1]),
@@ -217,6 +223,7 @@ class NoddingView:
         self.wide = copy.copy(camera)
         self.wide.camera = CameraModel(lens, model.width_px + 2 * across, model.height_px + 2 * down)
         self._size = (model.width_px, model.height_px)
+        self._cam_from_body = camera.cam_from_body
         self._inverse = np.linalg.solve(model.matrix, np.eye(3))
         self._rays: FloatArray | None = None
         if model.distortion.any():
@@ -228,7 +235,8 @@ class NoddingView:
         if abs(nod_rad) > self.max_rad:
             raise ValueError(f"nod_rad: expected at most {self.max_rad} either way, got {nod_rad}")
         cos, sin = math.cos(nod_rad), math.sin(nod_rad)
-        rest_from_nodding = np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]])
+        pitch = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])  # of the body frame
+        rest_from_nodding = self._cam_from_body @ pitch @ self._cam_from_body.T
         if self._rays is None:
             wide_from_px = self.wide.camera.matrix @ rest_from_nodding @ self._inverse
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
@@ -295,7 +303,7 @@ class Renderer:
     ) -> Image:
         """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure.
 
-        `nod_rad` is the pitch of the camera beyond its place on the car, positive downwards.
+        `nod_rad` is the pitch of the car, and of its camera with it, positive downwards.
         """
         pose = SE2(x_m, y_m, yaw_rad)
         gain = self.appearance.light * exposure(self.appearance, index)

@@ -34,6 +34,18 @@ class DrivenPose:
     yaw_rate_radps: float
 
 
+def pose_on(path: SplineCurve, s_m: float, speed_mps: float) -> DrivenPose:
+    """The pose of a car at arc length `s_m` of its path."""
+    x, y = path.position(s_m)
+    return DrivenPose(
+        x_m=float(x),
+        y_m=float(y),
+        yaw_rad=math.remainder(float(path.heading(s_m)), math.tau),
+        speed_mps=speed_mps,
+        yaw_rate_radps=float(path.curvature(s_m)) * speed_mps,
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drive:
     """A lap along `lane` in one of `STYLES`, at constant speed; the rear axle's centre follows the path.
@@ -60,15 +72,7 @@ class Drive:
 
     def pose(self, t_s: float) -> DrivenPose:
         """The pose at `t_s` seconds after the start."""
-        s = t_s * self.speed_mps
-        x, y = self.path.position(s)
-        return DrivenPose(
-            x_m=float(x),
-            y_m=float(y),
-            yaw_rad=math.remainder(float(self.path.heading(s)), math.tau),
-            speed_mps=self.speed_mps,
-            yaw_rate_radps=float(self.path.curvature(s)) * self.speed_mps,
-        )
+        return pose_on(self.path, t_s * self.speed_mps, self.speed_mps)
 
     def time_at(self, lane_s_m: float) -> float:
         """The time [s] at which the car is at arc length `lane_s_m` of the lane's centerline, in the first lap."""

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature
+from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, arc, beside_car, lateral_variance, line_beside, merged, moved
@@ -206,6 +206,12 @@ class LaneBelief:
         """Where a line runs at arc lengths (n,): points (n, 2) [m], headings (n,) [rad], sigmas (n,) [m]."""
         spacing = STATION * self.road.lane_width_m
         return line_beside(self.state, self.covariance, self.start_m, spacing, self.reference_x_m, role, s_m)
+
+    def beside_it(self, side: int) -> LaneBelief:
+        """The lane on a side, +1 left or -1 right, of which no more is known than of any: its width is its own."""
+        width_sigma_m = self.road.width_sigma * self.road.lane_width_m
+        state, covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
+        return replace(self, state=state, covariance=covariance)
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""

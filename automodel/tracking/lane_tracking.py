@@ -183,6 +183,13 @@ class LaneTracking:
             self._doubt(self._belief.without_road())
         return moved
 
+    def change_lane(self, side: int) -> None:
+        """The neighbour lane on a side, +1 left or -1 right, becomes the lane; not while this one is in doubt."""
+        if self._belief is None or self.in_doubt:
+            raise ValueError("a lane that is lost or in doubt has no neighbour")
+        self._belief = self._belief.beside_it(side)
+        self._innovations.reset()
+
     def contradict_odometry(self) -> None:
         """The estimator's lines lie far from where the motion puts them: one of the two is wrong."""
         self._odometry.suspect(by_lines=True)

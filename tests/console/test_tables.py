@@ -7,7 +7,7 @@ import json
 import pytest
 
 from automodel.assembly import replay
-from automodel.bench import accuracy, centerline_paper, contour_paper, latency, speed, tusimple
+from automodel.bench import accuracy, centerline_paper, contour_paper, latency, speed, stereo_paper, tusimple
 from automodel.bench.accuracy import AccuracyMeter
 from automodel.bench.contour_paper import ClaimMeter
 from automodel.bench.faults import measure as faults
@@ -44,6 +44,8 @@ COMMANDS: dict[str, tuple[dict[str, object], tuple[str, ...]]] = {
     "windows-paper crossing": (WINDOWS.crossing_row(), ()),
     "windows-paper rates": (WINDOWS.rate_rows()[0], ()),
     "bench contour-paper": (CLAIM, contour_paper.COLUMNS),
+    "bench stereo-paper": ({**dict.fromkeys(stereo_paper.COLUMNS, 123.456), "ride": "night, pitch +-1 deg",
+                            "pipeline": "centerline"}, stereo_paper.COLUMNS),
     "bench speed": ({"pipeline": "centerline", "stage": "preprocessing", "width_px": 1280, "height_px": 720,
                      "p50_ms": 123.456, "p99_ms": 123.456, "threads": 16}, speed.COLUMNS),
     "bench latency": ({"link": "emulated", "stage": "frame -> write", "samples": 200, "p50_ms": 1.2345,

@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
 from automodel.assembly.parts import make_pipeline
+from automodel.assembly.simulated_car import renderers
+from automodel.bench.stereo_paper import mirror_car
 from automodel.config import CarConfig, ConfigError, LaneConfig, SecondCamera
 from automodel.pipelines.stereo import Stereo
+from automodel.runtime.input_checks import LaneJumpCheck
 from automodel.runtime.loop import Loop
-from automodel.signals import Frame, LaneStatus, Motion, StereoFrame
+from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sim.appearance import Appearance
+from automodel.sim.highway import Highway, HighwayDrive, LaneChange
 from automodel.sim.track_files import load_track
+from automodel.sim.truth import TruthFollower
 from tests.support.rendered_drives import Seen, check_sound
 from tests.support.stereo_drives import StereoDrive, stereo_car
 
@@ -85,6 +93,42 @@ def test_one_eye_goes_on_alone_and_the_pair_comes_back(eye: int) -> None:
     assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
     assert isinstance(drive.estimator, Stereo)
     assert ("left", "right")[eye] in drive.estimator.warning
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_a_frozen_eye_is_noticed_and_the_other_one_goes_on(eye: int) -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK)
+    picture, kept = drive.picture, []
+
+    def frozen(*args: Any) -> StereoFrame:
+        pair: StereoFrame = picture(*args)
+        kept.append((pair.left, pair.right)[eye])
+        still = kept[min(len(kept) - 1, 15)]
+        return replace(pair, left=still) if eye == 0 else replace(pair, right=still)
+
+    drive.picture = frozen  # type: ignore[method-assign, assignment]
+    seen = drive.run(0.0, 2.5)
+    assert all(one.estimate.valid for one in seen[2:])
+    bounds = np.array([one.estimate.pose.offset_bound_m for one in seen if one.estimate.pose])
+    assert (errors_m(seen) < bounds).all()
+    assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
+    assert isinstance(drive.estimator, Stereo)
+    side = ("left", "right")[eye]
+    assert f"the {side} camera gave the same image again in {len(seen) - 16} pairs" in drive.estimator.warning
+
+
+@pytest.mark.parametrize("yaw_rad", [0.01, 0.03])
+def test_the_plane_takes_in_an_eye_that_looks_elsewhere_than_calibrated(yaw_rad: float) -> None:
+    """A pitch of the ground looks like it; the lane is where it was."""
+    assert CAR.camera.right is not None
+    there = CAR.camera.right.extrinsics
+    right = replace(CAR.camera.right, extrinsics=replace(there, yaw_rad=there.yaw_rad + yaw_rad))
+    pipeline = Stereo(replace(CAR, camera=replace(CAR.camera, right=right)))
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK, pipeline=pipeline)
+    seen = drive.run(0.0, 1.5)
+    assert all(one.estimate.status is LaneStatus.TRACKING for one in seen[5:])
+    assert errors_m(seen).mean() < 0.03 * CAR.lane.width_m
+    assert pipeline.plane.pitch_rad == pytest.approx(0.66 * yaw_rad, abs=0.01)
 
 
 def test_nothing_is_said_of_two_good_eyes(lap: tuple[StereoDrive, list[Seen]]) -> None:
@@ -159,3 +203,60 @@ def test_the_loop_gives_pairs_to_a_pipeline_of_two_cameras() -> None:
         with pytest.raises(KeyboardInterrupt):
             loop.tick(pair, motion(1), None, 1)
         assert isinstance(pipeline.seen[0], kind)
+
+
+@pytest.fixture(scope="module")
+def overtaking() -> tuple[CarConfig, list[tuple[LaneEstimate, int]]]:
+    """A drive that changes to the next lane and back, and for each estimate the lane it is of."""
+    car = mirror_car()
+    track, lanes = Highway(straights_m=(200.0, 50.0)).build()
+    ways = LaneChange(from_s=0.6, lasts_s=3.0), LaneChange(from_s=4.2, lasts_s=3.0, to=-1)
+    drive = HighwayDrive(lanes[0], 25.0, ways, wander_m=0.0)
+    eyes, pipeline = renderers(track, car, LOOK), Stereo(car)
+    followers = [TruthFollower(lane, car.vehicle.reference_x_m) for lane in lanes]
+    found = []
+    for index in range(154):
+        t_s = index / 20.0
+        at, t_ns = drive.pose(t_s), round(t_s * 1e9)
+        place = at.x_m, at.y_m, at.yaw_rad
+        left, right = (eye.render(*place, at.speed_mps, at.yaw_rate_radps, index) for eye in eyes)
+        moved = Motion(t_ns=t_ns, speed_mps=at.speed_mps, yaw_rate_radps=drive.pose(t_s - 0.025).yaw_rate_radps)
+        estimate = pipeline.step(StereoFrame(t_ns=t_ns, index=index, left=left, right=right), moved)
+        truths = [follower.step(*place) for follower in followers]
+        if estimate.pose is not None:
+            off = [abs(estimate.pose.offset_m - truth.offset_m) for truth in truths]
+            assert min(off) < 0.05
+            found.append((estimate, off.index(min(off))))
+    return car, found
+
+
+def test_a_lane_change_is_one(overtaking: tuple[CarConfig, list[tuple[LaneEstimate, int]]]) -> None:
+    found = overtaking[1]
+    assert len(found) > 145
+    lanes = [lane for _, lane in found]
+    changes = [(k, one.lane_change) for k, (one, _) in enumerate(found) if one.lane_change]
+    assert [side for _, side in changes] == [1, -1]
+    for k, side in changes:
+        assert lanes[k] - lanes[k - 1] == side
+        before, after = found[k - 1][0].pose, found[k][0].pose
+        assert before is not None
+        assert after is not None
+        assert 0.65 < abs(before.offset_m) / (0.5 * before.width_m) < 0.77  # a tenth of a metre a frame
+        assert after.width_m == pytest.approx(before.width_m, abs=0.05)
+    assert sum(a != b for a, b in pairwise(lanes)) == 2
+
+
+def test_the_check_for_jumps_knows_a_lane_change(
+    overtaking: tuple[CarConfig, list[tuple[LaneEstimate, int]]],
+) -> None:
+    car, found = overtaking
+    told, untold = LaneJumpCheck(car.vehicle), LaneJumpCheck(car.vehicle)
+    assert [jump for one, _ in found if (jump := told.step(one)) is not None] == []
+    silent = (replace(one, lane_change=0) for one, _ in found)
+    assert any("jumped sideways" in jump for one in silent if (jump := untold.step(one)) is not None)
+
+
+def test_lane_changes_do_not_go_with_lines_that_tell_the_lane() -> None:
+    car = dataclasses.replace(mirror_car(), lane=LaneConfig(width_m=3.6, left="dashed"))
+    with pytest.raises(ConfigError, match="lane_changes: needs"):
+        make_pipeline("stereo", car)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import gc
 import signal
+from dataclasses import replace
 
 import pytest
 
@@ -69,6 +70,18 @@ def test_arms_by_key_and_refuses_too_early_a_key() -> None:
     car.run()
     assert car.modes() == [DISARMED, ARMING, DRIVING]
     assert car.kinds() == ["arm-refused", "arming", "driving", "end"]
+
+
+@pytest.mark.parametrize(("side", "which"), [(1, "left"), (-1, "right")])
+def test_a_lane_change_is_an_event(side: int, which: str) -> None:
+    car = Car()
+    step = car.pipeline.step
+    car.pipeline.step = lambda frame, motion: replace(  # type: ignore[method-assign]
+        step(frame, motion), lane_change=side * (frame.index == 60)
+    )
+    result = car.run()
+    told = [event.text for event in result.events if event.kind == "lane-change"]
+    assert told == [f"the lane on the {which} is the lane now"]
 
 
 def test_a_person_at_a_distance_stops_the_car() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from automodel.config import CameraConfig, Extrinsics, Intrinsics
 from automodel.geometry import SE2, GroundCamera
+from automodel.geometry.stereo_rig import Plane, StereoRig
 from automodel.sim.appearance import Appearance
 from automodel.sim.paint import Paint
 from automodel.sim.renderer import Renderer
@@ -314,6 +315,19 @@ def test_a_nod_is_another_pitch(distortion: tuple[float, ...], nod_deg: float) -
         assert off < 0.2 * np.abs(rest.astype(float) - expected)[inner, inner].mean()
     mask = nodding.render_mask(0.2, 0.0, 0.1, nod)
     assert np.abs(mask.astype(float) - pitched.render_mask(0.2, 0.0, 0.1))[inner, inner].mean() < 1.0
+
+
+def test_a_camera_that_looks_aside_pitches_with_its_car() -> None:
+    """Against a camera whose attitude over the road is that of a body that is pitched."""
+    nod, looks = math.radians(1.3), Appearance(background="hall", marking_grey=220.0)
+    rest = camera(yaw_rad=0.3, roll_rad=-0.1)
+    pitched = StereoRig(rest, rest).over(Plane(pitch_rad=nod))[0]
+    args = (scene(), FLOOR, [obstacle(rectangle(1.5, 1.7, 0.3, 0.5))])
+    seen = Renderer(*args, rest, looks, nod_max_rad=math.radians(1.5)).render(0.2, 0.0, 0.1, nod_rad=nod)
+    expected, at_rest = (Renderer(*args, eye, looks).render(0.2, 0.0, 0.1) for eye in (pitched, rest))
+    inner = slice(3, -3)
+    off = np.abs(seen.astype(float) - expected)[inner, inner].mean()
+    assert off < 0.1 * np.abs(at_rest.astype(float) - expected)[inner, inner].mean()
 
 
 def test_a_nod_beyond_its_limit_is_refused() -> None:

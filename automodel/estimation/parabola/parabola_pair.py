@@ -26,7 +26,7 @@ from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
-from automodel.geometry.lane_path import curvature, foot_on, lane_path, path_row, place_on, station
+from automodel.geometry.lane_path import curvature, foot_on, lane_path, next_lane, path_row, place_on, station
 from automodel.types import Bools, Complexes, FloatArray, Floats
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
@@ -189,6 +189,13 @@ class ParabolaPair:
         self.covariance[TAPER, TAPER] = ROAD_TAPER**2
         for last in range(ROAD, SIZE - 1):
             self._go_on(last)
+
+    def change_lane(self, side: int, width_sigma_m: float) -> None:
+        """The neighbour lane on a side, +1 left or -1 right, becomes the lane.
+
+        `width_sigma_m`: by how much its width differs from this one's.
+        """
+        self.state, self.covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
 
     @property
     def curvature_per_m(self) -> float:

@@ -82,6 +82,29 @@ def test_the_midpoint_of_skew_rays_is_halfway() -> None:
     np.testing.assert_allclose(middle, (5.0, 0.0, 0.5), atol=1e-12)
 
 
+@pytest.mark.parametrize("turn_rad", [0.0, 1e-15, -1e-15])
+def test_a_ridge_matches_a_stripe_once_where_epipolar_lines_run_along_the_rows(turn_rad: float) -> None:
+    """Rectified cameras: an epipolar line meets the ridges of its own row, aside of them by rounding alone.
+
+    So do those at the ends of a stripe.
+    """
+    mounts = (Extrinsics(x_m=1.7, y_m=y, z_m=1.1, pitch_rad=0.1 + y * turn_rad) for y in (0.3, -0.3))
+    lens = mirror_cameras(distortion=0.0).left.camera
+    level = StereoRig(*(GroundCamera(lens, mount) for mount in mounts))
+    pair = draw_pair(level)
+    left, right = look(level, pair)
+    known_m = np.full(len(left.stripe), 0.02)
+    matches = match(left, right, known_m, NOISE_PX)
+    pairs = np.column_stack((matches.ridge, matches.right))
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    rows = {(stripe, row) for stripe, row in zip(right.stripe.tolist(), right.pixels[:, 1].tolist(), strict=True)}
+    partner = dict(zip(left.stripe[matches.ridge].tolist(), matches.right.tolist(), strict=True))
+    both = [(partner.get(s), v) in rows for s, v in zip(left.stripe.tolist(), left.pixels[:, 1].tolist(), strict=True)]
+    assert np.count_nonzero(both) > 100
+    assert np.isin(np.flatnonzero(both), matches.ridge).mean() > 0.95
+    assert (witnesses(left, right, pair, known_m, NOISE_PX)[both] >= 0).mean() > 0.95
+
+
 def test_matches_lie_on_the_lines_in_space() -> None:
     matches, fit = measure(RIG, draw_pair(RIG), PlaneFilter(float(RIG.middle_m[2])))
     points = matches.points_m[fit.inliers]
@@ -161,28 +184,55 @@ def test_what_nothing_measures_returns_to_the_calibration_unless_it_is_held() ->
     np.testing.assert_allclose(known.plane, 0.0, atol=1e-8)
 
 
+def said_of(one: Stripes, other: Stripes, images: tuple[np.ndarray, ...]) -> np.ndarray:
+    """What the other image says of the ridges of one, on ground that is known to two centimetres."""
+    return witnesses(one, other, (images[0], images[1]), np.full(len(one.stripe), 0.02), NOISE_PX)
+
+
 def test_paint_on_the_ground_is_borne_out_by_the_other_camera() -> None:
-    left, right = look(RIG, draw_pair(RIG))
-    for one, other in ((left, right), (right, left)):
-        said = witnesses(one, other, np.full(len(one.stripe), 0.02), NOISE_PX)
+    pair = draw_pair(RIG)
+    eyes = look(RIG, pair)
+    for k in (0, 1):
+        said = said_of(eyes[k], eyes[1 - k], (pair[k], pair[1 - k]))
         assert np.count_nonzero(said > 0) > 10 * np.count_nonzero(said < 0)
         assert np.count_nonzero(said > 0) > 30
-        assert (log_odds(one, said) >= 0.0).all()
+        assert (log_odds(eyes[k], said) >= 0.0).all()
 
 
 def test_what_one_camera_alone_shows_in_the_common_view_is_no_paint() -> None:
     """The right image is another road's: its lines lie elsewhere."""
-    left = look(RIG, draw_pair(RIG, lines=(Line(0.0),)))[0]
-    right = look(RIG, draw_pair(RIG, lines=(Line(-0.9 * LANE_M),)))[1]
-    said = witnesses(left, right, np.full(len(left.stripe), 0.02), NOISE_PX)
+    one, other = draw_pair(RIG, lines=(Line(0.0),)), draw_pair(RIG, lines=(Line(-0.9 * LANE_M),))
+    left, right = look(RIG, one)[0], look(RIG, other)[1]
+    said = said_of(left, right, (one[0], other[1]))
     assert np.count_nonzero(said < 0) > 30
     assert (log_odds(left, said) < 0.0).all()
 
 
+def test_paint_that_the_other_image_shows_without_a_ridge_is_not_refused() -> None:
+    """A dash that lies askew in the other image has no ridge there; the paint is bright all the same."""
+    pair = draw_pair(RIG)
+    left, right = look(RIG, pair)
+    right.traces = right.traces._replace(pixels=np.empty((0, 2)), chain=np.empty(0, np.intp))
+    said = said_of(left, right, pair)
+    near = np.abs(on_ground(left.eye, left.directions)[:, 0] - 6.0) < 6.0
+    assert np.count_nonzero(near) > 30
+    assert (said[near] == 0).mean() > 0.95
+
+
+def test_a_kerb_is_no_paint_where_the_other_image_shows_it_at_its_own_height() -> None:
+    """Bright in both images, 15 cm above the road."""
+    pair = draw_pair(RIG, Plane(height_m=-0.15), lines=(Line(0.5 * LANE_M),))
+    left, right = look(RIG, pair)
+    said = said_of(left, right, pair)
+    assert np.count_nonzero(said < 0) > 20
+    assert (log_odds(left, said) < 0.0).all()
+
+
 def test_what_is_out_of_the_other_view_says_nothing() -> None:
-    left, right = look(RIG, draw_pair(RIG))
+    pair = draw_pair(RIG)
+    left, right = look(RIG, pair)
     right.field = right.field._replace(ends=np.full_like(right.field.ends, np.nan))
-    said = witnesses(left, right, np.full(len(left.stripe), 0.02), NOISE_PX)
+    said = said_of(left, right, pair)
     np.testing.assert_array_equal(said, 0)
     np.testing.assert_array_equal(log_odds(left, said), 0.0)
 
@@ -195,6 +245,21 @@ def test_a_lamp_that_the_floor_mirrors_looks_the_same_in_both_images() -> None:
     every = np.ones(len(left.stripe), np.bool_)
     assert mirrored(left, every, pair[0], right.eye, pair[1]) < 0.5
     assert mirrored(left, every, pair[0], right.eye, pair[0]) > 0.9
+
+
+def test_a_mirrored_lamp_is_known_beside_the_paint_that_the_other_image_shows_next_to_it() -> None:
+    """A bell of light at the same place of two parallel cameras' images, and in one of them a line on its flank."""
+    ahead = StereoRig(*(GroundCamera(RIG.left.camera, Extrinsics(x_m=1.7, y_m=y, z_m=1.1)) for y in (0.9, -0.9)))
+    left, right = look(ahead, draw_pair(ahead, lines=(Line(0.5 * LANE_M),)))
+    every, rows = np.ones(len(left.stripe), np.bool_), np.arange(480)[:, None]
+    middle = np.interp(rows, left.pixels[::-1, 1], left.pixels[::-1, 0])
+    width = np.interp(rows, left.pixels[::-1, 1], left.width_px[::-1])
+    away = (np.arange(640) - middle) / width
+    lamp = (60.0 + 80.0 * np.exp(-2.0 * away**2)).astype(np.uint8)
+    beside = np.where((away > 0.5) & (away < 1.6), 230, lamp).astype(np.uint8)
+    assert mirrored(left, every, lamp, right.eye, beside) > 0.9
+    assert mirrored(left, every, lamp, right.eye, np.full_like(lamp, 60)) < 0.1
+    assert mirrored(left, every, lamp, right.eye, np.full_like(lamp, 230)) < 0.1
 
 
 def test_a_streak_points_to_its_camera() -> None:
