@@ -18,8 +18,9 @@ class Counting(Brightness):
     """Remembers which pixels were read."""
 
     def __init__(self) -> None:
-        super().__init__("grey", False)
         self.seen: set[int] = set()
+        super().__init__("grey", False)
+        self.seen.clear()  # what was read to compile
 
     def read(self, image, pixels):
         self.seen.update(np.unique(np.clip(pixels, 0, image.size - 1)).tolist())
