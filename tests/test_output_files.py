@@ -82,7 +82,8 @@ ITS_OWN_WAY = {
     "car_file.py",
     "run_file.py",
     "doctor/latency.py",
-}  # this; beside and renamed; a run grows and is recovered; the kernel's files of an LED
+    "viewer/video.py",
+}  # this; beside and renamed; a run grows and is recovered; the kernel's files of an LED; what ffmpeg will write
 BESIDE = {"output_path", "output_text"}
 
 

@@ -130,7 +130,7 @@ class VideoWriter:
         ffmpeg = ffmpeg_with_h264()
         if ffmpeg:
             try:
-                self._part.touch()  # ffmpeg would complain at the end only
+                self._part.open("ab").close()  # ffmpeg would complain at the end only
             except OSError as error:
                 raise self._refused(str(error.strerror)) from None
             return _Ffmpeg(ffmpeg, self._part, self._rate_hz, size)
