@@ -204,9 +204,7 @@ class NoddingView:
         if not np.isfinite(corner).all():
             raise ValueError("camera: a lens whose image corners see nothing cannot nod")
         slope = math.tan(max_rad)
-        axis = np.abs(
-            camera.cam_from_body[:, 1]
-        )  # about which the car pitches: of a camera that looks aside, not its x
+        axis = np.abs(camera.cam_from_body[:, 1])  # the car pitches about its own y, which is not that camera's x
         turn, aside = slope * float(axis[2]), slope * float(axis[1])
         turned = turn * corner[1] + aside * (1.0 + corner[0] * (corner[0] + aside)), turn * corner[0]
         across = corner[0] * (corner[1] + slope) * slope + turned[0]

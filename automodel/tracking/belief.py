@@ -22,8 +22,7 @@ from automodel.estimation.road import LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
-from automodel.tracking.lane_motion import Drift, arc, beside_car, lateral_variance, line_beside, merged, moved
-from automodel.tracking.lane_motion import Part as Part
+from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
 from automodel.types import FloatArray
 
 STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later

@@ -28,10 +28,11 @@ from automodel.signals import (
     Motion,
     MotionSource,
 )
-from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, Part, RoadModel, warm_up
+from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
 from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, bound
+from automodel.tracking.lane_motion import Part
 from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
@@ -511,22 +512,14 @@ class LaneTracking:
         return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
 
     def _estimate(self, frame: Frame, status: LaneStatus, followed: Followed) -> LaneEstimate:
-        pose, (offset_bound, heading_bound) = followed.pose, self._bounds(followed.pose)
+        offset_bound, heading_bound = self._bounds(followed.pose)
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=status,
             left=followed.left,
             right=followed.right,
             centerline=followed.centerline,
-            pose=LanePose(
-                offset_m=pose.offset_m,
-                heading_rad=pose.heading_rad,
-                width_m=pose.width_m,
-                curvature_per_m=pose.curvature_per_m,
-                covariance=pose.covariance,
-                offset_bound_m=offset_bound,
-                heading_bound_rad=heading_bound,
-            ),
+            pose=replace(followed.pose, offset_bound_m=offset_bound, heading_bound_rad=heading_bound),
             crossing=followed.crossing,
             frame_age_ns=max(frame.t_ns - self._seen_ns, 0),
         )

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from automodel.geometry import SE2
 from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import STATION, STATIONS, Assigned, Bends, Evidence, LaneBelief, Part, RoadModel
+from automodel.tracking.belief import STATION, STATIONS, Assigned, Bends, Evidence, LaneBelief, RoadModel
 from automodel.tracking.hypotheses import LEFT, RIGHT
+from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import TrackingConfig
 from automodel.types import FloatArray
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road

@@ -10,8 +10,8 @@ import pytest
 
 from automodel.geometry.lane_path import OFFSET
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import Part
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR, Hypotheses, Hypothesis, LineKinds
+from automodel.tracking.lane_motion import Part
 from tests.support.drawn_roads import LANE_M, STRAIGHT, Road
 from tests.support.sighted_lines import DASHED, belief, line_of
 

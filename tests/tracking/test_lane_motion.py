@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH
-from automodel.tracking.belief import STATION, STATIONS, LaneBelief, Part
-from automodel.tracking.lane_motion import arc, beside_car, lateral_variance, line_beside, merged
+from automodel.tracking.belief import STATION, STATIONS, LaneBelief
+from automodel.tracking.lane_motion import Part, arc, beside_car, lateral_variance, line_beside, merged
 from automodel.types import FloatArray
 from tests.support.sighted_lines import ROAD_MODEL
 

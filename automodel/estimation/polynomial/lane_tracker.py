@@ -102,8 +102,8 @@ class LaneTracker:
         self._since_kept += abs(distance_m)
         if len(self._memory):
             behind = self.fit.config.reference_x_m - self.fit.config.behind_lanes * self.unit
-            turn = after_from_before
-            self._memory = _carried(self._memory, (turn.x_m, turn.y_m, turn.yaw_rad), WALK * abs(distance_m), behind)
+            motion = after_from_before.x_m, after_from_before.y_m, after_from_before.yaw_rad
+            self._memory = _carried(self._memory, motion, WALK * abs(distance_m), behind)
 
     def place(self, parameters: FloatArray) -> None:
         """Believe the lane to have these parameters, without any points yet."""
