@@ -14,7 +14,7 @@ import click
 from automodel.config import ConfigError
 from automodel.config.parts import PIPELINES, PartKind
 
-FILE = click.Path(path_type=Path)
+FILE = click.Path(path_type=Path, readable=False)  # what reads it says more than that it cannot
 ABOVE_ZERO = click.FloatRange(0, min_open=True)  # together with `finite`: NaN and infinity pass every range
 
 

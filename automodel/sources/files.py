@@ -44,6 +44,10 @@ class VideoSource:
             raise ValueError(f"rate_hz: expected a positive number, got {rate_hz}")
         if not self.path.is_file():
             raise SourceError(f"{path}: no such file")
+        try:
+            self.path.open("rb").close()  # OpenCV does not say why it opens none
+        except OSError as error:
+            raise SourceError(f"{path}: cannot be read: {error.strerror}") from None
         with opencv_silenced():
             self._capture = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():

@@ -16,6 +16,7 @@ import pytest
 from automodel.config.parts import PIPELINES
 from automodel.sources.errors import SourceError
 from automodel.sources.images import read_image
+from tests.support.command_line import as_ordinary_user
 
 CARS = Path(__file__).resolve().parents[1] / "cars"
 TEXTS = {
@@ -239,18 +240,38 @@ def test_an_input_is_never_overwritten(files: Path, cli, monkeypatch: pytest.Mon
     assert (files / "run.mcap").read_bytes() == before
 
 
-def test_a_file_without_permission_is_refused(files: Path, cli, monkeypatch: pytest.MonkeyPatch) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root may read and write everything")
-    monkeypatch.chdir(files)
-    secret = files / "secret.toml"
-    secret.write_text("")
+SECRET_INPUTS = [
+    (("run", "--car"), "car.toml"),
+    (("run", "--track"), "track.toml"),
+    (("replay",), "run.mcap"),
+    (("replay",), "bus.log"),
+    (("replay", "--car", CARS / "solid_white_right.toml"), "road.mp4"),
+    (("replay", "--car", CARS / "solid_white_right.toml"), "road.png"),
+    (("replay", "--car", CARS / "solid_white_right.toml"), "pictures"),
+    (("recover",), "run.mcap"),
+    (("report", "--html", "page.html"), "run.mcap"),
+    (("doctor", "--car"), "car.toml"),
+]
+
+
+@pytest.mark.parametrize(("command", "name"), SECRET_INPUTS)
+def test_an_input_without_permission_is_refused(command: tuple[object, ...], name: str, tmp_path: Path) -> None:
+    secret = tmp_path / name
+    secret.touch() if secret.suffix else secret.mkdir()
     secret.chmod(0)
-    assert cli("run", "--car", secret).line() == f"automodel: {secret}: cannot be read: Permission denied"
-    assert cli("run", "--truth", secret).line() == f"automodel: --truth {secret}: cannot be written; " + (
-        "look at the permissions"
-    )
-    secret.unlink()
+    said = as_ordinary_user(*command, secret)
+    assert (said.code, said.out) == (2, "")
+    assert str(secret) in said.line()
+    assert "Permission denied" in said.line()
+
+
+def test_an_output_without_permission_is_refused(tmp_path: Path) -> None:
+    secret = tmp_path / "secret.csv"
+    secret.touch()
+    secret.chmod(0)
+    said = as_ordinary_user("run", "--truth", secret)
+    assert (said.code, said.line()) == (2, f"automodel: --truth {secret}: cannot be written; look at the permissions")
+    assert secret.stat().st_size == 0
 
 
 def test_a_cut_video(tmp_path: Path, data_root: Path, cli) -> None:

@@ -338,7 +338,7 @@ WIRE = (
     ),
     *_of(
         "firmware_link/can_port.py",
-        "tests/firmware_link/test_can_link.py",
+        "tests/firmware_link/test_can_link.py tests/firmware_link/test_can_port.py",
         ("can-any-frame", "if (frame_id, extended, len(data)) not in self._allowed:", "if False:"),
         ("bus-off-unread", "if error_id & _BUS_OFF:", "if False:"),
     ),

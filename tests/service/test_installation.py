@@ -11,7 +11,7 @@ import pytest
 
 from automodel.service.installation import RULES, UNIT
 from automodel.service.unit import Service, quoted, rules_text, unit_text
-from tests.support.command_line import Cli, cli
+from tests.support.command_line import Cli, as_ordinary_user, cli
 
 __all__ = ["cli"]
 SYSTEMD = pytest.mark.skipif(shutil.which("systemctl") is None, reason="needs systemd's programs")
@@ -132,9 +132,13 @@ def test_a_unit_of_somebody_else_is_left_alone(car: Path, root: Path, cli: Cli) 
     assert not (root / RULES).exists()
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
-def test_without_rights_nothing_is_written(car: Path, cli: Cli) -> None:
-    assert cli("service", "install", "--car", car).line().endswith("use sudo, or --root")
+def test_without_rights_nothing_is_written(car: Path, root: Path) -> None:
+    folder = (root / UNIT).parent
+    folder.mkdir(parents=True)
+    folder.chmod(0o555)
+    said = as_ordinary_user("service", "install", "--car", car, "--root", root, "--user", "root")
+    assert (said.code, said.line()) == (2, f"automodel: {root / UNIT}: cannot be written; use sudo, or --root")
+    assert not list(folder.iterdir())
 
 
 def test_a_machine_without_systemd_is_told_so(monkeypatch: pytest.MonkeyPatch, cli: Cli) -> None:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +53,15 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
         return Said(code, out, err)
 
     return call
+
+
+def as_ordinary_user(*arguments: object) -> Said:
+    """Runs a command line in a process that must keep to the permissions of files, also where root runs the tests."""
+    command = [sys.executable, "-m", "automodel", *(str(argument) for argument in arguments)]
+    if os.geteuid() == 0:
+        command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    return Said(done.returncode, done.stdout, done.stderr)
 
 
 @pytest.fixture(scope="session")
