@@ -27,12 +27,43 @@ from automodel.types import Bools, Float32Array, FloatArray, Image, IntArray
 class SightedLine:
     """One line of a frame: points (n, 2) [m] on its middle, body frame, near to far.
 
-    `painted_m` is the length on which there is paint, `span_m` the length from the first to the last of it; 0: unknown.
+    `span_m` is the length from the first to the last paint, 0: unknown; `painted_m` that without the gaps between
+    dashes, but with what is worn off.
     """
 
     points_m: FloatArray
     painted_m: float
     span_m: float
+
+    def looks_dashed(self, lane_width_m: float) -> float:
+        """How much likelier [nats] the paint is as dashes than as one stroke; 0 where its length is not known."""
+        if self.span_m <= 0.0:
+            return 0.0
+        painted, model = min(self.painted_m / self.span_m, 1.0), PaintedShares()
+        stroke = model.density(painted, 1.0, model.worn)
+        dashes = model.density(painted, model.dashed, model.spread)
+        dash = math.exp(-((self.span_m / lane_width_m) ** 2))  # that what is in view is a single one
+        return math.log(dash * stroke + (1.0 - dash) * dashes) - math.log(stroke)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PaintedShares:
+    """Shares of a line's length that are painted.
+
+    Of a solid line all, with a spread of what is `worn`; `dashed`: of a dashed one, with its `spread`. Measured on six
+    drives with worn paint: from 0.52 to 0.72, and 1 (dashes as long as the gaps). `otherwise`: probability of any
+    share: things that hide a part, dashes of other roads. A dash is about as long as a lane is wide.
+    """
+
+    worn: float = 0.07
+    dashed: float = 0.55
+    spread: float = 0.12
+    otherwise: float = 0.1
+
+    def density(self, share: float, mean: float, spread: float) -> float:
+        """The likelihood of a share, but for a factor."""
+        normal = math.exp(-0.5 * ((share - mean) / spread) ** 2) / spread
+        return (1.0 - self.otherwise) * normal + self.otherwise
 
 
 @dataclass(slots=True)
@@ -64,8 +95,9 @@ class ScanConfig:
     `least_lanes`: a shorter piece is a speck. `gap_lanes`: between two dashes of one line, at most: the Carolo-Cup's
     are half a lane apart, a motorway's (9 m on 3.75 m) 2.4. `turn_rad`: direction by which a dash may be wrong; `bend`:
     by how much the line may turn besides [rad] over a lane width of gap. `wide`: a piece as many markings wide is an
-    area. `bars` pieces next to each other, `bar_lanes` apart, are a zebra crossing: where lanes are divided, two double
-    lines make four, but no three next to each other. `spacing_lanes`: of the points.
+    area. `worn_lanes`: a shorter gap is none between dashes, paint is worn off there. `bars` pieces next to each other,
+    `bar_lanes` apart, are a zebra crossing: where lanes are divided, two double lines make four, but no three next to
+    each other. `spacing_lanes`: of the points.
     """
 
     least_lanes: float = 0.15
@@ -73,6 +105,7 @@ class ScanConfig:
     turn_rad: float = 0.06
     bend: float = 0.6
     wide: float = WhiteAreas.WIDE
+    worn_lanes: float = 0.25
     bars: int = 3
     bar_lanes: tuple[float, float] = (0.12, 0.4)
     spacing_lanes: float = 0.2
@@ -98,14 +131,15 @@ class LineScan:
         )
         self._warm_up()
 
-    def step(self, lines: Image) -> tuple[SightedLine, ...]:
-        """The lines of a view, in no order."""
-        return tuple(self._line(piece) for piece in self._joined(self._pieces(lines)))
+    def step(self, lines: Image, paint: Image | None = None) -> tuple[SightedLine, ...]:
+        """The lines of a view, in no order; `paint` (h, w): all that may be paint, also what is worn or too wide."""
+        paint = lines if paint is None else paint
+        return tuple(self._line(piece, paint) for piece in self._joined(self._pieces(lines)))
 
     def of_stripes(self, stripes: Iterable[FloatArray]) -> tuple[SightedLine, ...]:
         """The lines of stripes (n, 2) [m] that were found otherwise: points in the body frame, near to far."""
         pieces = [_fitted(points[:, 0], points[:, 1]) for points in stripes if len(points) > 1]
-        return tuple(self._line(piece) for piece in self._joined(pieces))
+        return tuple(self._line(piece, None) for piece in self._joined(pieces))
 
     def _warm_up(self) -> None:
         """Compile everything that a frame calls, so that none waits for it."""
@@ -164,18 +198,32 @@ class LineScan:
             pieces = [piece for k, piece in enumerate(pieces) if k not in (i, j)] + [both]
         return pieces
 
-    def _line(self, piece: _Piece) -> SightedLine:
-        step = max(round(self.config.spacing_lanes * self._unit / self.view.m_per_row), 1)
+    def _line(self, piece: _Piece, paint: Image | None) -> SightedLine:
+        view = self.view
+        step = max(round(self.config.spacing_lanes * self._unit / view.m_per_row), 1)
         cuts = np.arange(0, len(piece.x), step)
         counts = np.diff(np.append(cuts, len(piece.x)))
         x, y = (np.add.reduceat(values, cuts) / counts for values in (piece.x, piece.y))
         stretch = math.hypot(1.0, float(piece.fit[1]))
-        rows = np.unique(np.rint(piece.x / self.view.m_per_row))
+        painted = np.unique(np.rint(piece.x / view.m_per_row)) if paint is None else self._painted(piece, paint)
+        gaps_m = (np.diff(painted) - 1.0) * view.m_per_row * stretch
+        span_m = float(piece.x[-1] - piece.x[0] + view.m_per_row) * stretch
         return SightedLine(
             points_m=np.column_stack((x, y)),
-            painted_m=len(rows) * self.view.m_per_row * stretch,
-            span_m=float(piece.x[-1] - piece.x[0] + self.view.m_per_row) * stretch,
+            painted_m=span_m - float(gaps_m[gaps_m > self.config.worn_lanes * self._unit].sum()),
+            span_m=span_m,
         )
+
+    def _painted(self, piece: _Piece, paint: Image) -> IntArray:
+        """The rows (n,) of a view between a piece's ends in which there is paint where the piece runs."""
+        view = self.view
+        ends = (view.x_far_m - piece.x[[-1, 0]]) / view.m_per_row - 0.5
+        rows = np.arange(max(round(ends[0]), 0), min(round(ends[1]) + 1, view.height_px))
+        y = np.interp(view.x_far_m - (rows + 0.5) * view.m_per_row, piece.x, piece.y)
+        middle = np.rint((view.half_width_m - y) / view.m_per_px - 0.5).astype(np.intp)
+        half = max(round(0.5 * self._marking_m / view.m_per_px), 1)
+        columns = (middle[:, None] + np.arange(-half, half + 1)).clip(0, view.width_px - 1)
+        return np.asarray(rows[(paint[rows[:, None], columns] > 0).any(axis=1)])
 
 
 def _fitted(x: FloatArray, y: FloatArray) -> _Piece:

@@ -8,6 +8,7 @@ is followed, or another one may be, the whole view is searched for lines.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -76,7 +77,9 @@ class Contour:
         self._gentle = GentleStart(car, camera, options.look_ahead_lanes)
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
-        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        self._tracking = LaneTracking(
+            car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, look=math.inf)
+        )
         self.stages = StageClock()
         self.reset()
         self._warm_up()
@@ -142,7 +145,7 @@ class Contour:
         self.stages.lap("width")
         gentle, both = None, False
         if self._tracking.lost:
-            start = self._tracking.start(frame.t_ns, self._scan.step(self._lines_in_view(frame.image)))
+            start = self._tracking.start(frame.t_ns, self._scan.step(*self._lines_in_view(frame.image)))
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             self.stages.lap("start")
             if gentle is not None:
@@ -162,7 +165,7 @@ class Contour:
             right = replace(followed.right, points_m=gentle.right_m, seen=True)
             followed = replace(followed, left=left, right=right)
         if not both and self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
-            anew = self._tracking.judge(self._scan.step(self._lines_in_view(frame.image)), followed)
+            anew = self._tracking.judge(self._scan.step(*self._lines_in_view(frame.image)), followed)
             if anew is not None:
                 tracked = self._restart(frame.image, anew)
                 followed = self._followed(tracked, self._seen(tracked))
@@ -213,7 +216,8 @@ class Contour:
         left, right = tracked.counts()
         return left >= SEEN, right >= SEEN
 
-    def _lines_in_view(self, image: Image) -> Image:
+    def _lines_in_view(self, image: Image) -> tuple[Image, Image]:
+        """The lines of the whole view, without reflections, and all that is bright."""
         pixels, colour = np.asarray(image), self._options.colour
         if pixels.ndim == 2:
             grey = pixels
@@ -223,7 +227,7 @@ class Contour:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._white_areas.step(view)
-        return self._reflections.step(view, areas.lines, self._paint_check.step(areas))
+        return self._reflections.step(view, areas.lines, self._paint_check.step(areas)), areas.bright
 
     def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""

@@ -144,7 +144,7 @@ class Hypotheses:
                         continue
                     both = (*looks, look)
                     odds = evidence.log_likelihood(both) - others - clutter - self._price(both)
-                    odds += sum(_kind(each.line, kinds.of(each.role)) for each in both)
+                    odds += sum(_kind(each.line, kinds.of(each.role), parent.belief.road.lane_width_m) for each in both)
                     if odds > log_odds - 1.0:
                         grown.append((both, odds, others + clutter))
             grown.sort(key=lambda each: -each[1])
@@ -197,16 +197,9 @@ def _possible(belief: LaneBelief, line: SightedLine, role: float) -> bool:
     return abs(left - role * belief.width_m) < reach + bend
 
 
-def _kind(line: SightedLine, dashed: float) -> float:
-    """How much likelier [nats] the line's paint is where it is dashed with these log-odds than where nothing is known.
-
-    A solid line is painted on 95 % of its length with a spread of 10 % (wear, specks), a dashed one on 55 % with 15 %
-    (gaps as long as the dashes, or twice as long); a line shorter than a dash and a gap tells little.
-    """
+def _kind(line: SightedLine, dashed: float, lane_width_m: float) -> float:
+    """How much likelier [nats] a line's paint is where it is dashed with these log-odds than if nothing is known."""
     if dashed == 0.0 or line.span_m <= 0.0:
         return 0.0
-    painted = min(line.painted_m / line.span_m, 1.0)
-    solid = math.exp(-0.5 * ((painted - 0.95) / 0.1) ** 2) / 0.1 + 0.05
-    dashes = math.exp(-0.5 * ((painted - 0.55) / 0.15) ** 2) / 0.15 + 0.05
-    chance = 1.0 / (1.0 + math.exp(-dashed))
-    return math.log((chance * dashes + (1.0 - chance) * solid) / (0.5 * dashes + 0.5 * solid))
+    looks, chance = math.exp(line.looks_dashed(lane_width_m)), 1.0 / (1.0 + math.exp(-dashed))
+    return math.log(chance * looks + 1.0 - chance) - math.log(0.5 * looks + 0.5)

@@ -3,7 +3,7 @@
 A pipeline's own estimator follows the lane. Where it may take another line for the lane's (nothing was seen for a
 while, or what it says contradicts the odometry) its word is one story among others: the whole view is searched for
 lines, and hypotheses compete until one is left. If that is what the estimator says, the doubt is over; if not, the
-estimator starts anew from it.
+estimator starts anew from it. The kinds of the lines beside the lane tell whether it is still the same one.
 """
 
 from __future__ import annotations
@@ -30,9 +30,19 @@ from automodel.signals import (
 )
 from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
-from automodel.tracking.hypotheses import LEFT, RIGHT, STILL_LANES, Hypotheses, Hypothesis, LineKinds
+from automodel.tracking.hypotheses import (
+    LEFT,
+    LEFT_FAR,
+    RIGHT,
+    RIGHT_FAR,
+    STILL_LANES,
+    Hypotheses,
+    Hypothesis,
+    LineKinds,
+)
 from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, bound
 from automodel.tracking.lane_motion import Part
+from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
 from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
@@ -54,6 +64,10 @@ class TrackingConfig:
     innovation that happens once in a hundred frames. `sure`: posterior of the one hypothesis that is followed.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
+    `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
+    pipeline that reads few pixels, which learns the lines' kinds where it looks anyway. `another`: probability by the
+    lines' kinds from which on a lane is another one than it was, and below which it may be. `next_lane`: probability
+    that a lane that is found after one was lost is another.
     """
 
     coast_s: float
@@ -65,6 +79,9 @@ class TrackingConfig:
     sure: float = 0.99
     exists: float = 5.0
     start: float = 0.25
+    look: float = 1.0
+    another: float = 0.9
+    next_lane: float = 0.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,7 +107,7 @@ class LaneTracking:
 
     def __init__(self, car: CarConfig, config: TrackingConfig) -> None:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
-        camera = GroundCamera.from_config(car.camera)
+        camera = self._camera = GroundCamera.from_config(car.camera)
         self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
         self._bends = Bends(
             RoadModel(
@@ -102,6 +119,7 @@ class LaneTracking:
         )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
+        self._profile = RoadProfile()
         self._odometry = CheckedOdometry(camera, self._unit)
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
         self._hypotheses = Hypotheses()
@@ -113,6 +131,8 @@ class LaneTracking:
         self._odometry.reset()
         self._motions.reset()
         self._bends.reset()
+        self._profile.reset()
+        self._lines_seen = 0  # of the lane's, in the last frame
         self._t_ns = self._started_ns = 0
         self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
         self._belief: LaneBelief | None = None
@@ -121,6 +141,8 @@ class LaneTracking:
 
     def forget(self) -> None:
         """Forget the lane."""
+        if self._belief is not None:
+            self._profile.fade(self.config.next_lane)
         self._placed = self._placed and self._belief is None
         self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
@@ -132,6 +154,7 @@ class LaneTracking:
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
         self._pair_m = 0.0  # driven with both lines seen
+        self._beside = False  # whether the car is in the next lane, which it has taken for its own
 
     @property
     def paired(self) -> bool:
@@ -175,6 +198,7 @@ class LaneTracking:
             self._news_m += passed
             self._around_m += passed
             self._bends.move(driven)
+            self._profile.move(driven / self._unit, self._lines_seen)
         self.reckons = moved.known and motion.source is not MotionSource.IMAGES
         if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
             self._doubt(self._belief.without_road().moved(0.0, 0.0, self.MISTRUSTED_S, False))
@@ -189,6 +213,7 @@ class LaneTracking:
         if self._belief is None or self.in_doubt:
             raise ValueError("a lane that is lost or in doubt has no neighbour")
         self._belief = self._belief.beside_it(side)
+        self._profile.change_lane(side)
         self._innovations.reset()
 
     def contradict_odometry(self) -> None:
@@ -203,7 +228,8 @@ class LaneTracking:
         """
         if not self._hypotheses.all or self._hypotheses.driven_lanes < STILL:
             self._hypotheses.start(((self._anywhere(), 0.0),))  # a car that stands sees the same again: no new witness
-        self._hypotheses.update(lines, self._kinds)
+        (left, right), told = self._profile.dashed, self._kinds
+        self._hypotheses.update(lines, LineKinds(left + told.left, right + told.right))
         best = self._hypotheses.all[0]
         if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
             self._hypotheses.start(())
@@ -251,7 +277,8 @@ class LaneTracking:
         if not self._possible(followed.pose):
             return None
         if self._reckoned is None:
-            return self._watch(lines, followed)
+            plain = followed.left.seen and followed.right.seen
+            return self._recognise(lines) if plain else self._watch(lines, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         seen = self._together(lines, own)
         share = self._hypotheses.update(seen, self._kinds)
@@ -314,11 +341,19 @@ class LaneTracking:
         return best.log_odds > max(said, 0.0) + 2.0 * exists and best.news > max(news, 0.0) + exists
 
     def looks_around(self, followed: Followed) -> bool:
-        """Whether `judge` wants the lines of the whole view: where one line is followed, or none, it may be any."""
+        """Whether `judge` wants the lines of the whole view: where one line is followed, or none, it may be any.
+
+        Where both are, now and then: the lines beside them tell whether it is still the same lane.
+        """
         if self.lost or self.in_doubt:
             return self.in_doubt
-        plain = followed.left.seen and followed.right.seen
-        return not plain and self._around_m > self._bends.road.news * self._unit
+        plain = followed.left.seen and followed.right.seen and not self._may_be_another
+        return self._around_m > (self.config.look if plain else self._bends.road.news) * self._unit
+
+    @property
+    def _may_be_another(self) -> bool:
+        """Whether the lines beside the lane are rather those of the next one."""
+        return bool(self._profile.lanes[SAME] < self.config.another)
 
     def follow(self, frame: Frame, followed: Followed) -> LaneEstimate:
         """The estimate by what the pipeline's estimator says; LOST, and forgotten, where that cannot be true."""
@@ -326,6 +361,8 @@ class LaneTracking:
         if not self._possible(pose):
             self.forget()
             return self.lost_estimate(frame)
+        self._lines_seen = count
+        self._beside = self._beside and abs(pose.offset_m) > 0.5 * pose.width_m
         if self._belief is None:
             self._belief = self._measured(pose)
         elif not self.in_doubt:
@@ -376,9 +413,43 @@ class LaneTracking:
                 return best.belief
             if best.line(LEFT) or best.line(RIGHT):
                 self._borne_out_ns, self._blind_m = self._t_ns, 0.0
+                return self._which_lane(best, plain=False)
         if not own and not self.in_doubt and self._strays(measured):
             return self._belief
         return None
+
+    def _recognise(self, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
+        """A belief to start anew from where the lane, whose lines are both seen, is another one than it was."""
+        belief = self._belief
+        assert belief is not None
+        self._around_m = 0.0
+        around = Hypotheses()
+        around.start(((replace(belief, road=self._bends.road), 0.0),))
+        around.update(lines, LineKinds(), math.inf)
+        best = around.all[0]
+        return self._which_lane(best, plain=True) if best.line(LEFT) and best.line(RIGHT) else None
+
+    def _which_lane(self, best: Hypothesis, *, plain: bool) -> LaneBelief | None:
+        """Learn the road's cross-section by a frame's lines; the lane that was followed, where this is another one."""
+        belief = self._belief
+        assert belief is not None
+        far = {role: self._in_view_m(belief, role) for role in (LEFT_FAR, RIGHT_FAR)} if plain else {}
+        self._profile.see({role: best.line(role) for role in SLOTS}, far, self._unit)
+        for lane, side in ((LEFT_LANE, -1), (RIGHT_LANE, +1)):
+            if self._profile.lanes[lane] > self.config.another:
+                self._profile.keep(self._profile.known)
+                self._believe(belief.beside_it(side))
+                self._beside = True
+                return self._belief
+        return None
+
+    def _in_view_m(self, belief: LaneBelief, role: float) -> float:
+        """The length of a line of the road that is in view, as far ahead as lines are found."""
+        s_m = self._near_m + np.arange(0.0, 4.0, 0.2) * self._unit
+        points = belief.beside(s_m, role)[0]
+        pixels = self._camera.ground_to_px(points)
+        seen = self._camera.camera.inside(pixels) & (np.abs(points[:, 1]) < 1.5 * self._unit)
+        return 0.2 * self._unit * float(np.count_nonzero(seen))
 
     def _together(self, lines: tuple[SightedLine, ...], own: list[FloatArray]) -> tuple[SightedLine, ...]:
         """All lines in view, and what the estimator alone sees: no paint is a witness twice, in two roles perhaps."""
@@ -501,7 +572,7 @@ class LaneTracking:
             math.isfinite(pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m)
             and np.isfinite(pose.covariance).all()
             and abs(pose.width_m / unit - 1.0) < 4.0 * self._bends.road.width_sigma
-            and abs(pose.offset_m) < 0.9 * unit
+            and abs(pose.offset_m) < (1.4 if self._beside else 0.9) * unit
             and abs(pose.heading_rad) < math.radians(60.0)
         )
 
@@ -532,6 +603,8 @@ class LaneTracking:
         if self.in_doubt:  # and dead reckoning, which no line can mislead
             reckoned = [] if self._reckoned is None else [self._reckoned]
             may_be = [*(one.belief for one in self._hypotheses.all), *reckoned]
+        elif self._may_be_another:
+            may_be += [self._belief.beside_it(side) for side in (+1, -1)]
         offset = heading = 0.0
         for one in may_be:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m

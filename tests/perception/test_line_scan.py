@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import pytest
@@ -164,3 +166,42 @@ def test_points_are_as_far_apart_as_the_scale_says() -> None:
     line = scanned(STRAIGHT.line(0.0))[0]
     steps = np.hypot(*np.diff(line.points_m, axis=0).T)
     assert float(np.median(steps)) == pytest.approx(0.2 * LANE_M, abs=0.01)
+
+
+def test_worn_paint_is_no_gap_and_gaps_between_dashes_are() -> None:
+    """The pieces of both are as long; the paint between them tells, down the line itself."""
+    road, scan = STRAIGHT, LineScan(VIEW, LANE_M, MARKING_M)
+    pieces = binary(VIEW, road.dashed(0.5 * LANE_M, DASH_M, GAP_M), samples=4)
+    (dashed,) = scan.step(pieces)
+    (worn,) = scan.step(pieces, binary(VIEW, road.line(0.5 * LANE_M), samples=4))
+    assert worn.span_m == dashed.span_m
+    np.testing.assert_array_equal(worn.points_m, dashed.points_m)
+    assert worn.painted_m == pytest.approx(worn.span_m)
+    assert dashed.painted_m / dashed.span_m == pytest.approx(DASH_M / (DASH_M + GAP_M), abs=0.1)
+    (aside,) = scan.step(pieces, pieces | binary(VIEW, road.line(-0.5 * LANE_M), samples=4))
+    assert aside.painted_m == dashed.painted_m  # another line's paint
+
+
+def test_a_line_with_short_gaps_is_worn() -> None:
+    short_m = 0.2 * LANE_M
+    worn = max(scanned(STRAIGHT.dashed(0.5 * LANE_M, DASH_M, short_m)), key=lambda line: line.span_m)
+    assert worn.span_m > 2.0 * LANE_M
+    assert worn.painted_m == pytest.approx(worn.span_m)
+
+
+@pytest.mark.parametrize(
+    ("painted", "span_lanes", "least", "most"),
+    [
+        (0.55, 3.0, 3.0, math.inf),
+        (1.0, 3.0, -math.inf, -3.0),
+        (0.55, 0.0, 0.0, 0.0),  # of unknown length
+        (1.0, 0.3, -0.2, 0.0),  # a dash, or the end of a line
+        (0.8, 3.0, -2.0, 2.0),
+    ],
+)
+def test_dashes_are_told_from_a_solid_line_where_enough_is_in_view(
+    painted: float, span_lanes: float, least: float, most: float
+) -> None:
+    span_m = span_lanes * LANE_M
+    line = SightedLine(points_m=np.zeros((2, 2)), painted_m=painted * span_m, span_m=span_m)
+    assert least <= line.looks_dashed(LANE_M) <= most

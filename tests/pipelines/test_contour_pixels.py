@@ -49,7 +49,7 @@ class WatchedPixels:
         monkeypatch.setattr(brightness, "read_pixels", self._read_pixels)
         search, streak = Contour._lines_in_view, Reflections._streak
 
-        def search_everything(contour: Contour, image: Image) -> Image:
+        def search_everything(contour: Contour, image: Image) -> tuple[Image, Image]:
             self.read.update(range(image.shape[0] * image.shape[1]))
             return search(contour, image)
 

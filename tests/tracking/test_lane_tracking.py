@@ -22,7 +22,7 @@ from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from tests.support.drawn_roads import Road
-from tests.support.sighted_lines import line_of
+from tests.support.sighted_lines import DASHED, line_of
 
 CAR = CarConfig()
 LANE_M = CAR.lane.width_m
@@ -309,8 +309,8 @@ def unsure(followed: Followed) -> Followed:
     return replace(followed, pose=replace(followed.pose, covariance=covariance))
 
 
-@pytest.mark.parametrize(("seen", "looks"), [(BOTH, 0), ((LEFT,), 4), (NONE, 4)])
-def test_all_lines_in_view_are_wanted_every_quarter_of_a_lane_where_one_is_followed_or_none(
+@pytest.mark.parametrize(("seen", "looks"), [(BOTH, 1), ((LEFT,), 4), (NONE, 4)])
+def test_all_lines_in_view_are_wanted_every_lane_width_where_both_are_followed_and_else_four_times_as_often(
     seen: Sequence[float], looks: int
 ) -> None:
     drive, wanted = driving(), 0
@@ -603,3 +603,48 @@ def test_where_the_ground_bears_out_the_odometry_the_lines_are_doubted(monkeypat
     drive.predict()
     assert drive.doubted
     assert drive.tracking.reckons  # the odometry is used on
+
+
+def country_road(offset_m: float, mirrored: bool = False) -> tuple[SightedLine, ...]:
+    """Two lanes: a dashed line to the left of the car's own, the oncoming lane's far line, the right edge."""
+    side = -1.0 if mirrored else 1.0
+    road, dashed, solid = Road(aside_m=-offset_m), side * LEFT, (side * LEFT_FAR, side * RIGHT)
+    lines = [line_of(road, role, -0.5, 1.5) for role in solid]
+    return (*lines, line_of(road, dashed, -0.5, 1.5, painted=DASHED))
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_who_follows_the_oncoming_lane_is_told_by_the_kinds_of_its_lines(mirrored: bool) -> None:
+    side = -1.0 if mirrored else 1.0
+    drive = driving()
+    for _ in range(100):
+        drive.follow(said(0.0), country_road(0.0, mirrored))
+    assert bound(drive.follow(said(0.0))) < 0.3 * LANE_M
+    for _ in range(14):  # an intersection
+        drive.follow(said(0.0, NONE))
+    oncoming, tracking = country_road(side * LANE_M, mirrored), drive.tracking
+    anew, wide = None, 0
+    for _ in range(160):  # the estimator takes the oncoming lane's lines for its own
+        drive.predict()
+        anew = tracking.judge(oncoming, said(0.0)) if tracking.looks_around(said(0.0)) else None
+        if anew is not None:
+            break
+        wide += bound(tracking.follow(drive.frame, said(0.0))) > LANE_M
+    assert anew is not None
+    assert wide > 0  # before it was sure
+    assert anew.offset_m == pytest.approx(side * LANE_M, abs=0.1 * LANE_M)
+    back = said(anew.offset_m, (LEFT,) if side > 0 else (RIGHT,))
+    for _ in range(3):  # it starts anew from there, beside its lane
+        assert tracking.follow(drive.frame, back).status is LaneStatus.ONE_LINE
+        drive.predict()
+    assert not drive.doubted
+
+
+def test_a_line_that_becomes_solid_leaves_the_lane_as_it_is() -> None:
+    drive = driving()
+    for _ in range(100):
+        drive.follow(said(0.0), country_road(0.0))
+    for _ in range(100):
+        estimate = drive.follow(said(0.0), sights(0.0, (LEFT_FAR, *BOTH)))
+        assert drive.anew is None
+        assert bound(estimate) < 0.3 * LANE_M
