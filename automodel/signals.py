@@ -53,12 +53,14 @@ class Frame:
     """One camera image.
 
     `t_ns` is the time of capture, `index` counts what the source delivered, `image` is uint8, (h, w) grey or
-    (h, w, 3) BGR.
+    (h, w, 3) BGR. `eye` is the camera: 0 the only one or the left one, 1 the right one of a pair whose left one is
+    missing.
     """
 
     t_ns: int
     index: int
     image: Image
+    eye: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "image", _frozen_image(self.image, "Frame.image"))
@@ -66,12 +68,16 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StereoFrame:
-    """Two images taken at the same time; as in `Frame`."""
+    """Two images taken at the same time, or nearly; as in `Frame`.
+
+    `t_ns` is the time of the left one, `right_late_ns` how much later the right one was taken.
+    """
 
     t_ns: int
     index: int
     left: Image
     right: Image
+    right_late_ns: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "left", _frozen_image(self.left, "StereoFrame.left"))

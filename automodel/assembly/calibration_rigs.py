@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from automodel.assembly.links import arduino_link
-from automodel.assembly.parts import build_run, car_of, make_camera
+from automodel.assembly.parts import build_run, car_of, left_alone, make_camera
 from automodel.assembly.simulated_car import has_our_firmware
 from automodel.config import CarConfig, ConfigError
 from automodel.geometry import GroundCamera
@@ -81,14 +81,14 @@ def simulated_rig(car: CarConfig, config: PlantConfig, camera: bool) -> Rig:
 
 
 def real_rig(car: CarConfig, camera: bool, auto_arm: bool, leaving: contextlib.ExitStack) -> Rig:
-    """The car at the serial port of car.toml, with its camera if `camera`; at port "sim" an emulated board."""
+    """The car at the serial port of car.toml, with its (left) camera if `camera`; at port "sim" an emulated board."""
     clock = MonotonicClock()
     transport: Transport = SerialTransport(car.link.port, car.link.baud)
     if car.link.port == "sim":
         transport = MemoryTransport(EmulatedArduino(Plant(randomised_servo(0, plant_of(car, 0))), car.link.baud), clock)
     source: Source = Ticks(clock)
     if camera:
-        source = CaptureThread(make_camera(car))
+        source = CaptureThread(make_camera(left_alone(car)))
         leaving.callback(source.close)
     return rig_on(car, transport, clock, source, auto_arm=auto_arm, plant=None)
 

@@ -7,7 +7,7 @@ import glob
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from automodel.assembly.parts import is_live_camera, make_camera, open_source
+from automodel.assembly.parts import is_live_camera, left_alone, make_camera, open_source
 from automodel.config import CarConfig, ConfigError
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
@@ -93,10 +93,13 @@ def _frames(path: Path, car: CarConfig) -> Iterator[tuple[str, Image]]:
 
 @contextlib.contextmanager
 def _live_camera(car: CarConfig, car_file: Path, any_mode: bool) -> Iterator[Source]:
-    """The camera of car.toml, read in a thread that keeps the newest frame; a file is read frame by frame."""
+    """The camera of car.toml (the left one of a pair), read in a thread that keeps the newest frame.
+
+    A file is read frame by frame.
+    """
     if car.camera.source == "sim":
         raise ConfigError(f'{car_file}: [camera] source "sim" gives no images; live is for a camera')
-    camera = make_camera(car, any_mode=any_mode)
+    camera = make_camera(left_alone(car), any_mode=any_mode)
     if is_live_camera(car):
         camera = CaptureThread(camera)
     try:

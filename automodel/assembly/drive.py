@@ -242,8 +242,10 @@ def drive_real(
         )
 
         def reopen() -> CaptureThread:
+            nonlocal camera
             with cores.elsewhere():
-                return CaptureThread(make_camera(car), watch)
+                camera = CaptureThread(make_camera(car), watch)
+            return camera
 
         people = _People(watcher, EventPrinter(parts.clock, _QUIET_REAL), key.pressed, operators, viewers)
         runner = Runner(
@@ -265,6 +267,8 @@ def drive_real(
             raise LinkError(f"{error}; {likely_ports()}") from None
     say(recorder.summary())
     say(f"camera: {watch.status}")
+    if camera.pair is not None:
+        say(f"cameras: {camera.pair}")
     return RunReport(row=_row(result, watch.status), ended=watcher.ending(result), failed=_broken(result))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import cv2
 
 from automodel.assembly.registry import make_part
 from automodel.config import CarConfig, ConfigError, load_car, parse_car
-from automodel.config.parts import CAMERAS, CONTROLLERS, LINKS, PIPELINES
+from automodel.config.camera import SecondCamera
+from automodel.config.parts import CAMERAS, CONTROLLERS, LINKS, PAIR_PIPELINES, PIPELINES
 from automodel.config.toml_reader import read_text
 from automodel.console.messages import say
 from automodel.control.limits import Limits
@@ -25,7 +27,7 @@ from automodel.runtime.run_types import RunConfig, RunParts
 from automodel.runtime.safety import Safety
 from automodel.sources.errors import SourceError
 from automodel.sources.files import ImageSource, TubSource, VideoSource, is_tub
-from automodel.sources.pairs import TOLERANCE, PairSource
+from automodel.sources.pairs import LivePair, PairSource
 
 FOLDER_RATE_HZ = 20.0  # frames a second of images in a folder, which carry no time
 
@@ -102,20 +104,43 @@ def is_live_camera(car: CarConfig) -> bool:
 
 
 def make_camera(car: CarConfig, *, any_mode: bool = False) -> Source:
-    """The camera that car.toml names, or what is recorded at the path that it names.
+    """The camera that car.toml names, both of a pair, or what is recorded at the path that it names.
 
-    Raises ConfigError for a camera in another mode than the one that its lens was calibrated in, unless `any_mode`:
-    that is for who calibrates it, or looks at it.
+    Raises ConfigError for a camera in another mode than the one that its lens was calibrated in, and for one camera
+    where the pipeline needs two, unless `any_mode`: that is for who calibrates it, or looks at it. Raises SourceError
+    where one cannot be opened; then none is open.
     """
-    if is_live_camera(car):
-        if car.other_mode is not None and not any_mode:
-            raise ConfigError(
-                f"[camera] is set to {car.camera.mode}, and its lens was calibrated for {car.other_mode}: another "
-                "field of view; set [camera] back, or run automodel calibrate camera"
-            )
+    if not is_live_camera(car):
+        return open_source(Path(car.camera.source), car, car.camera.rate_hz)
+    if car.other_mode is not None and not any_mode:
+        raise ConfigError(
+            f"[camera] is set to {car.camera.mode}, and its lens was calibrated for {car.other_mode}: another "
+            "field of view; set [camera] back, or run automodel calibrate camera"
+        )
+    if not any_mode and lacks_device(car):
+        raise ConfigError(
+            f'[camera.right] device is missing: [camera] source "{car.camera.source}" is one camera, and the pipeline '
+            f"{car.pipeline.name} sees through two; set it to the right one's number"
+        )
+    if car.camera.right is None or car.camera.right.device is None:
         camera: Source = make_part(CAMERAS, car.camera.source, car.camera)
         return camera
-    return open_source(Path(car.camera.source), car, car.camera.rate_hz)
+    eyes = [functools.partial(make_part, CAMERAS, car.camera.source, eye) for eye in car.camera.eyes]
+    return LivePair(eyes, car.camera.right.tolerance_s(car.camera.rate_hz), car.camera.rate_hz)
+
+
+def lacks_device(car: CarConfig) -> bool:
+    """Whether the pipeline needs a second camera, and nothing says which device that is.
+
+    A source of a team's own may give pairs by itself.
+    """
+    right, needed = car.camera.right, car.pipeline.name in PAIR_PIPELINES
+    return needed and right is not None and right.device is None and car.camera.source in CAMERAS.targets
+
+
+def left_alone(car: CarConfig) -> CarConfig:
+    """The same car without its right camera, for what needs one camera only."""
+    return dataclasses.replace(car, camera=car.camera.eyes[0])
 
 
 def open_source(path: Path, car: CarConfig, rate_hz: float | None) -> Source:
@@ -149,8 +174,8 @@ def open_pair(left: Path, right: Path, car: CarConfig, rate_hz: float | None) ->
             f"{right}: expected {counts[0]} images as in {left}, got {counts[1]}: without times nothing tells which "
             "belong together; remove those without a partner"
         )
-    period_s = 1.0 / (getattr(sides[0], "rate_hz", 0.0) or car.camera.rate_hz)
-    return PairSource(sides[0], sides[1], TOLERANCE * period_s)
+    rate = getattr(sides[0], "rate_hz", 0.0) or car.camera.rate_hz
+    return PairSource(sides[0], sides[1], (car.camera.right or SecondCamera()).tolerance_s(rate))
 
 
 def make_recorder(path: Path, text: str, car: CarConfig) -> McapRecorder:

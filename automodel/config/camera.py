@@ -8,6 +8,7 @@ from automodel.config.toml_reader import not_negative, one_of, positive
 
 PIXEL_FORMATS = ("MJPG", "YUYV", "GREY")
 FLIPS = ("none", "rotate-180", "horizontal", "vertical")
+PAIR_TOLERANCE = 0.25  # of a period: at half of it cameras that take turns would pass for pairs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,10 +49,30 @@ class Extrinsics:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SecondCamera:
-    """The right camera of a stereo pair."""
+    """The right camera of a stereo pair.
 
+    `device` is its own as `[camera] device` is the left one's; None where it has none: in recordings, in the simulator,
+    or where one driver gives pairs. All else that is set of a camera counts for both. `pair_tolerance_s` is the
+    greatest time between the two images of a pair; 0: a quarter of the time between two frames.
+    """
+
+    device: int | None = None
+    pair_tolerance_s: float = 0.0
     intrinsics: Intrinsics = field(default_factory=Intrinsics)
     extrinsics: Extrinsics = field(default_factory=Extrinsics)
+
+    def __post_init__(self) -> None:
+        not_negative(self, "pair_tolerance_s")
+        if self.device is not None:
+            not_negative(self, "device")
+
+    def tolerance_s(self, rate_hz: float) -> float:
+        """The greatest time [s] between the two images of a pair, of cameras of this rate."""
+        return self.pair_tolerance_s or PAIR_TOLERANCE / rate_hz
+
+    def measured(self) -> bool:
+        """Whether lens and place are given, and not those that a simulated camera has by default."""
+        return self.intrinsics != Intrinsics() and self.extrinsics != Extrinsics()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +113,15 @@ class CameraConfig:
             raise ValueError(
                 f"exposure_s: {self.exposure_s} is longer than the time between two frames, {1.0 / self.rate_hz:.4f}"
             )
+        if self.right is None:
+            return
+        if self.right.device == self.device:
+            raise ValueError(f"right: device {self.device} is the left camera's, too ([camera] device); give another")
+        if self.right.pair_tolerance_s > 0.5 / self.rate_hz:
+            raise ValueError(
+                f"right: pair_tolerance_s {self.right.pair_tolerance_s} is more than half the time between two frames, "
+                f"{0.5 / self.rate_hz:.4f}: an image would fit two others"
+            )
 
     @property
     def mode(self) -> str:
@@ -106,4 +136,6 @@ class CameraConfig:
         left = replace(self, right=None)
         if self.right is None:
             return (left,)
-        return left, replace(left, intrinsics=self.right.intrinsics, extrinsics=self.right.extrinsics)
+        right = self.right
+        device = self.device if right.device is None else right.device
+        return left, replace(left, device=device, intrinsics=right.intrinsics, extrinsics=right.extrinsics)

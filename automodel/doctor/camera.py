@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import cv2
 import numpy as np
@@ -17,12 +18,16 @@ from numpy.typing import NDArray
 
 from automodel.assembly.parts import make_pipeline
 from automodel.config import CarConfig
+from automodel.doctor.camera_pair import judge_times, rig_findings
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.interfaces import Source
-from automodel.signals import Frame, LaneEstimate, Motion, MotionSource
+from automodel.signals import Frame, LaneEstimate, Motion, MotionSource, StereoFrame
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.images import with_channels
+from automodel.sources.pairs import PairStatus
 from automodel.types import Image
+
+AnyFrame = Frame | StereoFrame
 
 RATE_OK = 0.1  # largest relative error of the rate
 RATE_FAIL = 0.5  # largest share of the rate that may be missing
@@ -58,16 +63,24 @@ _LANE_S = 60.0
 class Capture:
     """Time stamps of all frames after the first ones, and the newest frames; `repeated` counts identical ones.
 
-    `own_time` says whether the stamps are the camera's own, None where the source does not tell.
+    `own_time` says whether the stamps are the camera's own, None where the source does not tell. Of a pair the frames
+    are the left ones; `pairs` are the newest ones. `begun` and `status` say of two live cameras what they had done at
+    the first frame and at the end.
     """
 
     stamps_ns: list[int] = field(default_factory=list)
     frames: list[Frame] = field(default_factory=list)
     repeated: int = 0
     own_time: bool | None = None
+    pairs: list[StereoFrame] = field(default_factory=list)
+    begun: PairStatus | None = None
+    status: PairStatus | None = None
 
-    def add(self, frame: Frame, keep: int) -> None:
+    def add(self, got: AnyFrame, keep: int) -> None:
         """One more frame; the newest `keep` are kept."""
+        frame = left_frame(got)
+        if isinstance(got, StereoFrame):
+            self.pairs = [*self.pairs, got][-keep:]
         if self.frames and (self.frames[-1].image.shape == frame.image.shape):
             self.repeated += int((self.frames[-1].image == frame.image).all())
         self.stamps_ns.append(frame.t_ns)
@@ -240,25 +253,32 @@ def judge_sharpness(grey: Image) -> Finding:
     return okay(name, what)
 
 
-def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: list[Frame]) -> Iterator[Finding]:
+def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: list[AnyFrame]) -> Iterator[Finding]:
     """Everything about the camera; its newest frames are put into `frames`."""
-    looked = bounded("camera", lambda: _look(open_camera), _PATIENCE_S, _what_to_do(car))
-    if isinstance(looked, Finding):
-        yield looked
+    capture = Capture()
+    looked = bounded("camera", lambda: _look(open_camera, capture), _PATIENCE_S, _what_to_do(car))
+    failed = isinstance(looked, Finding)
+    yield looked if isinstance(looked, Finding) else okay("camera", f"{_name(car)}, first frame after {looked:.1f} s")
+    if capture.status is not None and car.camera.right is not None:
+        yield judge_times(capture.begun, capture.status, car.camera.right.tolerance_s(car.camera.rate_hz))
+    if failed:
         yield skip("images", "not checked: there are none")
         return
-    capture, first_s = looked
-    frames += capture.frames
-    yield okay("camera", f"{_name(car)} opens, first frame after {first_s:.1f} s")
+    frames += capture.pairs or capture.frames
     yield judge_resolution(capture, car)
     yield judge_stamps(capture, car.camera.latency_s)
     yield judge_rate(capture, car)
     grey = with_channels(capture.frames[-1].image, False)
     yield judge_exposure(grey)
     yield judge_sharpness(grey)
+    if capture.pairs:
+        grey = with_channels(capture.pairs[-1].right, False)
+        for finding in (judge_exposure(grey), judge_sharpness(grey)):
+            yield dataclasses.replace(finding, name=f"right {finding.name}")
+        yield from rig_findings(car, capture.pairs)
 
 
-def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
+def lane_finding(car: CarConfig, frames: list[AnyFrame]) -> Finding:
     """The lane's width in the frames of a car at standstill."""
 
     def look() -> Finding:
@@ -267,10 +287,10 @@ def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
         pipeline = make_pipeline(
             car.pipeline.name, dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, centerline=options))
         )
-        widths = []
-        for frame in frames:
+        widths, step = [], cast(Callable[[AnyFrame, Motion], LaneEstimate], pipeline.step)
+        for frame in frames if getattr(pipeline, "cameras", 1) > 1 else map(left_frame, frames):
             still = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
-            width = seen_width_m(pipeline.step(frame, still))
+            width = seen_width_m(step(frame, still))
             if width is not None:
                 widths.append(width)
         return judge_width(widths, car)
@@ -278,14 +298,14 @@ def lane_finding(car: CarConfig, frames: list[Frame]) -> Finding:
     return bounded("lane width", look, _LANE_S, "see [pipeline], [lane] and [camera.extrinsics] in car.toml")
 
 
-def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
-    """The frames after settling, and the time to the first frame [s]; raises SourceError."""
+def _look(open_camera: Callable[[], Source], capture: Capture) -> float:
+    """Put the frames after settling into `capture`; the time to the first frame [s]. Raises SourceError."""
     start = time.perf_counter()
     source = open_camera()
     try:
         first = _first(source, start)
         first_s = time.perf_counter() - start
-        capture = Capture()
+        capture.begun = getattr(source, "pair_status", None)
         while time.perf_counter() - start < FIRST_S + SETTLING_S + 2.0 * LOOKING_S:
             frame = _next(source)
             if frame is None:
@@ -297,12 +317,13 @@ def _look(open_camera: Callable[[], Source]) -> tuple[Capture, float]:
         if not capture.frames:
             capture.add(first, KEPT)
         capture.own_time = getattr(source, "own_time", None)
-        return capture, first_s
+        return first_s
     finally:
+        capture.status = getattr(source, "pair_status", None)
         source.close()
 
 
-def _first(source: Source, start: float) -> Frame:
+def _first(source: Source, start: float) -> AnyFrame:
     while time.perf_counter() - start < FIRST_S:
         frame = _next(source)
         if frame is None:
@@ -311,21 +332,31 @@ def _first(source: Source, start: float) -> Frame:
     raise SourceError(f"no frame within {FIRST_S:g} s")
 
 
-def _next(source: Source) -> Frame | None:
-    """The next frame, the left one of a pair; None at the end and on a timeout."""
+def _next(source: Source) -> AnyFrame | None:
+    """The next frame; None at the end and on a timeout."""
     try:
-        frame = source.read(FIRST_S)
+        return source.read(FIRST_S)
     except EndOfSource:
         return None
-    if frame is None or isinstance(frame, Frame):
+
+
+def left_frame(frame: AnyFrame) -> Frame:
+    """The frame itself, or the left one of a pair."""
+    if isinstance(frame, Frame):
         return frame
     return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left)
 
 
 def _name(car: CarConfig) -> str:
-    source, device = car.camera.source, car.camera.device
-    known = {"sim": "the simulated camera", "csi": f"CSI camera {device}", "usb": f"/dev/video{device}"}
-    return known.get(source, source)
+    source, devices = car.camera.source, [car.camera.device]
+    if car.camera.right is not None and car.camera.right.device is not None:
+        devices.append(car.camera.right.device)
+    names = {
+        "sim": "the simulated camera",
+        "csi": " and ".join(f"CSI camera {device}" for device in devices),
+        "usb": " and ".join(f"/dev/video{device}" for device in devices),
+    }
+    return f"{names.get(source, source)} open{'s' if source == 'sim' or len(devices) == 1 else ''}"
 
 
 def _what_to_do(car: CarConfig) -> str:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import math
 from collections.abc import Callable, Generator, Iterator
 
-from automodel.assembly.parts import is_live_camera, make_camera, make_link
+from automodel.assembly.parts import is_live_camera, lacks_device, left_alone, make_camera, make_link
 from automodel.assembly.simulated_car import Simulation, board_of, lock_step
 from automodel.config import CalibrationRecord, CarConfig, Intrinsics
 from automodel.doctor.board import Board, Consent, board_findings, can_finding, servo_finding
 from automodel.doctor.board_computer import computer_findings
-from automodel.doctor.camera import camera_findings, lane_finding
+from automodel.doctor.camera import AnyFrame, camera_findings, lane_finding, left_frame
 from automodel.doctor.can_bus import can_bus_findings
 from automodel.doctor.findings import Finding, fail, okay, skip, warn
 from automodel.doctor.latency import latency_finding
 from automodel.doctor.machine import disk_finding, machine_findings
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, SleepingClock
-from automodel.signals import Frame
 from firmware_link.can_port import PythonCanPort
 
 FRESH_DAYS = 180
@@ -49,18 +49,21 @@ def examine(car: CarConfig, consent: Consent | None, light: str | None = None) -
     """
     yield from machine_findings(car)
     yield from computer_findings()
-    frames: list[Frame] = []
+    frames: list[AnyFrame] = []
     yield from _device_findings(car, consent, frames)
     if light is not None:
-        yield latency_finding(car, lambda: make_camera(car, any_mode=True), light)
-    yield disk_finding(car, frames[-1].image if frames else None)
+        yield latency_finding(car, lambda: make_camera(left_alone(car), any_mode=True), light)
+    yield disk_finding(car, left_frame(frames[-1]).image if frames else None)
     yield judge_lens(car)
+    if car.camera.right is not None:
+        right = dataclasses.replace(car, camera=car.camera.eyes[1])
+        yield dataclasses.replace(judge_lens(right), name="right lens")
     yield judge_mode(car)
     yield judge_steering(car)
     yield from judge_records(car, datetime.date.today())
 
 
-def _device_findings(car: CarConfig, consent: Consent | None, frames: list[Frame]) -> Iterator[Finding]:
+def _device_findings(car: CarConfig, consent: Consent | None, frames: list[AnyFrame]) -> Iterator[Finding]:
     """Board, camera and lane; the newest frames of the camera are put into `frames`.
 
     The board comes first: nobody listens to it during the camera's checks, which it would report as a fault.
@@ -73,6 +76,9 @@ def _device_findings(car: CarConfig, consent: Consent | None, frames: list[Frame
     if source != "sim" and not is_live_camera(car):
         do = '"csi" or "usb" drives; for a recording see automodel replay'
         yield warn("car.toml", f'[camera] source "{source}" is not a camera', do)
+    if lacks_device(car):
+        what = f'[camera] source "{source}" is one camera, and the pipeline {car.pipeline.name} sees through two'
+        yield fail("car.toml", what, "set [camera.right] device to the right one's number")
     with contextlib.ExitStack() as leaving:
         open_camera, link, clock = _devices(car, leaving)
         if isinstance(link, Board):

@@ -102,6 +102,11 @@ class Stereo:
     def warning(self) -> str:
         """A line for the user after a run, which may be empty."""
         blind = [
+            f"the {eye} camera gave no image in {count} frames"
+            for eye, count in zip(("left", "right"), self._missing, strict=True)
+            if count
+        ]
+        blind += [
             f"the {eye} camera showed no marking in {count} of the {self._pairs} pairs in which the other one did"
             for eye, count in zip(("left", "right"), self._blind, strict=True)
             if count > BLIND * self._pairs
@@ -128,6 +133,7 @@ class Stereo:
         self._plane.reset()
         self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
         self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
+        self._missing = [0, 0]  # frames without an image of the left camera, of the right one
         self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
         self._before: list[Image | None] = [None, None]
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
@@ -138,16 +144,16 @@ class Stereo:
     def step(self, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
         """The lane in this pair, body frame; LOST for images of another size than the cameras'.
 
-        A single image is that of the left camera.
+        A single image is that of the camera that its `eye` says; the other one is missing.
         """
         self.stages.start()
-        images = (frame.left, frame.right) if isinstance(frame, StereoFrame) else (frame.image, None)
-        left_frame = Frame(t_ns=frame.t_ns, index=frame.index, image=images[0])
-        self._predict(left_frame, motion)  # speed and yaw rate
+        single, images = _images(frame)
+        self._missing = [count + (image is None) for count, image in zip(self._missing, images, strict=True)]
+        self._predict(single, motion)  # speed and yaw rate
         self.stages.lap("prediction")
         if any(image is not None and image.shape[:2] != self._size for image in images):
-            return self._tracking.lost_estimate(left_frame)
-        if self._width.step(images[0]):
+            return self._tracking.lost_estimate(single)
+        if images[0] is not None and self._width.step(images[0]):
             self._look_for(self._width.width_m)
         self.stages.lap("width")
         frozen = self._repeats(images)
@@ -160,7 +166,7 @@ class Stereo:
             belief = self._start(frame.t_ns, images[0], lines)
             if belief is None:
                 self._pair.forget()
-                return self._tracking.lost_estimate(left_frame)
+                return self._tracking.lost_estimate(single)
             self._pair.start(belief.mean, belief.spread)
         followed = self._fit(lines)  # parabola pair
         self.stages.lap("lane")
@@ -170,9 +176,9 @@ class Stereo:
                 self._pair.start(anew.mean, anew.spread)
                 followed = self._fit(lines)
             self.stages.lap("doubt")
-        estimate = self._tracking.follow(left_frame, followed)
+        estimate = self._tracking.follow(single, followed)
         if self._options.lane_changes:  # has the car driven into the next lane?
-            estimate = self._change_lane(left_frame, estimate, lines)
+            estimate = self._change_lane(single, estimate, lines)
         if self._tracking.lost:
             self._pair.forget()
         self.stages.lap("estimate")
@@ -201,7 +207,8 @@ class Stereo:
         left, right = max(pairs, key=lambda pair: sum(len(stripes.stripe) for stripes in pair))
         if left.count or right.count:
             self._pairs += 1
-            self._blind = [n + (not one.count) for n, one in zip(self._blind, (left, right), strict=True)]
+            both = zip(self._blind, (left, right), images, strict=True)
+            self._blind = [n + (image is not None and not one.count) for n, one, image in both]
         return left, right
 
     def _repeats(self, images: Sequence[Image | None]) -> list[bool]:
@@ -276,10 +283,13 @@ class Stereo:
         ahead = [points for points, (x, y) in zip(lines, ends, strict=True) if abs(y) < ACROSS * abs(x)]
         return self._scan.of_stripes(ahead)
 
-    def _start(self, t_ns: int, image: Image, lines: list[FloatArray]) -> LaneBelief | None:
-        """A lane to start with: the pair that the lines in view make, or line integrals where all bends are wide."""
+    def _start(self, t_ns: int, image: Image | None, lines: list[FloatArray]) -> LaneBelief | None:
+        """A lane to start with: the pair that the lines in view make, or line integrals where all bends are wide.
+
+        The integrals are those of the left camera's `image`.
+        """
         start = self._tracking.start(t_ns, self._sighted(lines))
-        gentle = self._gentle.step(image)
+        gentle = None if image is None else self._gentle.step(image)
         self.stages.lap("start")
         if gentle is None:
             return start
@@ -351,6 +361,11 @@ class Stereo:
             raise ValueError(
                 "needs two cameras: car.toml has no [camera.right.intrinsics] and [camera.right.extrinsics]"
             )
+        if car.camera.right.device is not None and car.camera.source != "sim" and not car.camera.right.measured():
+            raise ValueError(
+                "[camera.right] has a device, and its lens or its place is not given: calibrate the right camera, and "
+                "write [camera.right.intrinsics] and [camera.right.extrinsics]"
+            )
         rig = StereoRig(*map(GroundCamera.from_config, car.camera.eyes))
         if rig.baseline_m < 1e-3:
             raise ValueError("[camera.right.extrinsics]: both cameras are at the same place; nothing can be measured")
@@ -360,6 +375,13 @@ class Stereo:
         """Arc lengths (n,) [m] ahead of the reference point, so that their rows are about even in the image."""
         back = float(self._rig.middle_m[2]) + self._reference_x_m - float(self._rig.middle_m[0])
         return np.geomspace(near_m + back, self._far_m + back, self._options.rows) - back
+
+
+def _images(frame: Frame | StereoFrame) -> tuple[Frame, tuple[Image | None, Image | None]]:
+    """One camera's frame, the left one's where it is there, and the images of both; None for one that is missing."""
+    if isinstance(frame, Frame):
+        return frame, (None, frame.image) if frame.eye else (frame.image, None)
+    return Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left), (frame.left, frame.right)
 
 
 def _grey(image: Image) -> Image:

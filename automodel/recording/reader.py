@@ -30,7 +30,6 @@ from automodel.signals import (
     VehicleState,
 )
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.types import Image
 
 _DAMAGE = (McapError, ValueError, KeyError, struct.error, OverflowError, MemoryError, RuntimeError, ZstdError)
 
@@ -85,13 +84,13 @@ class Recording:
 
     def __iter__(self) -> Iterator[Recorded]:
         """All messages in the order in which they were written, without topics of other programs."""
-        left: tuple[int, Image] | None = None
+        left: Frame | None = None
         for topic, record in self.records():
             if not isinstance(record, Message):
                 continue
             try:
                 if topic == LEFT:
-                    left = (record.sequence, decode_image(record.data))
+                    left = _recorded_frame(record)
                 elif topic in CAMERA_TOPICS or topic in TOPICS.values():
                     yield _recorded(topic, record, left)
             except _DAMAGE as error:
@@ -189,18 +188,23 @@ class RecordingSource:
         self._steps = None
 
 
-def _recorded(topic: str, message: Message, left: tuple[int, Image] | None) -> Recorded:
-    t_ns, index = message.log_time, message.sequence
+def _recorded(topic: str, message: Message, left: Frame | None) -> Recorded:
+    """The value of a message; `left` is the last left image before it, None before the first."""
     value: Frame | StereoFrame | Value
-    if topic == CAMERA:
-        value = Frame(t_ns=t_ns, index=index, image=decode_image(message.data))
-    elif topic == RIGHT:
-        if left is None or left[0] != index:
-            raise ValueError(f"frame {index} has no left image")
-        value = StereoFrame(t_ns=t_ns, index=index, left=left[1], right=decode_image(message.data))
+    if topic in (CAMERA, RIGHT):
+        value = _recorded_frame(message, eye=int(topic == RIGHT))
+        if left is not None and value.eye and left.index == value.index:
+            late_ns = value.t_ns - left.t_ns  # 0 in recordings of before each image had its own time
+            value = StereoFrame(
+                t_ns=left.t_ns, index=left.index, left=left.image, right=value.image, right_late_ns=late_ns
+            )
     else:
         value = decode(topic, message.data)
-    return Recorded(topic=topic, frame_index=index, value=value)
+    return Recorded(topic=topic, frame_index=message.sequence, value=value)
+
+
+def _recorded_frame(message: Message, eye: int = 0) -> Frame:
+    return Frame(t_ns=message.log_time, index=message.sequence, image=decode_image(message.data), eye=eye)
 
 
 def _step(frame: Frame | StereoFrame, state: VehicleState | None, messages: list[Recorded]) -> Step:

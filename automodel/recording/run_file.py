@@ -81,7 +81,8 @@ def schema_text(topic: str) -> tuple[str, bytes]:
 class RunFile:
     """Writes values into a new MCAP file; after `sync` they are on the disk.
 
-    The log time of a message is the value's `t_ns`; its sequence number is the index of its frame. Chunks are not
+    The log time of a message is the value's `t_ns`, that of a pair's right image its own; its sequence number is the
+    index of its frame. A right image without a left one is of a pair whose left camera was missing. Chunks are not
     compressed: images already are, and the records of a half-written chunk can still be read. Raises ConfigError for a
     file that exists or cannot be created, OSError when writing fails, and ValueError for a value that cannot be written
     (then the file is unchanged).
@@ -110,11 +111,12 @@ class RunFile:
     def frame(self, frame: Frame | StereoFrame) -> None:
         """Write a frame."""
         if isinstance(frame, StereoFrame):
-            images = {LEFT: frame.left, RIGHT: frame.right}
+            images = {LEFT: (frame.t_ns, frame.left), RIGHT: (frame.t_ns + frame.right_late_ns, frame.right)}
         else:
-            images = {CAMERA: frame.image}
-        for topic, image in images.items():
-            self._add(topic, frame.t_ns, frame.index, self._images.encode(frame.t_ns, image))
+            images = {RIGHT if frame.eye else CAMERA: (frame.t_ns, frame.image)}
+        encoded = {topic: (t_ns, self._images.encode(t_ns, image)) for topic, (t_ns, image) in images.items()}
+        for topic, (t_ns, data) in encoded.items():
+            self._add(topic, t_ns, frame.index, data)
 
     def value(self, value: Value, frame_index: int) -> None:
         """Write any other value with the index of its frame."""

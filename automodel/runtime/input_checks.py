@@ -244,12 +244,11 @@ class InputChecks:
 
     def misfit(self, frame: Frame | StereoFrame) -> str | None:
         """Why nothing can be made of the frame, None where it can be looked at."""
-        return next(filter(None, map(ImageCheck.misfit, self._pictures, _images(frame))), None)
+        return next(filter(None, (check.misfit(image) for check, image in self._seen(frame))), None)
 
     def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
         """What is wrong with a frame that fits."""
-        images = zip(self._pictures, _images(frame), strict=False)  # a single camera leaves one check idle
-        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in images)))
+        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in self._seen(frame))))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
         """What is wrong with the lane or too uncertain, or wrong with how the car moves."""
@@ -257,6 +256,8 @@ class InputChecks:
         uncertain, width = self._offset_bound.step(estimate, motion, state), width_fault(estimate, self._vehicle)
         return tuple(filter(None, (jump, width, uncertain, turns)))
 
-
-def _images(frame: Frame | StereoFrame) -> tuple[Image, ...]:
-    return (frame.left, frame.right) if isinstance(frame, StereoFrame) else (frame.image,)
+    def _seen(self, frame: Frame | StereoFrame) -> list[tuple[ImageCheck, Image]]:
+        """Each image with the check of its camera; a single image leaves the other camera's idle."""
+        if isinstance(frame, StereoFrame):
+            return list(zip(self._pictures, (frame.left, frame.right), strict=True))
+        return [(self._pictures[frame.eye], frame.image)]

@@ -205,6 +205,8 @@ class Loop:
         checks = self._checks
         lost = LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
         misfit = None if checks is None else checks.misfit(frame)
+        if isinstance(frame, Frame) and frame.eye and self._cameras == 1:
+            misfit = "the left camera gives no image, and this pipeline sees through that one alone"
         if misfit is not None:
             return lost, (misfit,), ()
         wrong = () if checks is None else checks.of_frame(frame)

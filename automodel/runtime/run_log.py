@@ -45,12 +45,14 @@ class RunLog:
         if self._works:
             self._pending.append(event)
 
-    def report(self, kind: str, text: str, t_ns: int) -> None:
-        """Take in what may go wrong again and again: the same kind at most once a second."""
+    def report(self, kind: str, text: str, t_ns: int) -> bool:
+        """Take in what may go wrong again and again: the same kind at most once a second; whether it was taken in."""
         last_ns = self._reported_ns.get(kind)
-        if last_ns is None or t_ns - last_ns >= QUIET_S * NS_PER_S:
-            self._reported_ns[kind] = t_ns
-            self.note(Event(t_ns=t_ns, kind=kind, text=text))
+        if last_ns is not None and t_ns - last_ns < QUIET_S * NS_PER_S:
+            return False
+        self._reported_ns[kind] = t_ns
+        self.note(Event(t_ns=t_ns, kind=kind, text=text))
+        return True
 
     def write(self, record: TickRecord, heard: VehicleState | None) -> None:
         """Pass one cycle on; `heard` is the vehicle's state where a new one came in this cycle."""

@@ -6,7 +6,8 @@ collector come after it. The whole run lives on the clock it is given: with a `V
 advances it inside `read` the same code runs in lock-step.
 
 Event kinds besides those of `automodel.runtime.safety`: fault (something not finite, or an exception of the chain),
-vehicle-fault, link-lost, link-back, source-failed, source-back, recorder-failed, end.
+vehicle-fault, link-lost, link-back, source-failed, source-back, camera-missing and camera-back (of a pair, while the
+other one goes on), recorder-failed, end.
 """
 
 from __future__ import annotations

@@ -33,6 +33,7 @@ class SupervisedSource:
         self._stalled = False  # it gives nothing for now, and may go on by itself
         self._awaited = False  # opened again, and no frame has come yet
         self._tried_ns: int | None = None  # when it was opened again last
+        self._trouble = ""  # of one camera of a pair, as was last reported
 
     @property
     def dead(self) -> bool:
@@ -59,7 +60,20 @@ class SupervisedSource:
             text = "frames come again; arm to drive on" if at_rest else "frames come again"
             event = Event(t_ns=self._clock.now_ns(), kind="source-back", text=text)
             self._run_log.note(event)
+        if frame is not None:
+            self._report_pair(frame)
         return frame
+
+    def _report_pair(self, frame: Frame | StereoFrame) -> None:
+        """Say that one camera of a pair is missing while the other one goes on, and that pairs come again."""
+        trouble = "" if isinstance(frame, StereoFrame) else str(getattr(self._source, "trouble", ""))
+        if trouble == self._trouble:
+            return
+        kind, text = "camera-missing", f"{trouble}; the other one goes on alone"
+        if not trouble:
+            kind, text = "camera-back", "pairs of frames come again"
+        if (trouble or isinstance(frame, StereoFrame)) and self._run_log.report(kind, text, self._clock.now_ns()):
+            self._trouble = trouble
 
     def close(self) -> None:
         """Close what there is; never raises an OSError."""

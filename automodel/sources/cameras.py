@@ -107,6 +107,16 @@ class CameraWatch:
             restarts=max(self._opened - 1, 0),
         )
 
+    @property
+    def arrived_ns(self) -> int | None:
+        """When the newest frame arrived; None before the first since the camera was opened."""
+        return self._arrived_ns
+
+    @property
+    def new_ns(self) -> int | None:
+        """When the newest image arrived that was not the one before, or None."""
+        return None if self._arrived_ns is None else self._new_ns
+
     def opened(self, now_ns: int) -> None:
         """The camera was opened, or opened again."""
         self._opened += 1
@@ -168,6 +178,16 @@ class CaptureThread:
         self._thread = threading.Thread(target=self._run, name="capture", daemon=True)
         self._thread.start()
 
+    @property
+    def trouble(self) -> str:
+        """What is wrong with one camera of a pair while the other one goes on (`LivePair.trouble`)."""
+        return str(getattr(self._source, "trouble", ""))
+
+    @property
+    def pair(self) -> object | None:
+        """What the cameras of a pair have done since they were opened (`LivePair.status`); None for a single one."""
+        return getattr(self._source, "pair_status", None)
+
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The newest frame that was not delivered yet, or None if none came within `timeout_s`."""
         with self._changed:
@@ -175,8 +195,8 @@ class CaptureThread:
             if self._newest is None and self._end is not None:
                 raise self._end
             fault = None if self._watch is None else self._watch.fault(time.monotonic_ns())
-            if fault is not None:
-                raise fault  # a frame that waits is delivered next
+            if fault is not None:  # a frame that waits is delivered next
+                raise SourceStalled(f"{fault}; {self.trouble}", fault.lasting) if self.trouble else fault
             frame, self._newest = self._newest, None
             return frame
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import os
 import shutil
@@ -14,12 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.cli import doctor
+from automodel.config import load_car
 from automodel.doctor import board as doctor_board
 from automodel.doctor import camera as doctor_camera
 from automodel.doctor import examination
 from automodel.signals import BoardSensors, Frame
-from automodel.sources import csi
+from automodel.sources import csi, usb
 from firmware_link import arduino
 from firmware_link.emulator import logic
 from firmware_link.emulator.board import EmulatedArduino
@@ -27,7 +30,7 @@ from firmware_link.emulator.logic import BoardOptions
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
 from tests.support.blinking import BlinkingCamera
 from tests.support.command_line import Said
-from tests.support.fake_cars import StillCamera, road
+from tests.support.fake_cars import StillCamera, TriggeredCamera, road
 from tests.support.fake_cars import car_toml as written
 from tests.support.wide_limits import WIDE_LIMITS
 
@@ -138,6 +141,58 @@ def test_a_whole_car(cli, port: PtyBoard, bench: BenchPeripherals, tmp_path: Pat
     assert of(said, "servo", "lens", *CALIBRATIONS) == ["SKIP", *["WARN"] * 5]
     assert {pulses[1:] for pulses in bench.pulses} == {(1500.0, 1500.0)}  # nothing moved
     assert not (tmp_path / "recordings").exists()
+
+
+PAIR = """
+[camera.extrinsics]
+y_m = 0.125
+[camera.right]
+device = 1
+[camera.right.intrinsics]
+fx_px = 480.1
+[camera.right.extrinsics]
+y_m = -0.125
+"""
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("late_ms", "swapped", "repeats", "verdicts"),
+    [
+        (3, False, False, ["OK", "OK", "OK"]),
+        (3, True, False, ["OK", "FAIL", "OK"]),
+        (25, False, False, ["FAIL", None, None]),  # they take turns
+        (3, False, True, ["FAIL", None, None]),
+    ],
+)
+def test_two_cameras(
+    late_ms: int, swapped: bool, repeats: bool, verdicts: list[str | None],
+    cli, port: PtyBoard, tmp_path: Path, monkeypatch
+) -> None:  # fmt: skip
+    path = car_toml(tmp_path, port.path)
+    path.write_text(path.read_text().replace('source = "usb"', 'source = "usb"\nrate_hz = 20') + PAIR)
+    images = build_world(load_car(path), Simulation(track="chicane", style="clean")).capture(0, 0)[0]
+    images = images[::-1] if swapped else images
+
+    class Camera(TriggeredCamera):
+        def read(self, timeout_s: float) -> Frame:
+            frame = super().read(timeout_s)
+            return dataclasses.replace(frame, image=self._image) if repeats and self._late_ns else frame
+
+    monkeypatch.setattr(
+        usb, "UsbSource", lambda camera: Camera(images[camera.device], 20.0, late_ms * 1_000_000 * camera.device)
+    )
+    monkeypatch.setattr(doctor_camera, "FIRST_S", 2.0)
+    said = cli("doctor", "--car", path, "--json")
+    rows = by_name(said)
+    found = [
+        rows[name]["verdict"] if name in rows else None for name in ("camera pair", "camera order", "pair calibration")
+    ]
+    assert found == verdicts
+    assert said.code == int("FAIL" in verdicts)
+    if verdicts[1] is not None:
+        assert rows["camera"]["what"].startswith("/dev/video0 and /dev/video1 open, first frame")  # type: ignore[attr-defined]
+        assert rows["right lens"]["verdict"] == "OK"
 
 
 @pytest.mark.realtime

@@ -22,7 +22,7 @@ BOARD = {
     "pipeline.centerline.network": "256x128",
 }
 CAMERA_AND_BOARD = {**BOARD, "camera.source": "csi", "camera.sensor_mode": 4}
-RIGHT_CAMERA = SecondCamera(extrinsics=Extrinsics(y_m=-0.125))
+RIGHT_CAMERA = SecondCamera(device=1, extrinsics=Extrinsics(y_m=-0.125))
 DIFFERENCES = {
     "nano-arduino": CAMERA_AND_BOARD,
     "orin-nano-arduino": CAMERA_AND_BOARD,

@@ -14,15 +14,17 @@ import pytest
 
 from automodel.assembly import drive
 from automodel.assembly.parts import make_camera
-from automodel.config import CarConfig, load_car
+from automodel.assembly.simulated_car import Simulation, build_world
+from automodel.cli.init import kit_path
+from automodel.config import CameraConfig, CarConfig, load_car
 from automodel.recording.reader import Recording
-from automodel.signals import Event, Frame
-from automodel.sources import csi
+from automodel.signals import Event, Frame, StereoFrame
+from automodel.sources import csi, usb
 from automodel.sources.csi import GstPipeSource
 from automodel.sources.errors import SourceError
 from firmware_link.emulator.board import EmulatedArduino
 from firmware_link.emulator.pty import BenchPeripherals, PtyBoard
-from tests.support.fake_cars import StillCamera, car_toml, road
+from tests.support.fake_cars import StillCamera, TriggeredCamera, car_toml, road
 
 TURNS = 1500  # of the loop, at most 20 ms each: a test that hangs ends
 
@@ -150,6 +152,67 @@ def test_a_camera_that_repeats_its_last_frame_is_started_again(
     failed = next(event for event in events if event.kind == "source-failed")
     assert failed.text.startswith("the same frame again and again for 0.")
     assert len(opened) == row["camera_restarts"] + 1 == 2  # type: ignore[operator]
+
+
+@pytest.mark.realtime
+def test_one_camera_of_a_pair_dies_and_the_run_goes_on_with_the_other_until_it_is_back(
+    port: PtyBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pair = load_car(kit_path("sim-stereo"))
+    images = build_world(pair, Simulation(track="oval", style="clean")).capture(0, 0)[0]
+    died: list[int] = []
+
+    class Camera(TriggeredCamera):
+        """The right one comes 3 ms later, and is gone once."""
+
+        def __init__(self, camera: CameraConfig) -> None:
+            super().__init__(images[camera.device], 20.0, 3_000_000 * camera.device)
+
+        def read(self, timeout_s: float) -> Frame:
+            if self._late_ns and self._index == 30 and not died:
+                died.append(self._index)
+                raise SourceError("/dev/video1: no more frames")
+            return super().read(timeout_s)
+
+    monkeypatch.setattr(usb, "UsbSource", Camera)
+    path = car_toml(tmp_path, port.path)
+    right = "[camera.extrinsics]\ny_m = 0.125\n[camera.right]\ndevice = 1\n"
+    right += "[camera.right.intrinsics]\nfx_px = 480.1\n[camera.right.extrinsics]\ny_m = -0.125\n"
+    usual = path.read_text().replace('source = "usb"', 'source = "usb"\nrate_hz = 20')
+    path.write_text(f'{usual}{right}[pipeline]\nname = "stereo"\n')
+    again = settled(20)
+
+    def until(kinds: list[str]) -> bool:
+        if died and len(died) == 1:
+            died.append(len(kinds))  # before it was noticed
+        return again(len(died) == 2 and "camera-back" in kinds[died[1] :])
+
+    row, events = drive_until(path, until)
+    texts = [event.text for event in events if event.kind.startswith("camera-")]
+    why = "right camera: /dev/video1: no more frames; the other one goes on alone"
+    assert why in texts
+    assert texts[-1] == "pairs of frames come again"
+    frames = [m.value for m in Recording(tmp_path / "run.mcap") if isinstance(m.value, Frame | StereoFrame)]
+    alone = [frame for frame in frames if isinstance(frame, Frame)]
+    assert {frame.eye for frame in alone} == {0}
+    assert isinstance(frames[-1], StereoFrame)
+    late = [frame.right_late_ns for frame in frames if isinstance(frame, StereoFrame)]
+    assert set(late) == {3_000_000}
+    assert "images of a pair 3.0 ms apart, 3.0 at most" in capsys.readouterr().err
+    assert row["frames"] == len(frames)
+
+
+def test_a_pair_that_cannot_be_is_one_line(tmp_path: Path, cli) -> None:
+    for keys, said_of_it in (
+        ("device = 0", "[camera] right: device 0 is the left camera's, too ([camera] device); give another"),
+        ("devise = 1", "[camera.right] devise: unknown key; did you mean device?"),
+        ("", '[camera.right] device is missing: [camera] source "usb" is one camera, and the pipeline stereo sees '),
+    ):
+        path = car_toml(tmp_path, "/dev/ttyMISSING")
+        path.write_text(f'{path.read_text()}[camera.right]\n{keys}\n[pipeline]\nname = "stereo"\n')
+        said = cli("run", "--car", path)
+        assert (said.code, said.out) == (2, "")
+        assert said_of_it in said.err.splitlines()[-1]
 
 
 def test_a_camera_in_another_mode_than_its_lens_was_calibrated_in_is_refused(tmp_path: Path, cli) -> None:

@@ -12,6 +12,7 @@ from automodel.config import (
     CenterlineConfig,
     ConfigError,
     ContourConfig,
+    Intrinsics,
     PipelineConfig,
     VehicleConfig,
     WindowsConfig,
@@ -48,6 +49,15 @@ REFUSED = {
     "(radians, positive looks down), got 15.0",
     "[camera.right.extrinsics]\nz_m = -1": "car.toml:2: [camera.right.extrinsics] z_m: expected a positive number, "
     "got -1.0",
+    "[camera.right]\ndevice = -1": "car.toml:2: [camera.right] device: expected a number >= 0, got -1",
+    '[camera.right]\ndevice = "1"': "car.toml:2: [camera.right] device: expected a whole number, got '1'",
+    "[camera]\ndevice = 2\n[camera.right]\ndevice = 2": "car.toml:3: [camera] right: device 2 is the left camera's, "
+    "too ([camera] device); give another",
+    "[camera.right]\npair_tolerance_s = -0.001": "car.toml:2: [camera.right] pair_tolerance_s: expected a number >= 0, "
+    "got -0.001",
+    "[camera.right]\npair_tolerance_s = 0.01": "car.toml:1: [camera] right: pair_tolerance_s 0.01 is more than half "
+    "the time between two frames, 0.0083: an image would fit two others",
+    "[camera]\nright = 1": "car.toml:2: [camera] right: expected a table, got 1",
     "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: expected a positive number, got 0.0",
     "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: expected a number >= 0, got -0.1",
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
@@ -274,6 +284,18 @@ def test_a_wrong_camera_is_one_line(line: str, wrong: str) -> None:
     with pytest.raises(ConfigError) as raised:
         parse_car(f"[camera]\n{line}\n", "car.toml")
     assert str(raised.value).startswith(f"car.toml:2: [camera] {wrong}")
+
+
+def test_each_eye_of_a_pair_has_its_own_device() -> None:
+    def devices(text: str) -> list[int]:
+        return [eye.device for eye in parse_car(text, "car.toml").camera.eyes]
+
+    assert devices("[camera]\ndevice = 2") == [2]
+    assert devices("[camera]\ndevice = 2\n[camera.right]\ndevice = 0") == [2, 0]
+    assert devices("[camera]\ndevice = 2\n[camera.right.extrinsics]\ny_m = -0.1") == [2, 2]  # of before it had one
+    right = parse_car("[camera.right]\ndevice = 1", "car.toml").camera.right
+    assert right is not None
+    assert (right.intrinsics, right.measured(), right.tolerance_s(50.0)) == (Intrinsics(), False, 0.005)
 
 
 def test_the_mode_of_a_camera_is_what_its_lens_was_calibrated_for() -> None:

@@ -512,6 +512,12 @@ LAYERS = {
 
 BOUNDS = (
     *_of(
+        "automodel/tracking/lane_tracking.py",
+        "tests/tracking/test_lane_tracking.py",
+        ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),
+        ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
+    ),
+    *_of(
         "automodel/tracking/integrity.py",
         "tests/tracking/test_integrity.py",
         ("bound-of-one-sigma", "K = 3.5 ", "K = 1.0 "),
@@ -562,13 +568,13 @@ PAIRS = (
     *_of(
         "automodel/sources/pairs.py",
         "tests/sources/test_pairs.py",
-        ("any-two-frames-pair", "if abs(apart_s) <= self.tolerance_s:", "if True:"),
+        ("any-two-frames-pair", "if abs(late_ns) * 1e-9 <= self.tolerance_s:", "if True:"),
         (
             "the-newer-frame-is-dropped",
-            "self._left if apart_s > 0.0 else self._right",
-            "self._right if apart_s > 0.0 else self._left",
+            "left if late_ns > 0 else right",
+            "right if late_ns > 0 else left",
         ),
-        ("eyes-swapped", "left=left.image, right=right.image", "left=right.image, right=left.image"),
+        ("eyes-swapped", "left=one.image, right=other.image", "left=other.image, right=one.image"),
     ),
 )
 

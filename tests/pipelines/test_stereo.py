@@ -117,6 +117,30 @@ def test_a_frozen_eye_is_noticed_and_the_other_one_goes_on(eye: int) -> None:
     assert f"the {side} camera gave the same image again in {len(seen) - 16} pairs" in drive.estimator.warning
 
 
+@pytest.mark.parametrize("eye", [0, 1])
+def test_one_camera_drives_alone_and_the_other_comes_back(eye: int) -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK)
+    picture = drive.picture
+
+    def missing(*args: Any) -> Frame | StereoFrame:
+        pair: StereoFrame = picture(*args)
+        if not 15 <= pair.index < 45:
+            return pair
+        return Frame(t_ns=pair.t_ns, index=pair.index, image=pair.left if eye else pair.right, eye=1 - eye)
+
+    drive.picture = missing  # type: ignore[method-assign, assignment]
+    seen = drive.run(0.0, 2.5)
+    assert all(one.estimate.valid for one in seen[2:])
+    assert all(one.estimate.left and one.estimate.left.seen for one in seen[16:45])
+    bounds = np.array([one.estimate.pose.offset_bound_m for one in seen if one.estimate.pose])
+    assert (errors_m(seen) < bounds).all()
+    assert errors_m(seen).mean() < 0.04 * CAR.lane.width_m
+    side = ("left", "right")[eye]
+    assert drive.estimator.warning == (  # type: ignore[attr-defined]
+        f"the {side} camera gave no image in 30 frames: the ground plane of the last good pair was used"
+    )
+
+
 @pytest.mark.parametrize("yaw_rad", [0.01, 0.03])
 def test_the_plane_takes_in_an_eye_that_looks_elsewhere_than_calibrated(yaw_rad: float) -> None:
     """A pitch of the ground looks like it; the lane is where it was."""
@@ -155,7 +179,7 @@ def test_noise_makes_no_lane(shape: tuple[int, ...]) -> None:
 
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_a_picture_of_another_size_is_lost(side: str) -> None:
-    images = {"left": np.zeros((480, 640), np.uint8), "right": np.zeros((480, 640), np.uint8)}
+    images: dict[str, Any] = {"left": np.zeros((480, 640), np.uint8), "right": np.zeros((480, 640), np.uint8)}
     images[side] = np.zeros((240, 320), np.uint8)
     assert Stereo(CAR).step(StereoFrame(t_ns=1, index=0, **images), motion(1)).status is LaneStatus.LOST
 

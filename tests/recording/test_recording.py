@@ -124,6 +124,32 @@ def test_stereo_frames_come_back(tmp_path: Path) -> None:
         assert step.motion == make_motion(step.frame.index)
 
 
+def test_each_image_of_a_pair_keeps_its_time_and_a_missing_camera_stays_missing(tmp_path: Path) -> None:
+    recorder = McapRecorder(tmp_path / "run.mcap", "", RecordingConfig(image="png"))
+    left, right = make_frame(0).image, make_frame(1).image
+    frames: list[Frame | StereoFrame] = [
+        StereoFrame(t_ns=1_000, index=0, left=left, right=right, right_late_ns=-3),
+        Frame(t_ns=2_000, index=1, image=right, eye=1),
+        StereoFrame(t_ns=3_000, index=2, left=left, right=right, right_late_ns=5),
+        Frame(t_ns=4_000, index=3, image=left),
+    ]
+    for frame in frames:
+        recorder.frame(frame)
+        recorder.motion(make_motion(frame.index))
+    recorder.close()
+    got = [step.frame for step in Recording(recorder.path).steps()]
+    assert [(type(frame), frame.t_ns, frame.index) for frame in got] == [
+        (type(frame), frame.t_ns, frame.index) for frame in frames
+    ]
+    assert [getattr(frame, "right_late_ns", None) for frame in got] == [-3, None, 5, None]
+    assert [getattr(frame, "eye", None) for frame in got] == [None, 1, None, 0]
+    assert isinstance(got[1], Frame)
+    np.testing.assert_array_equal(got[1].image, right)
+    with open(recorder.path, "rb") as file:  # what other programs see
+        times = {channel.topic: message.log_time for _, channel, message in make_reader(file).iter_messages()}
+    assert (times["/camera/left"], times["/camera/right"], times["/camera"]) == (3_000, 3_005, 4_000)
+
+
 def test_a_file_that_is_there_is_never_overwritten(recorded_run: Run) -> None:
     path = recorded_run(1)
     before = path.read_bytes()

@@ -94,6 +94,16 @@ def test_both_pictures_of_a_pair_are_looked_at() -> None:
     assert [len(texts) for texts in found] == [0, 0, 0, 0, 1, 1]
     pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[0][::2])
     assert checks.misfit(pair) is not None
+    assert checks.misfit(Frame(t_ns=0, index=0, image=ROAD[0][::2], eye=1)) is not None
+
+
+def test_an_image_of_the_right_camera_alone_is_compared_with_its_own() -> None:
+    checks, found = InputChecks(CAR), []
+    for index in range(12):  # the left camera's images change, and between them the right one repeats its own
+        image = ROAD[0] if index % 2 else ROAD[index // 2]
+        found.append(checks.of_frame(Frame(t_ns=index * 16 * MS, index=index, image=image, eye=index % 2)))
+    assert found[:5] == [()] * 5
+    assert found[-1] == ("the camera repeats the same image for 0.160 s",)
 
 
 PERIOD_NS = 16_666_667

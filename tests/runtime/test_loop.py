@@ -74,6 +74,14 @@ def test_a_pipeline_of_one_camera_sees_the_left_picture_of_a_pair() -> None:
     assert not pipeline.seen[0].image.any()
 
 
+def test_a_pipeline_of_one_camera_is_not_given_what_the_right_one_sees_alone() -> None:
+    loop, pipeline, *_ = make()
+    tick = loop.tick(Frame(t_ns=5, index=3, image=PICTURE, eye=1), MOTION, None, 6)
+    assert pipeline.seen == []
+    assert (tick.estimate.status, tick.command.speed_mps) == (LaneStatus.LOST, 0.0)
+    assert tick.faults == ("the left camera gives no image, and this pipeline sees through that one alone",)
+
+
 def test_an_exception_of_a_stage_goes_up() -> None:
     loop, *_ = make(FakePipeline({0: KeyError("x")}))
     with pytest.raises(KeyError):

@@ -8,7 +8,7 @@ import pytest
 from automodel.runtime.clocks import NS_PER_S, VirtualClock
 from automodel.runtime.run_log import RunLog
 from automodel.runtime.supervised_source import START_S, SupervisedSource
-from automodel.signals import Frame
+from automodel.signals import Frame, StereoFrame
 from automodel.sources.errors import SourceError, SourceStalled
 
 
@@ -87,6 +87,43 @@ def test_a_stall_is_reported_at_once_and_the_camera_opened_again_where_it_lasts(
     assert [event.kind for event in log.events][:1] == ["source-failed"]
     assert log.events[0].t_ns <= 0.02 * NS_PER_S
     assert [event.text for event in log.events][-1] == "frames come again; arm to drive on"
+
+
+class PairOfCameras:
+    """A pair that gives what it is told to give: pairs, or frames of one camera for a reason."""
+
+    trouble = ""
+
+    def read(self, timeout_s: float) -> Frame | StereoFrame:
+        image = np.zeros((2, 2), np.uint8)
+        if self.trouble:
+            return Frame(t_ns=1, index=1, image=image)
+        return StereoFrame(t_ns=1, index=1, left=image, right=image)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_of_a_pair_that_is_missing_is_reported_once_with_the_reason_and_that_it_is_back() -> None:
+    clock, log, pair = VirtualClock(), RunLog(None, None), PairOfCameras()
+    source = SupervisedSource(pair, clock, log, None)
+    for trouble in ("", "right camera: no frame comes", ""):
+        pair.trouble = trouble
+        for _ in range(5):
+            assert source.read(0.02, at_rest=False) is not None
+        clock.sleep(0.1)
+    assert [(event.kind, event.text) for event in log.events] == [
+        ("camera-missing", "right camera: no frame comes; the other one goes on alone"),
+        ("camera-back", "pairs of frames come again"),
+    ]
+    assert not source.dead
+    pair.trouble = "left camera: no frame comes"  # too soon after the last report of its kind: it is told later
+    for _ in range(5):
+        source.read(0.02, at_rest=False)
+    assert len(log.events) == 2
+    clock.sleep(1.0)
+    source.read(0.02, at_rest=False)
+    assert log.events[-1].text == "left camera: no frame comes; the other one goes on alone"
 
 
 def test_a_stall_while_the_car_drives_opens_nothing() -> None:

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import contextlib
-import queue
 import threading
 import time
 
@@ -11,42 +10,21 @@ import pytest
 from automodel.signals import Frame, StereoFrame
 from automodel.sources.cameras import CameraWatch, CaptureThread, captured_ns, flipped
 from automodel.sources.errors import EndOfSource, SourceError, SourceStalled
+from tests.support.fed_cameras import FedCamera
 
 WAIT_S = 20.0  # far beyond what any step takes; nothing waits for it when all is well
-
-
-class Scripted:
-    """A source that the test feeds; it counts what was taken from it."""
-
-    def __init__(self) -> None:
-        self.inbox: queue.Queue[Frame | Exception] = queue.Queue()
-        self.closed = threading.Event()
-        self.closed_by = ""
-
-    def read(self, timeout_s: float) -> Frame | None:
-        try:
-            item = self.inbox.get(timeout=timeout_s)
-        except queue.Empty:
-            return None
-        if isinstance(item, Exception):
-            raise item
-        return item
-
-    def close(self) -> None:
-        self.closed_by = threading.current_thread().name
-        self.closed.set()
 
 
 def frame(index: int) -> Frame:
     return Frame(t_ns=index, index=index, image=np.zeros((2, 2), np.uint8))
 
 
-def wait_until_end(capture: CaptureThread, source: Scripted) -> None:
+def wait_until_end(capture: CaptureThread, source: FedCamera) -> None:
     assert source.closed.wait(WAIT_S)
 
 
 def test_the_newest_frame_is_delivered_once_and_older_ones_count_as_drops() -> None:
-    source = Scripted()
+    source = FedCamera()
     for index in range(5):
         source.inbox.put(frame(index))
     source.inbox.put(EndOfSource())  # so that all five have gone through the thread
@@ -61,7 +39,7 @@ def test_the_newest_frame_is_delivered_once_and_older_ones_count_as_drops() -> N
 
 
 def test_every_frame_arrives_when_the_reader_is_fast() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source)
     for index in range(20):
         source.inbox.put(frame(index))
@@ -73,7 +51,7 @@ def test_every_frame_arrives_when_the_reader_is_fast() -> None:
 
 
 def test_no_frame_is_delivered_twice() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source)
     source.inbox.put(frame(0))
     assert capture.read(WAIT_S) is not None
@@ -83,7 +61,7 @@ def test_no_frame_is_delivered_twice() -> None:
 
 
 def test_an_error_is_passed_on_after_the_last_frame_and_stays() -> None:
-    source = Scripted()
+    source = FedCamera()
     source.inbox.put(frame(0))
     source.inbox.put(SourceError("/dev/video0: unplugged"))
     capture = CaptureThread(source)
@@ -95,7 +73,7 @@ def test_an_error_is_passed_on_after_the_last_frame_and_stays() -> None:
 
 
 def test_a_waiting_reader_is_woken_by_an_error() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source)
     threading.Timer(0.05, source.inbox.put, (OSError("gone"),)).start()
     with pytest.raises(OSError, match="gone"):
@@ -103,7 +81,7 @@ def test_a_waiting_reader_is_woken_by_an_error() -> None:
 
 
 def test_closing_closes_the_source_in_its_own_thread_and_may_be_repeated() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source)
     capture.close()
     capture.close()
@@ -115,7 +93,7 @@ def test_closing_closes_the_source_in_its_own_thread_and_may_be_repeated() -> No
 
 def test_a_bug_in_a_source_is_not_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "excepthook", lambda args: None)
-    source = Scripted()
+    source = FedCamera()
     source.inbox.put(KeyError("bug"))
     capture = CaptureThread(source)
     with pytest.raises(SourceError, match="died"):
@@ -124,7 +102,7 @@ def test_a_bug_in_a_source_is_not_silence(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_what_the_watch_finds_costs_no_frame() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source, CameraWatch(60.0))
     for index in range(3):  # 0.1 s apart: a slow camera, of which the frames are right
         source.inbox.put(Frame(t_ns=index * 100_000_000, index=index, image=TEXTURE + np.uint8(index)))
@@ -308,7 +286,7 @@ def test_a_camera_that_never_starts() -> None:
 
 
 def test_the_thread_raises_what_the_watch_finds_and_goes_on() -> None:
-    source = Scripted()
+    source = FedCamera()
     capture = CaptureThread(source, CameraWatch(60.0))
     now_ns = time.monotonic_ns()
     source.inbox.put(Frame(t_ns=now_ns, index=0, image=TEXTURE))

@@ -53,6 +53,31 @@ class StillCamera:
         pass
 
 
+class TriggeredCamera:
+    """Implements `Source`: one camera of several that are triggered together, `late_ns` after each trigger.
+
+    Triggers come at `rate_hz` of the machine's clock, whoever reads when. The same view with a bit of noise.
+    """
+
+    own_time = True
+
+    def __init__(self, image: Image, rate_hz: float, late_ns: int = 0) -> None:
+        self._image, self._late_ns = image, late_ns
+        self._period_ns, self._t_ns, self._index = round(1e9 / rate_hz), time.monotonic_ns(), 0
+
+    def read(self, timeout_s: float) -> Frame:
+        newest_ns = max(self._t_ns, time.monotonic_ns())
+        self._t_ns = (newest_ns // self._period_ns + 1) * self._period_ns + self._late_ns
+        time.sleep(max(self._t_ns - time.monotonic_ns(), 0) * 1e-9)
+        self._index += 1
+        image = self._image.copy()
+        image.flat[0] = self._index % 256
+        return Frame(t_ns=self._t_ns, index=self._index, image=image)
+
+    def close(self) -> None:
+        pass
+
+
 def car_toml(folder: Path, port: str) -> Path:
     """A car.toml for the camera and a board at `port`."""
     path = folder / "car.toml"
