@@ -11,14 +11,15 @@ from tests.support.realtime_rig import MS, Car, emulated
 from tests.support.realtime_stops import (
     QUIET_MS,
     check_never_drives,
-    check_pause_by_the_timer,
     check_stop,
     check_stop_by_the_timer,
+    paused_by_the_timer,
     phase_ms,
 )
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow, pytest.mark.timeout(120)]
 BACKLOG_MS = 1500.0  # of words that nobody reads: more than one read of the port takes
+ATTEMPTS = 5  # until a busy machine has let a stall be one of 100 ms
 REARM_MS = 450.0  # the input must have been well for half a second before a request counts
 
 
@@ -51,8 +52,15 @@ def test_a_backlog_of_words_that_nobody_read(make_car: Callable[..., Car]) -> No
 
 
 def test_a_stall_of_100_ms_in_the_loop(car: Car) -> None:
-    """A car that has just driven off is slow: neutral by the board's timer, and on."""
-    check_pause_by_the_timer(car.bench, car.struck(lambda: car.kill(signal.SIGUSR2), phase_ms("stall")))
+    """A car that has just driven off is slow: neutral by the board's timer, and on.
+
+    A busy machine may make the stall longer than a car goes on after by itself: then it is stalled once more.
+    """
+    for attempt in range(ATTEMPTS):
+        asked_ns = car.struck(lambda: car.kill(signal.SIGUSR2), phase_ms(f"stall {attempt}"))
+        if paused_by_the_timer(car.bench, asked_ns):
+            return
+    raise AssertionError(f"it does not drive again: {car.said[-2000:]}")
 
 
 def test_a_collection_over_a_million_objects(make_car: Callable[..., Car]) -> None:
