@@ -285,7 +285,7 @@ class LaneTracking:
         best, measured = self._hypotheses.all[0], self._measured(followed.pose)
         alone = Hypotheses()
         alone.start(((measured, 0.0),))
-        alone.update(seen, self._kinds)
+        alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
         apart = self._apart(measured, best.belief)
@@ -299,7 +299,11 @@ class LaneTracking:
             self._believe(best.belief)
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
             self._believe(alone.all[0].belief)
-        elif self._sure(best) and (not own or self._beats(best, said, alone.all[0].news)):
+        elif (
+            self._sure(best)
+            and (not own or self._beats(best, said, alone.all[0].news))
+            and self._at_once(best.belief, seen)
+        ):
             self._believe(best.belief)
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
@@ -307,6 +311,18 @@ class LaneTracking:
         elif self._refuted(measured):
             return self._reckoned
         return None
+
+    def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
+        """Whether one frame's lines say the same against dead reckoning alone.
+
+        What is seen again and again, a zebra's bar beside a reflection, draws a belief away step by step.
+        """
+        assert self._reckoned is not None
+        look = Hypotheses()
+        look.start(((self._reckoned, 0.0),))
+        look.update(seen, self._kinds)
+        best = look.all[0]
+        return best.news > self.config.exists and self._apart(belief, best.belief) < self.config.gate
 
     def _refuted(self, measured: LaneBelief) -> bool:
         """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out."""
@@ -413,7 +429,9 @@ class LaneTracking:
                 return best.belief
             if best.line(LEFT) or best.line(RIGHT):
                 self._borne_out_ns, self._blind_m = self._t_ns, 0.0
-                return self._which_lane(best, plain=False)
+                anew = self._which_lane(best, plain=False)
+                if anew is not None:
+                    return anew
         if not own and not self.in_doubt and self._strays(measured):
             return self._belief
         return None
@@ -463,10 +481,13 @@ class LaneTracking:
         return lines
 
     def _strays(self, measured: LaneBelief) -> bool:
-        """Whether an estimator that sees no line has left the road that is remembered."""
-        belief = self._belief
+        """Whether an estimator that sees no line has left the road that is remembered.
+
+        How uncertain it is does not excuse it: without a line it knows nothing that is not believed.
+        """
+        belief, certain = self._belief, replace(measured, covariance=np.zeros_like(measured.covariance))
         assert belief is not None
-        return self.reckons and not self._confusable(belief) and self._apart(measured, belief) > self.config.differs
+        return self.reckons and not self._confusable(belief) and self._apart(certain, belief) > self.config.differs
 
     def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.

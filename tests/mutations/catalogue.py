@@ -512,6 +512,12 @@ LAYERS = {
 
 BOUNDS = (
     *_of(
+        "automodel/tracking/hypotheses.py",
+        "tests/tracking/test_hypotheses.py",
+        ("picking-has-no-price", "math.lgamma(things + 0.5) - math.lgamma(things - lines + 0.5)", "0.0"),
+        ("a-speck-is-a-line", "odds += sum(config.length(each.line.painted_m / unit) for each in both)", "pass"),
+    ),
+    *_of(
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),

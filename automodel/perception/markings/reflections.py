@@ -32,13 +32,16 @@ class ReflectionConfig:
     more paint to the test. `blur_px`: largest standard deviation of an image's blur, of a car that turns on the
     spot; with a larger one wide streaks pass for blurred markings. `change`: probability that one of two neighbouring
     pieces of connected pixels is of a streak and the other of paint that points to the camera as well. `reach`: of a
-    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground.
+    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground. `paint`: odds
+    [nats] above which a followed line's nodes that point to the camera are paint, 19 in 20: a streak that is followed
+    bends the lane, and without these nodes others are left. Of 26 such pieces of paint 2 had less, of 82 of streaks 72.
     """
 
     pointing_rad: float = 0.035
     blur_px: float = 5.0
     change: float = 0.01
     reach: float = 2.5
+    paint: float = 3.0
 
 
 class Reflections:
@@ -101,7 +104,7 @@ class Reflections:
         row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
         piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
         odds = self._profiles.log_odds(values, piece) + 0.5 * (away_rad / self.config.pointing_rad) ** 2
-        return bool(odds.sum() < 0.0)
+        return bool(odds.sum() < self.config.paint)
 
     def step(self, view: Image, areas: Image, lines: Image) -> Image:
         """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).
