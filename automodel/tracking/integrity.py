@@ -17,6 +17,7 @@ import numpy as np
 from automodel.config import CameraConfig
 from automodel.geometry import GroundCamera
 
+EXCEEDED = 1e-3  # share of frames in which an error may exceed its bound
 K = 3.5  # sigmas of a bound: a normal error exceeds 3.3 in 1 of 1,000; the tails of a vision error are heavier
 # Of a camera that nobody calibrated: standard deviations of a mount set by eye with a spirit level and a ruler.
 ANGLE_RAD = math.radians(0.6)

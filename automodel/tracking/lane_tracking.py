@@ -40,7 +40,7 @@ from automodel.tracking.hypotheses import (
     Hypothesis,
     LineKinds,
 )
-from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, bound
+from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, bound
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
 from automodel.types import FloatArray
@@ -313,7 +313,7 @@ class LaneTracking:
         return None
 
     def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
-        """Whether one frame's lines say the same against dead reckoning alone.
+        """Whether one frame's lines say the same against dead reckoning alone, as surely as a bound must hold.
 
         What is seen again and again, a zebra's bar beside a reflection, draws a belief away step by step.
         """
@@ -322,7 +322,7 @@ class LaneTracking:
         look.start(((self._reckoned, 0.0),))
         look.update(seen, self._kinds)
         best = look.all[0]
-        return best.news > self.config.exists and self._apart(belief, best.belief) < self.config.gate
+        return best.news > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
 
     def _refuted(self, measured: LaneBelief) -> bool:
         """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out."""

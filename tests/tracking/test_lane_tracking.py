@@ -283,6 +283,17 @@ def test_an_estimator_that_no_line_bears_out_is_sent_back_to_where_the_odometry_
     assert drive.anew.offset_m == pytest.approx(0.0, abs=0.02)
 
 
+def test_what_takes_over_must_be_seen_at_once_and_not_be_drawn_there_step_by_step() -> None:
+    drive = driving()
+    tracking, here = drive.tracking, drive.tracking._measured(said(0.0).pose)
+    tracking._contradict(here)
+    assert tracking._at_once(here, sights(0.0))
+    turned = tracking._measured(said(0.0, heading_rad=-0.2).pose)
+    lines = tuple(line_of(Road(heading_rad=0.2), role, 0.3, 0.6) for role in BOTH)
+    assert not tracking._at_once(turned, lines)  # dead reckoning knows the heading better
+    assert not tracking._at_once(here, sights(0.0, NONE))
+
+
 def test_no_paint_is_a_witness_twice() -> None:
     tracking, lines = LaneTracking(CAR, CONFIG), sights(0.0)
     beside = lines[0].points_m + np.array((0.0, 2.0 * CAR.lane.marking_width_m))
@@ -447,11 +458,12 @@ def test_without_a_lane_a_wrong_odometry_is_no_matter() -> None:
     assert not drive.doubted
 
 
-def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembered() -> None:
-    drive = driving()
+@pytest.mark.parametrize("uncertain", [False, True])
+def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembered(uncertain: bool) -> None:
+    drive, astray = driving(), said(0.1 * LANE_M, NONE)
     assert drive.follow(said(0.0, NONE), sights(0.0)).status is LaneStatus.COASTING
     for _ in range(6):
-        drive.follow(said(0.1 * LANE_M, NONE), ())
+        drive.follow(unsure(astray) if uncertain else astray, ())
         if drive.anew is not None:
             break
     assert drive.anew is not None
