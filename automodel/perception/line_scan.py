@@ -129,12 +129,18 @@ class LineScan:
             row_m=view.m_per_row,
             column_m=view.m_per_px,
         )
+        width, height = (2 * max(round(marking_width_m / step), 1) + 1 for step in (view.m_per_px, view.m_per_row))
+        self._around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
         self._warm_up()
 
     def step(self, lines: Image, paint: Image | None = None) -> tuple[SightedLine, ...]:
-        """The lines of a view, in no order; `paint` (h, w): all that may be paint, also what is worn or too wide."""
+        """The lines of a view, in no order; `paint` (h, w): all that may be paint, also what is worn or too wide.
+
+        Pixels that paint connects within a marking's width are of one piece: worn paint leaves specks.
+        """
         paint = lines if paint is None else paint
-        return tuple(self._line(piece, paint) for piece in self._joined(self._pieces(lines)))
+        near = cv2.dilate(lines, self._around)
+        return tuple(self._line(piece, paint) for piece in self._joined(self._pieces(lines, (near & paint) | lines)))
 
     def of_stripes(self, stripes: Iterable[FloatArray]) -> tuple[SightedLine, ...]:
         """The lines of stripes (n, 2) [m] that were found otherwise: points in the body frame, near to far."""
@@ -147,15 +153,17 @@ class LineScan:
         two[:, : two.shape[1] // 2 : two.shape[1] // 2 - 1] = 255  # lines, one column each
         self.step(two)
 
-    def _pieces(self, lines: Image) -> list[_Piece]:
-        """Connected areas that are longer than wide, each with the middles of its rows."""
-        rows, middles, sizes, ends = _areas(lines)
+    def _pieces(self, lines: Image, connected: Image) -> list[_Piece]:
+        """Areas that are longer than wide, each with the middles of its rows; `connected` tells what is one area."""
+        rows, middles, sizes, ends = _areas(lines, connected)
         least = max(self.config.least_lanes * self._unit / self.view.m_per_row, 3)
         bars = self._bars(lines)
         pieces, start = [], 0
         for end in ends.tolist():
             there = slice(start, end)
             start = end
+            if there.stop == there.start:  # paint beside a line
+                continue
             if rows[there.stop - 1] - rows[there.start] + 1 < least or 2 * bars[rows[there]].sum() > end - there.start:
                 continue
             pieces += self._line_pieces(rows[there], middles[there], sizes[there], int(least))
@@ -235,8 +243,8 @@ def _fitted(x: FloatArray, y: FloatArray) -> _Piece:
 
 
 @compiled
-def _areas(lines: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
-    """The connected areas of a binary image (h, w), whose pixels touch at sides or corners.
+def _areas(lines: Image, connected: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
+    """The areas of a binary image (h, w), whose pixels touch at sides or corners in `connected`, which holds them all.
 
     Their rows (n,), all of the first area from above, then those of the next; the middle column and the number of
     pixels of each (n,); and the index at which each area ends (k,). Areas come in the order of their first pixels.
@@ -245,6 +253,7 @@ def _areas(lines: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
     count, size = 0, height * (width // 2 + 1)
     row, first, end = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.int64)
     root = np.empty(size, np.int64)  # of each run of pixels: a run above it of the same area
+    held_px, summed = np.empty(size, np.int64), np.empty(size)  # its pixels of `lines`, and the sum of their columns
     above, here = 0, 0  # the first runs of the row above, and of this one
     for r in range(height):
         if here < count and row[here] == r - 1:
@@ -253,13 +262,16 @@ def _areas(lines: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
             above = here = count
         touching, c = above, 0
         while c < width:
-            if lines[r, c] == 0:
+            if connected[r, c] == 0:
                 c += 1
                 continue
             row[count], first[count], root[count] = r, c, count
-            while c < width and lines[r, c] != 0:
+            pixels, total = 0, 0.0
+            while c < width and connected[r, c] != 0:
+                if lines[r, c] != 0:
+                    pixels, total = pixels + 1, total + c
                 c += 1
-            end[count] = c
+            end[count], held_px[count], summed[count] = c, pixels, total
             while touching < here and end[touching] < first[count]:
                 touching += 1
             at = touching
@@ -279,19 +291,21 @@ def _areas(lines: Image) -> tuple[IntArray, FloatArray, IntArray, IntArray]:
     # Each area's rows: runs come row by row.
     last, held = np.full(areas, -1, np.int64), np.zeros(areas, np.int64)
     for k in range(count):
-        held[area[k]] += row[k] != last[area[k]]
-        last[area[k]] = row[k]
+        if held_px[k] > 0:
+            held[area[k]] += row[k] != last[area[k]]
+            last[area[k]] = row[k]
     ends = np.cumsum(held)
     fill = ends - held - 1
-    total = int(ends[-1]) if areas else 0
-    rows, sums, sizes = np.full(total, -1, np.int64), np.zeros(total), np.zeros(total, np.int64)
+    total_rows = int(ends[-1]) if areas else 0
+    rows, sums, sizes = np.full(total_rows, -1, np.int64), np.zeros(total_rows), np.zeros(total_rows, np.int64)
     last[:] = -1
     for k in range(count):
-        fill[area[k]] += row[k] != last[area[k]]
-        at, last[area[k]] = fill[area[k]], row[k]
-        rows[at] = row[k]
-        sizes[at] += end[k] - first[k]
-        sums[at] += 0.5 * (end[k] - first[k]) * (end[k] + first[k] - 1)
+        if held_px[k] > 0:
+            fill[area[k]] += row[k] != last[area[k]]
+            at, last[area[k]] = fill[area[k]], row[k]
+            rows[at] = row[k]
+            sizes[at] += held_px[k]
+            sums[at] += summed[k]
     return rows, sums / sizes, sizes, ends
 
 

@@ -49,7 +49,7 @@ def test_areas_are_the_connected_ones_of_opencv(share: float) -> None:
             row, column = np.nonzero(labels == label)
             middle_of = [(r, column[row == r].mean(), (row == r).sum()) for r in np.unique(row)]
             known.add(tuple(tuple(round(float(value), 9) for value in each) for each in middle_of))
-        rows, middles, sizes, ends = _areas(lines)
+        rows, middles, sizes, ends = _areas(lines, lines)
         each_row = list(zip(rows.tolist(), middles.tolist(), sizes.tolist(), strict=True))
         starts = [0, *ends.tolist()][:-1]
         areas = [each_row[start:end] for start, end in zip(starts, ends.tolist(), strict=True)]
@@ -166,6 +166,21 @@ def test_points_are_as_far_apart_as_the_scale_says() -> None:
     line = scanned(STRAIGHT.line(0.0))[0]
     steps = np.hypot(*np.diff(line.points_m, axis=0).T)
     assert float(np.median(steps)) == pytest.approx(0.2 * LANE_M, abs=0.01)
+
+
+def test_specks_of_worn_paint_are_a_line_where_the_paint_connects_them() -> None:
+    """Each is shorter than a piece may be; other paint, which is not connected, joins nothing."""
+    dash = STRAIGHT.dashed(0.0, 10.0 * DASH_M, GAP_M)
+    worn = within(lambda x, y: dash(x, y) & ((x / MARKING_M) % 2.0 < 1.2), 0.5, 0.5 + DASH_M)
+    view, whole = binary(VIEW, worn, samples=4), binary(VIEW, within(dash, 0.5, 0.5 + DASH_M), samples=4)
+    scan = LineScan(VIEW, LANE_M, MARKING_M)
+    assert scan.step(view) == scan.step(view, np.roll(whole, 20, axis=1)) == ()
+    (line,) = scan.step(view, whole)
+    assert line.painted_m == pytest.approx(DASH_M, abs=2.0 * MARKING_M)
+    assert line.points_m[:, 1] == pytest.approx(np.zeros(len(line.points_m)), abs=0.005)
+    everywhere = np.full_like(view, 255)  # paint that is wide is none of the line
+    (wide,) = scan.step(view, everywhere)
+    assert wide.points_m == pytest.approx(line.points_m)
 
 
 def test_worn_paint_is_no_gap_and_gaps_between_dashes_are() -> None:
