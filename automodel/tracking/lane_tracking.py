@@ -315,14 +315,15 @@ class LaneTracking:
     def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
         """Whether one frame's lines say the same against dead reckoning alone, as surely as a bound must hold.
 
-        What is seen again and again, a zebra's bar beside a reflection, draws a belief away step by step.
+        What is seen again and again, a zebra's bar beside a reflection, draws a belief away step by step. Dead
+        reckoning may be wrong, too.
         """
         assert self._reckoned is not None
         look = Hypotheses()
-        look.start(((self._reckoned, 0.0),))
+        look.start(((self._reckoned, 0.0), (self._anywhere(), -self.config.exists)))
         look.update(seen, self._kinds)
         best = look.all[0]
-        return best.news > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
+        return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
 
     def _refuted(self, measured: LaneBelief) -> bool:
         """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out."""

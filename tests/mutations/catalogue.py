@@ -521,7 +521,7 @@ BOUNDS = (
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),
-        ("drawn-away-step-by-step", "return best.news > -math.log(EXCEEDED) and", "return"),
+        ("drawn-away-step-by-step", "return best.log_odds > -math.log(EXCEEDED) and", "return"),
         ("uncertain-is-excused", "self._apart(certain, belief) > self", "self._apart(measured, belief) > self"),
         ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
     ),
