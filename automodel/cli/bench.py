@@ -16,6 +16,7 @@ from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
+from automodel.perception.markings.unet import SIZES
 from automodel.sim.random_worlds import KINDS
 from automodel.sim.trajectory import STYLES
 
@@ -226,6 +227,36 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
     show("bench speed", rows, as_json, COLUMNS, machine)
     if not as_json:
         say(described(machine))
+    return 0
+
+
+@command.command("network")
+@click.option("--model", type=FILE, help="An ONNX file.  [default: the one that ships for the size]")
+@click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
+              help="The network's input.")  # fmt: skip
+@click.option("--images", type=click.IntRange(1), default=100, show_default=True, help="Drawn images of each class.")
+@FIRST_SEED
+@click.option("--root", type=FILE, help="Labelled highway images instead: a folder with label_data.json and clips/.")
+@JSON
+def network(model: Path | None, size: str, images: int, first_seed: int, root: Path | None, as_json: bool) -> int:
+    """The network for markings on drawn images by class: thin, wide and horizontal lines, dark tape, lamps, blur.
+
+    Shares 0..1 at a probability of one half: marks near a label, labels near a mark (3 px), and their F1. With --root:
+    marks far from all labels, labelled rows and lanes with marks on them, in %.
+
+    Example:
+
+    automodel bench network --model trained/marking_512x256.onnx
+    """
+    from automodel.bench import labelled_masks
+    from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
+    from automodel.training.classes import COLUMNS, measure
+
+    finder = MarkingNetwork(UnetConfig(model="" if model is None else str(model), size=size))
+    if root is not None:
+        show("bench network", [labelled_masks.measure(root, finder)], as_json, labelled_masks.COLUMNS)
+    else:
+        show("bench network", measure(finder, images, first_seed), as_json, COLUMNS)
     return 0
 
 

@@ -17,7 +17,6 @@ from automodel.config.toml_reader import ConfigError
 from automodel.console.tables import show
 from automodel.perception.markings.unet import SIZES
 
-BATCH = 8
 MINUTES = 60.0
 
 
@@ -32,12 +31,17 @@ MINUTES = 60.0
               help="Drawn samples to measure with, of other seeds.")  # fmt: skip
 @click.option("--minutes", type=ABOVE_ZERO, callback=finite, default=None,
               help=f"Train for so long, once the samples are drawn.  [default: {MINUTES:.0f}]")  # fmt: skip
-@click.option("--steps", type=click.IntRange(1), default=None, help=f"Train for so many batches of {BATCH} instead.")
+@click.option("--steps", type=click.IntRange(1), default=None, help="Train for so many batches instead.")
+@click.option("--batch", type=click.IntRange(1, 4096), default=8, show_default=True,
+              help="Samples a batch; a GPU likes more.")  # fmt: skip
+@click.option("--rate", type=ABOVE_ZERO, callback=finite, default=3e-3, show_default=True,
+              help="Of learning, at its peak; a larger batch allows a larger one.")  # fmt: skip
 @click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
               help="The network's input.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2000), default=0, show_default=True, help="Of samples and training.")
 @click.option("--resume", type=click.Path(path_type=Path), default=None,
               help="Start with the weights of this .pt file, of either size.")  # fmt: skip
+@click.option("--continue", "proceed", is_flag=True, help="Go on with the training that was interrupted in OUT.")
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes and threads.  [default: all cores]")
 @click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
 def command(
@@ -51,7 +55,9 @@ def command(
 ) -> int:
     """Train the network that finds lane markings, from samples that are drawn for it.
 
-    Ctrl-C ends the training early and keeps the best network so far. Needs torch: pip install 'automodel[train]'.
+    Ctrl-C ends the training early and keeps the best network so far; --continue with the same options goes on from its
+    last measurement. Uses a GPU that torch can use; there, larger batches (--batch 64 --rate 0.005) are faster. Needs
+    torch: pip install 'automodel[train]'.
 
     Example:
 
@@ -61,14 +67,14 @@ def command(
         raise click.UsageError("give --minutes or --steps, not both")
     if rest["resume"] is not None and not rest["resume"].is_file():
         raise ConfigError(f"--resume {rest['resume']}: no such file")
+    if rest["proceed"] and not (out / f"marking_{rest['size']}.state").is_file():
+        raise ConfigError(f"--continue: {out} holds no interrupted training of {rest['size']}")
     need_extra("training", "torch", "onnx")
     from automodel.training.session import SessionConfig, run_session
 
     minutes = MINUTES if steps is None and minutes is None else minutes
     workers = workers or os.cpu_count() or 1
-    config = SessionConfig(
-        out=out, data=data or out / "data", minutes=minutes, steps=steps, workers=workers, batch=BATCH, **rest
-    )
+    config = SessionConfig(out=out, data=data or out / "data", minutes=minutes, steps=steps, workers=workers, **rest)
     row, usable = run_session(config)
     show("train", [row], as_json)
     return 0 if usable else 1

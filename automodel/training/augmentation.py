@@ -52,7 +52,7 @@ def _lens(image: Image, rng: Rng) -> Image:
     if rng.random() < 0.35:
         out = _as_grey(cv2.GaussianBlur(out, (0, 0), float(np.exp(rng.uniform(math.log(0.4), math.log(2.2))))))
     if rng.random() < 0.3:
-        out = _motion(out, rng)
+        out = motion(out, rng)
     if rng.random() < 0.3:
         out = _vignette(out, rng)
     return out
@@ -97,9 +97,9 @@ def _bloom(image: Image, rng: Rng) -> Image:
     return _as_grey(cv2.add(image, np.clip(halo, 0, 255).astype(np.uint8)))
 
 
-def _motion(image: Image, rng: Rng) -> Image:
+def motion(image: Image, rng: Rng) -> Image:
     """Blur along one direction, or radially from the vanishing point as when driving."""
-    length = int(rng.integers(3, 16))
+    length = int(rng.integers(3, 16)) if rng.random() < 0.75 else int(rng.integers(12, 29))
     if rng.random() < 0.35:
         return _zoomed(image, rng, length)
     angle = rng.choice((0.0, math.pi / 2, rng.uniform(0, math.pi)))

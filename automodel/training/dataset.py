@@ -1,4 +1,4 @@
-"""Training samples on disk, and batches of them.
+"""Training samples on disk.
 
 Drawing a sample takes longer than learning from it, so samples are stored: in shards, .npy files of `SHARD` samples,
 which are memory-mapped. The version in a folder's `data.json` is that of the code that drew them.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -111,8 +111,8 @@ class Samples:
     """The samples of several shards by index, each (2, h, w) uint8: grey image and mask. Raises ConfigError."""
 
     def __init__(self, selected: list[Shard]) -> None:
-        self._parts = [_opened(shard) for shard in selected]
-        self._starts = np.cumsum([0, *(len(part) for part in self._parts)])
+        self.parts = [_opened(shard) for shard in selected]
+        self._starts = np.cumsum([0, *(len(part) for part in self.parts)])
 
     def __len__(self) -> int:
         return int(self._starts[-1])
@@ -121,7 +121,7 @@ class Samples:
         if not 0 <= index < len(self):
             raise IndexError(index)
         at = int(np.searchsorted(self._starts, index, side="right")) - 1
-        return np.asarray(self._parts[at][index - self._starts[at]])
+        return np.asarray(self.parts[at][index - self._starts[at]])
 
 
 def resized(sample: Image, width_px: int, height_px: int) -> Image:
@@ -131,55 +131,6 @@ def resized(sample: Image, width_px: int, height_px: int) -> Image:
     method = cv2.INTER_AREA if sample.shape[2] >= width_px else cv2.INTER_LINEAR
     layers = [cv2.resize(layer, (width_px, height_px), interpolation=method) for layer in sample]
     return np.asarray(layers, dtype=np.uint8)
-
-
-class Batches:
-    """Endless batches (n, 2, h, w) of randomly changed samples in random order.
-
-    Half of them are mirrored, half are crops enlarged up to `ZOOM` times, and most have a random gain and gamma.
-    """
-
-    ZOOM, STRETCH = 1.7, 1.25
-
-    def __init__(self, samples: Samples, width_px: int, height_px: int, batch: int, seed: int) -> None:
-        if not len(samples):
-            raise ValueError("there are no samples to learn from")
-        self._samples, self._batch = samples, batch
-        self._size = width_px, height_px
-        self._rng = np.random.default_rng(seed)
-
-    def __iter__(self) -> Iterator[Image]:
-        waiting: list[int] = []
-        while True:
-            while len(waiting) < self._batch:
-                waiting += self._rng.permutation(len(self._samples)).tolist()
-            now, waiting = waiting[: self._batch], waiting[self._batch :]
-            yield np.stack([self._changed(self._samples[index]) for index in now])
-
-    def _changed(self, sample: Image) -> Image:
-        rng = self._rng
-        if rng.random() < 0.5:
-            sample = self._part_of(sample)
-        sample = resized(sample, *self._size)
-        if rng.random() < 0.5:
-            sample = sample[:, :, ::-1]
-        if rng.random() < 0.7:
-            grey = cv2.LUT(np.ascontiguousarray(sample[0]), _tone(rng))
-            sample = np.stack((np.asarray(grey, dtype=np.uint8), sample[1]))
-        return sample
-
-    def _part_of(self, sample: Image) -> Image:
-        rng, (h, w) = self._rng, sample.shape[1:]
-        zoom, stretch = rng.uniform(1.0, self.ZOOM), self.STRETCH ** rng.uniform(-0.5, 0.5)
-        part_w, part_h = round(min(w / (zoom * stretch), w)), round(min(h / zoom * stretch, h))
-        left, top = rng.integers(w - part_w + 1), rng.integers(h - part_h + 1)
-        return sample[:, top : top + part_h, left : left + part_w]
-
-
-def _tone(rng: np.random.Generator) -> Image:
-    """A table of 256 grey values with random gamma, gain and offset."""
-    grey = np.linspace(0.0, 1.0, 256) ** np.exp(rng.uniform(-0.5, 0.5))
-    return np.clip(255.0 * grey * rng.uniform(0.6, 1.3) + rng.uniform(-25.0, 25.0), 0, 255).astype(np.uint8)
 
 
 def _opened(shard: Shard) -> Image:

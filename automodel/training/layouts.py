@@ -23,7 +23,7 @@ _LANE_CHANCES = {
 def random_road(rng: np.random.Generator, kind: Kind) -> Road:
     """A random road with its lines, sometimes without any."""
     rarer = 0.5 if kind is Kind.ROAD else 0.0 if kind is Kind.CIRCUIT else 1.0
-    chances = np.array([0.12 * rarer, 0.08 * rarer, 0.04 * rarer, 0.05 * rarer, 0.065])
+    chances = np.array([0.15 * rarer, 0.14 * rarer, 0.04 * rarer, 0.05 * rarer, 0.065])
     layouts: list[Callable[[np.random.Generator, Kind], Road]] = [_crossing, _corner, _roundabout, _strands, _bare]
     draw = rng.choice(6, p=[*chances, 1.0 - chances.sum()])
     road = _lanes(rng, kind) if draw == 5 else layouts[draw](rng, kind)

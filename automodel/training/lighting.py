@@ -28,7 +28,9 @@ def light(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     if rng.random() < 0.07:
         _headlamps(image, camera, rng)
     if rng.random() < 0.26:
-        _reflections(image, rng)
+        reflections(image, rng)
+    if rng.random() < 0.08:
+        ceiling_lamps(image, camera, rng)
     np.clip(image, 0.0, 255.0, out=image)
 
 
@@ -173,7 +175,7 @@ def _headlamps(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
     image *= cv2.resize(gain.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _reflections(image: FloatImage, rng: Rng) -> None:
+def reflections(image: FloatImage, rng: Rng) -> None:
     """Reflections of lamps and windows in a shiny floor: soft, wavy vertical streaks."""
     height, width = image.shape
     glow = np.zeros((height // 2, width // 2), dtype=np.float32)
@@ -198,3 +200,29 @@ def _reflections(image: FloatImage, rng: Rng) -> None:
         _scale(glow, mottle, rng.uniform(0.1, 1.0))
     np.minimum(glow, 250.0, out=glow)
     image += glow * (1.0 - np.minimum(image, 255.0) * np.float32(1.0 / 320.0))  # the sensor's shoulder
+
+
+def ceiling_lamps(image: FloatImage, camera: GroundCamera, rng: Rng) -> None:
+    """Rows of lamps or tubes under a ceiling, mirrored in the floor: what is above it appears as far below it."""
+    height, width = image.shape
+    ceiling = math.exp(rng.uniform(math.log(4.0), math.log(25.0)))
+    long, wide = (rng.uniform(1.0, 5.0), rng.uniform(0.1, 0.9)) if rng.random() < 0.7 else rng.uniform(0.3, 1.5, 2)
+    pitch = long * rng.uniform(1.05, 2.5), wide + rng.uniform(1.5, 8.0)
+    turn = 0.0 if rng.random() < 0.6 else rng.uniform(0.0, math.pi)
+    cos, sin = math.cos(turn), math.sin(turn)
+    places = np.stack(np.meshgrid(np.arange(-12, 13), np.arange(-4, 5)), axis=-1).reshape(-1, 1, 2) * pitch
+    corners = np.array([[0.0, 0.0], [long, 0.0], [long, wide], [0.0, wide]])
+    start = camera.centre_m[:2] + np.array([rng.uniform(0.0, 10.0), rng.uniform(-4.0, 4.0)])
+    ground = (places + corners) @ np.array([[cos, sin], [-sin, cos]]) + start
+    below = np.concatenate((ground, np.full((*ground.shape[:2], 1), -ceiling)), axis=-1)
+    pixels = camera.body_to_px(below)
+    glow = np.zeros((height, width), dtype=np.uint8)
+    for quad in pixels[np.isfinite(pixels).all(axis=(1, 2))]:
+        outline = np.rint(np.clip(quad, -4000.0, 4000.0) * 16.0).astype(np.int32)
+        cv2.fillPoly(glow, [outline], 255, cv2.LINE_AA, 4)
+    sigma = math.exp(rng.uniform(math.log(2.0), math.log(6.0)))  # no floor of a hall is a perfect mirror
+    soft = np.asarray(cv2.GaussianBlur(glow, (0, 0), sigma, sigmaY=sigma * rng.uniform(1.0, 4.0)), dtype=np.float32)
+    soft *= np.float32(rng.uniform(20.0, 200.0) / 255.0)
+    if rng.random() < 0.5:
+        _scale(soft, noise.crop(noise.fractal(1.0, noise.variant(rng)), rng, height, width), rng.uniform(0.1, 1.0))
+    image += soft * (1.0 - np.minimum(image, 255.0) * np.float32(1.0 / 320.0))

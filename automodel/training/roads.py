@@ -97,7 +97,9 @@ def _from_body(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, r
     here = int(np.argmin(np.abs(s)))
     origin = SE2(xy[here, 0], xy[here, 1], heading[here])
     offset = rng.normal(0.0, 0.12) if rng.random() < 0.8 else rng.uniform(-0.6, 0.6) * min(room, 1.5)
-    yaw = math.radians(rng.normal(0.0, 6.0) if rng.random() < 0.8 else rng.uniform(-45.0, 45.0))
+    turned = rng.random()
+    widest = 45.0 if turned < 0.94 else 80.0  # lines that are nearly level in the image
+    yaw = math.radians(rng.normal(0.0, 6.0) if turned < 0.78 else rng.uniform(-widest, widest))
     body_from_road = (origin @ SE2(0.0, offset, yaw)).inverse()
     return Ribbon(s, body_from_road.apply(xy), heading + body_from_road.yaw_rad)
 
@@ -140,6 +142,8 @@ def _double(rng: np.random.Generator, kind: Kind, half: float, ink: Ink) -> Line
 
 def _half_width(rng: np.random.Generator, kind: Kind) -> float:
     low, high = {Kind.SCALE: (0.03, 0.1), Kind.ROAD: (0.025, 0.07), Kind.CIRCUIT: (0.009, 0.03)}[kind]
+    if kind is Kind.SCALE and rng.random() < 0.08:
+        low, high = 0.1, 0.28  # bands of tape or paint: more than 40 px wide in the foreground
     if rng.random() < 0.12:
         low, high = low * 0.6, high * 1.6
     return 0.5 * float(rng.uniform(low, high))

@@ -39,6 +39,7 @@ _TILES = 160  # number of different floors; each is used with random size, rotat
 _FAINT = 2.2  # grey levels that paint must add to be visible,
 _ROUGH_SHARE = 0.6  # plus this share of the roughness around it
 _SURE = 40  # mask value (of 255) from which a pixel counts as marking
+_DARK = 0.18  # share of the floors of scale cars with dark tape on a light floor; their images are negatives
 
 Layers = tuple[Image, Image, FloatImage, FloatImage]  # image, mask, and what worn and whole paint add
 
@@ -139,34 +140,39 @@ def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
     kind = (Kind.SCALE, Kind.ROAD, Kind.CIRCUIT)[int(rng.choice(3, p=(0.5, 0.38, 0.12)))]
     camera = random_camera(rng, kind, width_px, height_px)
     road = random_road(rng, kind)
-    ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes))
+    dark = kind is Kind.SCALE and rng.random() < _DARK
+    ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes), dark)
     draw_objects(ground.image, ground.mask, camera, rng, min(road.reach, 60.0))
     layers = ground.image, ground.mask, ground.seen, ground.whole
     if rng.random() < 0.25:
         layers = _warped(rng, layers)
-    return augmented(layers, int(rng.integers(2**62)))
+    return augmented(layers, int(rng.integers(2**62)), dark)
 
 
-def augmented(layers: Layers, seed: int) -> Sample:
+def augmented(layers: Layers, seed: int, dark: bool = False) -> Sample:
     """The image with lens and sensor effects, and the mask with `UNKNOWN` where a marking is not visible.
 
     The same effects are applied to the image with whole paint and without paint: a marking is invisible where both look
-    alike.
+    alike. Of `dark` paint the image is the negative, which is what the network gets in the car.
     """
     scene, mask, seen, whole = layers
-    image = augment(scene, np.random.default_rng(seed))
+    image = _shown(augment(scene, np.random.default_rng(seed)), dark)
     if not mask.any():
         return Sample(image=image, mask=mask)
     bare = np.where(mask > 0, np.clip(scene - seen, 0.0, 255.0), scene)
     full = np.where(mask > 0, np.clip(bare + whole, 0.0, 255.0), scene)
     parts = [part.astype(np.uint8) for part in (bare, full)]
-    without, painted = (augment(part, np.random.default_rng(seed), scene) for part in parts)
+    without, painted = (_shown(augment(part, np.random.default_rng(seed), scene), dark) for part in parts)
     rough = cv2.blur(cv2.absdiff(without, cv2.blur(without, (7, 7))), (21, 21)).astype(np.float32)
     needed = _FAINT + np.float32(_ROUGH_SHARE) * rough
     known = _stands_out(painted, without, needed, 9) * _stands_out(image, without, needed, 31)
     shown = np.round(mask * known).astype(np.uint8)
     shown[(mask > _SURE) & (shown < _SURE)] = UNKNOWN
     return Sample(image=image, mask=shown)
+
+
+def _shown(image: Image, dark: bool) -> Image:
+    return np.asarray(cv2.bitwise_not(image), dtype=np.uint8) if dark else image
 
 
 def _stands_out(image: Image, without: Image, needed: FloatImage, around_px: int) -> FloatImage:
@@ -188,8 +194,10 @@ class Ground:
     whole: FloatImage
 
 
-def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stripe | Patch]) -> Ground:
-    """The camera's view of a road with its shapes, in front of a backdrop."""
+def lit_ground(
+    rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stripe | Patch], dark: bool = False
+) -> Ground:
+    """The camera's view of a road with its shapes, in front of a backdrop; `dark`: dark paint on a light floor."""
     canvas = Canvas(camera)
     for shape in (*road.paved, *shapes):
         if isinstance(shape, Stripe):
@@ -198,11 +206,13 @@ def lit_ground(rng: Rng, camera: GroundCamera, road: Road, shapes: Sequence[Stri
             canvas.patch(shape)
     view = GroundView(camera, farthest=300.0)
     floor = _floor(rng, view, canvas.coverage(Ink.ROADBED))
-    image, seen, whole = _painted(rng, view, canvas, floor)
+    if dark:
+        floor *= np.float32(rng.uniform(100.0, 215.0) / max(float(floor.mean()), 8.0))
+    image, seen, whole = _painted(rng, view, canvas, floor, dark)
     before = image.copy()
     light(image, camera, rng)
     gain = (image + 4.0) / (before + 4.0)
-    gain = np.where((before - seen) * gain > 250.0, 0.0, np.minimum(gain, 1.0))
+    gain = np.where(((before - seen) * gain > 250.0) & (not dark), 0.0, np.minimum(gain, 1.0))
     if rng.random() < 0.15:
         clear = np.exp(view.distance * np.float32(-1.0 / rng.uniform(10.0, 200.0)))
         image = np.float32(rng.uniform(60.0, 220.0)) * (1.0 - clear) + clear * image
@@ -247,7 +257,7 @@ def _floor(rng: Rng, view: GroundView, bed: FloatImage | None) -> FloatImage:
 
 
 def _painted(
-    rng: Rng, view: GroundView, canvas: Canvas, floor: FloatImage
+    rng: Rng, view: GroundView, canvas: Canvas, floor: FloatImage, dark: bool
 ) -> tuple[FloatImage, FloatImage, FloatImage]:
     """The ground with its shapes, and the contributions of worn and whole paint."""
     image = floor.copy()
@@ -261,25 +271,28 @@ def _painted(
     whole = seen = np.zeros_like(floor)
     for ink in (Ink.DARK, Ink.BRIGHT, Ink.SECOND_PAINT, Ink.PAINT):
         cover = canvas.coverage(ink)
-        stands_out = np.float32(_contrast(rng, ink, base))
+        stands_out = np.float32(_contrast(rng, ink, base, dark))
         if cover is None:
             continue
         tone = np.float32(base) + stands_out
         rough = np.float32(rng.uniform(0.0, 0.7)) * tone / np.float32(max(base, 20.0))
         surface = tone + rough * (floor - np.float32(base))
         if ink in (Ink.SECOND_PAINT, Ink.PAINT):
-            surface = np.maximum(surface, floor + 0.5 * stands_out)
+            further = np.minimum if dark else np.maximum
+            surface = further(surface, floor + 0.5 * stands_out)
             full = cover * (surface - image)
             added = keep * full
-            whole, seen = np.maximum(whole, full), np.maximum(seen, added)
+            whole, seen = further(whole, full), further(seen, added)
         else:
             added = cover * (surface - image)
         image += added
     return image, seen, whole
 
 
-def _contrast(rng: Rng, ink: Ink, base: float) -> float:
-    """Grey levels between the floor and an ink on it."""
+def _contrast(rng: Rng, ink: Ink, base: float, dark: bool) -> float:
+    """Grey levels between the floor and an ink on it; `dark`: of paint that is darker than the floor."""
+    if dark and ink in (Ink.SECOND_PAINT, Ink.PAINT):
+        return -base * rng.uniform(0.2, 0.9)
     if ink is Ink.DARK:
         return -base * rng.uniform(0.15, 0.85)
     if ink is Ink.BRIGHT:

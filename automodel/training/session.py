@@ -19,7 +19,10 @@ from automodel.console.workers import Sweep, complete
 from automodel.output_files import output_path, output_text
 from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
 from automodel.training import dataset, train
+from automodel.training.batches import Batches
+from automodel.training.metrics import NEAR_PX, Metrics
 from automodel.training.unet import MarkingNet, with_metadata
+from automodel.viewer.plots import plotted
 
 HEADER = f"""\
 # The marking networks
@@ -34,7 +37,7 @@ the car a network sees the rows that show the road, of an image stretched to its
 - **For** lane markings on the ground, seen by a car's camera that looks ahead. Not for anything else.
 
 Precision, recall and IoU count pixels of held-out drawn images, at a probability of one half. The "near" metrics
-allow {train.NEAR_PX} px between a mark and a label.
+allow {NEAR_PX} px between a mark and a label.
 """
 
 
@@ -50,7 +53,9 @@ class Origin:
     validation: int
     data_version: str
     parameters: int
+    rate: float
     resumed: bool
+    device: str
     command: str
 
 
@@ -58,7 +63,8 @@ class Origin:
 class SessionConfig:
     """What to train, from how many samples, for how long (`minutes` or `steps`), and the folders of data and results.
 
-    `resume` is a file of weights to start with, `workers` the number of processes and threads.
+    `resume` is a file of weights to start with, `proceed` goes on with the training that was interrupted in `out`,
+    `workers` is the number of processes and threads.
     """
 
     out: Path
@@ -72,6 +78,13 @@ class SessionConfig:
     resume: Path | None
     workers: int
     batch: int
+    rate: float
+    proceed: bool = False
+
+    @property
+    def length(self) -> str:
+        """The length of the training, as an option of the command."""
+        return f"--steps {self.steps}" if self.minutes is None else f"--minutes {self.minutes:g}"
 
 
 def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
@@ -85,6 +98,7 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
         height_px=height,
         steps=config.steps,
         minutes=config.minutes,
+        rate=config.rate,
         seed=config.seed,
         threads=config.workers,
     )
@@ -95,18 +109,28 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
     if config.resume is not None:
         train.load_weights(config.resume, net)
     training = train.Training(training_config, net, time.monotonic)
-    say(f"training on {training.device} with {config.workers} threads")
-    batches = dataset.Batches(learn, width, height, config.batch, config.seed)
+    file = config.out / f"marking_{config.size}"
+    if config.proceed:
+        training.restore(file.with_suffix(".state"))
+        say(f"going on from step {training.steps}")
+    device = _device_name(training.device)
+    say(f"training on {device} with {config.workers} threads")
+    batches = Batches(learn, width, height, config.batch, config.seed, training.device.type)
+    batches.start = training.steps
     truth = [dataset.resized(measure[at], width, height) for at in range(len(measure))]
 
     def write(kept: train.Kept) -> None:
         parameters = sum(weights.numel() for weights in net.parameters())
-        _write(config, kept, _origin(config, kept, version, parameters))
+        _write(config, kept, _origin(config, kept, version, parameters, device))
 
-    kept = training.run(batches, truth, train.Watcher(progress=_say_progress, better=write))
+    def checked() -> None:
+        training.save(file.with_suffix(".state"))
+        plot_curve(config.out / f"{file.name}_curve.png", training)
+
+    kept = training.run(batches, truth, train.Watcher(progress=_say_progress, better=write, checked=checked))
     row = {"size": config.size, "steps": kept.steps, **asdict(kept.metrics)}
     if training.interrupted:
-        say(f"automodel train: interrupted; the best network so far is in {config.out}")
+        say(f"automodel train: interrupted; the best network so far is in {config.out}, --continue goes on")
         return row, False
     return row, passes_self_test(config)
 
@@ -140,10 +164,30 @@ def _write(config: SessionConfig, kept: train.Kept, origin: Origin) -> None:
     say(f"step {kept.steps}: {found}; written to {file}.onnx")
 
 
-def _origin(config: SessionConfig, kept: train.Kept, version: str, parameters: int) -> Origin:
-    length = f"--steps {config.steps}" if config.minutes is None else f"--minutes {config.minutes:g}"
+def _device_name(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else "CPU"
+
+
+def plot_curve(path: Path, training: train.Training) -> None:
+    """Draw a training's loss, and its metrics on the samples to measure with, over the steps."""
+    with plotted(path, (9, 6)) as figure:
+        above, below = figure.subplots(2, 1, sharex=True)
+        if training.losses:
+            above.plot(*zip(*training.losses, strict=True), color="tab:blue")
+        above.set_ylabel("mean loss")
+        steps = [at for at, _ in training.checks]
+        for name in ("near_precision", "near_recall", "score"):
+            below.plot(steps, [getattr(m, name) for _, m in training.checks], marker=".", label=name.replace("_", " "))
+        below.set_xlabel("steps")
+        below.legend(loc="lower right")
+        for axis in (above, below):
+            axis.grid(alpha=0.3)
+
+
+def _origin(config: SessionConfig, kept: train.Kept, version: str, parameters: int, device: str) -> Origin:
+    options = f"--size {config.size} --samples {config.samples} {config.length} --batch {config.batch}"
     resume = " --resume FILE.pt" if config.resume is not None else ""
-    command = f"automodel train --size {config.size} --samples {config.samples} {length} --seed {config.seed}{resume}"
+    command = f"automodel train {options} --rate {config.rate:g} --seed {config.seed}{resume}"
     return Origin(
         size=config.size,
         seed=config.seed,
@@ -153,7 +197,9 @@ def _origin(config: SessionConfig, kept: train.Kept, version: str, parameters: i
         validation=config.validation,
         data_version=version,
         parameters=parameters,
+        rate=config.rate,
         resumed=config.resume is not None,
+        device=device,
         command=command,
     )
 
@@ -175,7 +221,7 @@ def _say_progress(progress: train.Progress) -> None:
     )
 
 
-def write_metrics(path: Path, origin: Origin, metrics: train.Metrics) -> None:
+def write_metrics(path: Path, origin: Origin, metrics: Metrics) -> None:
     """Write the file that `write_card` reads, beside the network's ONNX file."""
     text = json.dumps({"origin": asdict(origin), "figures": asdict(metrics)}, indent=1)
     with output_text(path) as file:

@@ -11,9 +11,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from pickle import UnpicklingError
-from typing import TypeVar
+from typing import Any, TypeVar
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -22,9 +21,10 @@ from torch.nn import functional
 from automodel.config.toml_reader import ConfigError, positive
 from automodel.output_files import output_path
 from automodel.perception.markings.unet import open_session, run_network
+from automodel.training.metrics import Metrics, measured
 from automodel.training.shapes import UNKNOWN
 from automodel.training.unet import MarkingNet, onnx_bytes
-from automodel.types import Bools, Image
+from automodel.types import Image
 
 T = TypeVar("T")
 
@@ -33,9 +33,6 @@ EMA_DECAY = 0.998
 WARM_UP = 0.03  # share of the training in which the rate rises
 MAX_BAD = 10  # batches in a row without a finite gradient: bfloat16 overflows now and then
 CHECKS = 10  # how often the network is measured and, if better, kept
-HALF = 128  # probability and coverage of one half
-FAINT = 26  # coverage of a tenth: a mark near such a pixel is not false
-NEAR_PX = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,56 +52,6 @@ class TrainConfig:
         if (self.steps is None) == (self.minutes is None):
             raise ValueError("steps: give either steps or minutes")
         positive(self, "steps" if self.minutes is None else "minutes", "rate", "threads")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Metrics:
-    """Shares of pixels, 0..1; 0 if there is nothing to count."""
-
-    precision: float  # of marked pixels, those that are labelled
-    recall: float  # of labelled pixels, those that are marked
-    iou: float
-    near_precision: float  # of marked pixels, those with a label (even a faint one) within NEAR_PX
-    near_recall: float  # of labelled pixels, those with a mark within NEAR_PX
-
-    @property
-    def score(self) -> float:
-        """The harmonic mean of `near_precision` and `near_recall`, for comparing networks."""
-        return _share(2.0 * self.near_precision * self.near_recall, self.near_precision + self.near_recall)
-
-
-def measured(network: Callable[[Image], Image], samples: Iterable[Image]) -> Metrics:
-    """The metrics of a network (grey image to mask) on samples (2, h, w) of grey image and true mask."""
-    counts = np.zeros(6)
-    for grey, truth in samples:
-        marked, labelled = (network(grey) >= HALF) & (truth != UNKNOWN), truth >= HALF
-        near_label = _widened(truth >= FAINT)
-        counts += (
-            np.count_nonzero(marked & labelled),
-            np.count_nonzero(marked),
-            np.count_nonzero(labelled),
-            np.count_nonzero(marked | labelled),
-            np.count_nonzero(marked & near_label),
-            np.count_nonzero(labelled & _widened(marked)),
-        )
-    both, marks, labels, either, near_marks, near_labels = counts.tolist()
-    return Metrics(
-        precision=_share(both, marks),
-        recall=_share(both, labels),
-        iou=_share(both, either),
-        near_precision=_share(near_marks, marks),
-        near_recall=_share(near_labels, labels),
-    )
-
-
-def _widened(pixels: Bools) -> Bools:
-    """The pixels within NEAR_PX (Euclidean) of those given."""
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * NEAR_PX + 1, 2 * NEAR_PX + 1))
-    return np.asarray(cv2.dilate(pixels.view(np.uint8), disc)) > 0
-
-
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else 0.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,10 +76,11 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Watcher:
-    """Callbacks for progress (a hundred times) and for each network that is better than the previous ones."""
+    """Callbacks for progress (a hundred times), for each measurement, and for each network that is the best so far."""
 
     progress: Callable[[Progress], None]
     better: Callable[[Kept], None]
+    checked: Callable[[], None] = lambda: None
 
 
 class Training:
@@ -142,15 +90,51 @@ class Training:
         torch.set_num_threads(config.threads)
         self.config, self._clock_s = config, clock_s
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        on_gpu = self.device.type == "cuda"
+        torch.backends.cudnn.benchmark = on_gpu
         self._net = net.to(self.device, memory_format=torch.channels_last)
         self._average = copy.deepcopy(self._net).eval()
-        self._optimizer = torch.optim.AdamW(_groups(self._net, config.weight_decay), lr=config.rate)
-        self._start_s = clock_s()
-        self._steps = self._bad = 0
+        groups = _groups(self._net, config.weight_decay)
+        self._optimizer = torch.optim.AdamW(groups, lr=config.rate, fused=on_gpu)
+        self._start_s, self._before_s = clock_s(), 0.0
+        self.steps = self._bad = 0
         self.kept: Kept | None = None
+        self.losses: list[tuple[int, float]] = []  # steps, mean loss since the last entry
+        self.checks: list[tuple[int, Metrics]] = []
         self.interrupted = False
 
-    def run(self, batches: Iterable[Image], validation: Iterable[Image], watcher: Watcher) -> Kept:
+    def save(self, path: Path) -> None:
+        """Write all that `restore` needs to go on from here."""
+        state = {
+            "net": self._net.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "steps": self.steps,
+            "spent_s": self._clock_s() - self._start_s,
+            "losses": self.losses,
+            "checks": [(steps, asdict(metrics)) for steps, metrics in self.checks],
+            "kept": None if self.kept is None else _kept_state(self.kept),
+        }
+        with output_path(path) as part:
+            torch.save(state, part)
+
+    def restore(self, path: Path) -> None:
+        """Go on from a file of `save`; raises ConfigError if it is not of such a training."""
+        state = _loaded(path, "a file of an interrupted training")
+        try:
+            self._net.load_state_dict(state["net"])
+            self._average.load_state_dict(state["average"])
+            self._optimizer.load_state_dict(state["optimizer"])
+            self.steps, self._before_s = int(state["steps"]), float(state["spent_s"])
+            self._start_s = self._clock_s() - self._before_s
+            self.losses = [(int(steps), float(mean)) for steps, mean in state["losses"]]
+            self.checks = [(int(steps), Metrics(**metrics)) for steps, metrics in state["checks"]]
+            kept = state["kept"]
+            self.kept = None if kept is None else Kept(**{**kept, "metrics": Metrics(**kept["metrics"])})
+        except _NOT_OURS as error:
+            raise _unreadable(path, "a file of an interrupted training", error) from None
+
+    def run(self, batches: Iterable[Tensor], validation: Iterable[Image], watcher: Watcher) -> Kept:
         """Train and give the best network; KeyboardInterrupt ends the training early (`interrupted`).
 
         `batches` are (n, 2, h, w) uint8, grey and mask; `validation` samples are (2, h, w). Raises ValueError if the
@@ -164,9 +148,10 @@ class Training:
         assert self.kept is not None
         return self.kept
 
-    def _learn(self, batches: Iterable[Image], validation: Iterable[Image], watcher: Watcher) -> None:
+    def _learn(self, batches: Iterable[Tensor], validation: Iterable[Image], watcher: Watcher) -> None:
         losses: list[float] = []
-        count, reported, checked = 0, 0.0, 0.0
+        count, reported = 0, self._share_done() if self.steps else 0.0
+        checked = reported
         with _ahead(batches) as coming:
             for batch in coming:
                 share = self._share_done()
@@ -177,13 +162,15 @@ class Training:
                 count += len(batch)
                 if share - reported >= 0.01:
                     reported = share
-                    watcher.progress(self._progress(share, float(np.mean(losses or [math.nan])), count))
+                    mean = float(np.mean(losses or [math.nan]))
+                    self.losses.append((self.steps, mean))
+                    watcher.progress(self._progress(share, mean, count))
                     losses.clear()
                 if share - checked >= 1.0 / CHECKS:
                     checked = share
                     self._check(validation, watcher)
 
-    def step(self, batch: Image, share_done: float) -> float:
+    def step(self, batch: Tensor, share_done: float) -> float:
         """Learn from one batch (n, 2, h, w); gives its loss.
 
         A batch without a finite gradient is skipped; raises ValueError after `MAX_BAD` in a row.
@@ -191,7 +178,7 @@ class Training:
         for group in self._optimizer.param_groups:
             group["lr"] = self.config.rate * rate_factor(share_done)
         self._net.train()
-        samples = torch.from_numpy(batch).to(self.device, non_blocking=True)
+        samples = batch.to(self.device, non_blocking=True)
         image, mask = samples[:, :1], samples[:, 1:]
         with torch.autocast(self.device.type, dtype=torch.bfloat16):
             logits = self._net(image)
@@ -199,11 +186,11 @@ class Training:
         self._optimizer.zero_grad(set_to_none=True)
         value.backward()
         norm = nn.utils.clip_grad_norm_(self._net.parameters(), 2.0)
-        self._steps += 1
+        self.steps += 1
         self._bad = 0 if math.isfinite(norm.item()) and math.isfinite(value.item()) else self._bad + 1
         if not self._bad:
             self._optimizer.step()
-            _average_in(self._average, self._net, min(EMA_DECAY, (1.0 + self._steps) / (10.0 + self._steps)))
+            _average_in(self._average, self._net, min(EMA_DECAY, (1.0 + self.steps) / (10.0 + self.steps)))
         elif self._bad > MAX_BAD:
             raise ValueError("the loss is no longer finite; start with other weights or another seed")
         else:
@@ -215,19 +202,21 @@ class Training:
         data = onnx_bytes(self._average, self.config.width_px, self.config.height_px, {})
         session = open_session(data, "cpu", self.config.threads)
         metrics = measured(lambda grey: run_network(session, grey), validation)
+        self.checks.append((self.steps, metrics))
         if self.kept is None or metrics.score > self.kept.metrics.score:
             weights = {name: value.detach().cpu().clone() for name, value in self._average.state_dict().items()}
-            self.kept = Kept(weights=weights, onnx=data, metrics=metrics, steps=self._steps)
+            self.kept = Kept(weights=weights, onnx=data, metrics=metrics, steps=self.steps)
             watcher.better(self.kept)
+        watcher.checked()
 
     def _share_done(self) -> float:
         if self.config.steps is not None:
-            return self._steps / self.config.steps
+            return self.steps / self.config.steps
         return (self._clock_s() - self._start_s) / (60.0 * (self.config.minutes or 1.0))
 
     def _progress(self, share: float, mean_loss: float, samples: int) -> Progress:
-        spent_s = max(self._clock_s() - self._start_s, 1e-9)
-        return Progress(share=share, steps=self._steps, loss=mean_loss, samples_per_s=samples / spent_s)
+        spent_s = max(self._clock_s() - self._start_s - self._before_s, 1e-9)
+        return Progress(share=share, steps=self.steps, loss=mean_loss, samples_per_s=samples / spent_s)
 
 
 def loss(logits: Tensor, coverage: Tensor) -> Tensor:
@@ -261,16 +250,36 @@ def save_weights(path: Path, kept: Kept) -> None:
 
 def load_weights(path: Path, net: MarkingNet) -> None:
     """Load weights from a file of `save_weights` into `net`; raises ConfigError if they do not fit."""
-    if path.is_file() and not zipfile.is_zipfile(path):  # torch also reads older formats, with errors of all kinds
-        raise ConfigError(f"{path}: is not a file of this network's weights")
+    what = "a file of this network's weights"
+    found = _loaded(path, what)
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True)  # False could run code from the file
         net.load_state_dict(found["weights"])
+    except _NOT_OURS as error:
+        raise _unreadable(path, what, error) from None
+
+
+_NOT_OURS = (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, UnpicklingError)
+
+
+def _loaded(path: Path, what: str) -> Any:
+    """What torch saved in a file; raises ConfigError."""
+    if path.is_file() and not zipfile.is_zipfile(path):  # torch also reads older formats, with errors of all kinds
+        raise ConfigError(f"{path}: is not {what}")
+    try:
+        return torch.load(path, map_location="cpu", weights_only=True)  # False could run code from the file
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
-    except (OSError, RuntimeError, ValueError, LookupError, TypeError, AttributeError, UnpicklingError) as error:
-        text = " ".join(str(error).split())[:120]
-        raise ConfigError(f"{path}: is not a file of this network's weights ({type(error).__name__}: {text})") from None
+    except _NOT_OURS as error:
+        raise _unreadable(path, what, error) from None
+
+
+def _unreadable(path: Path, what: str, error: Exception) -> ConfigError:
+    text = " ".join(str(error).split())[:120]
+    return ConfigError(f"{path}: is not {what} ({type(error).__name__}: {text})")
+
+
+def _kept_state(kept: Kept) -> dict[str, Any]:
+    return {"weights": kept.weights, "onnx": kept.onnx, "metrics": asdict(kept.metrics), "steps": kept.steps}
 
 
 def _groups(net: nn.Module, weight_decay: float) -> list[dict[str, object]]:
@@ -283,10 +292,11 @@ def _groups(net: nn.Module, weight_decay: float) -> list[dict[str, object]]:
 def _average_in(average: nn.Module, net: nn.Module, decay: float) -> None:
     """Move the averaged network towards `net`: average <- decay average + (1 - decay) net, statistics included."""
     with torch.no_grad():
-        for old, new in zip(average.state_dict().values(), net.state_dict().values(), strict=True):
-            if old.is_floating_point():
-                old.lerp_(new, 1.0 - decay)
-            else:
+        both = list(zip(average.state_dict().values(), net.state_dict().values(), strict=True))
+        smooth = [pair for pair in both if pair[0].is_floating_point()]
+        torch._foreach_lerp_([old for old, _ in smooth], [new for _, new in smooth], 1.0 - decay)
+        for old, new in both:
+            if not old.is_floating_point():
                 old.copy_(new)
 
 

@@ -33,14 +33,16 @@ def _layer(inside: int, out: int, kernel: int, **options: int) -> list[nn.Module
 
 
 class FullPrecision(nn.Conv2d):
-    """A convolution in 32 bits under autocast.
+    """A convolution in 32 bits under autocast on a CPU.
 
     For dilated depth-wise kernels: on a CPU, torch's bfloat16 gradient of them is sometimes wrong by any amount (oneDNN
     reads uninitialised memory; seen with torch 2.13) and takes twice as long.
     """
 
     def forward(self, x: Tensor) -> Tensor:
-        """The convolution of x, in 32 bits."""
+        """The convolution of x, in 32 bits on a CPU."""
+        if x.device.type != "cpu":
+            return super().forward(x)
         with torch.autocast(x.device.type, enabled=False):
             return super().forward(x if x.dtype == torch.float32 else x.float())
 

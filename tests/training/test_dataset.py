@@ -1,4 +1,4 @@
-"""Training samples on disk and batches of them."""
+"""Training samples on disk."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from automodel.config.toml_reader import ConfigError
 from automodel.training import dataset
-from automodel.training.dataset import Batches, Samples, Shard
+from automodel.training.dataset import Samples, Shard
 
 H, W = dataset.HEIGHT_PX, dataset.WIDTH_PX
 
@@ -87,46 +87,7 @@ def test_a_folder_holds_one_version(tmp_path: Path) -> None:
         dataset.claim_folder(folder, "one")
 
 
-def test_batches_are_the_same_for_the_same_seed(samples: Samples) -> None:
-    first, second, other = (iter(Batches(samples, W, H, 3, seed)) for seed in (1, 1, 2))
-    for _ in range(4):
-        batch = next(first)
-        assert batch.shape == (3, 2, H, W)
-        assert batch.dtype == np.uint8
-        assert np.array_equal(batch, next(second))
-        assert not np.array_equal(batch, next(other))
-
-
-def test_picture_and_mask_change_together(samples: Samples) -> None:
-    places = set()
-    for batch in itertools.islice(Batches(samples, W, H, 4, 0), 8):
-        for grey, mask in batch:
-            if not (mask == 255).any():
-                continue  # the part enlarged holds no line
-            assert grey[mask == 255].min() > 0.5 * (int(grey.min()) + int(grey.max()))
-            assert grey[mask == 0].max() < 0.5 * (int(grey.min()) + int(grey.max()))
-            places.add(int(np.flatnonzero(mask[0]).mean()))
-    assert len(places) > 16  # of 32, more than the eight as drawn and their mirror images
-    assert max(places) > 0.75 * W  # where none is drawn
-
-
-def test_each_picture_comes_once_a_round(samples: Samples, monkeypatch: pytest.MonkeyPatch) -> None:
-    batches = Batches(samples, W, H, 4, 5)
-    monkeypatch.setattr(batches, "_changed", lambda sample: sample)
-    two_rounds = np.concatenate(list(itertools.islice(batches, 4)))
-    greys = [int(sample[0, 0, 0]) for sample in two_rounds]
-    assert sorted(greys[:8]) == sorted(greys[8:]) == list(range(20, 28))
-    assert greys[:8] != greys[8:]
-
-
 def test_the_smaller_size_keeps_the_share_of_marking(samples: Samples) -> None:
     small = dataset.resized(samples[3], 256, 128)
     assert small.shape == (2, 128, 256)
     assert small[1].mean() == pytest.approx(samples[3][1].mean(), abs=0.5)
-    batch = next(iter(Batches(samples, 256, 128, 5, 0)))
-    assert batch.shape == (5, 2, 128, 256)
-
-
-def test_nothing_to_learn_from_is_an_error() -> None:
-    with pytest.raises(ValueError, match="no samples"):
-        Batches(Samples([]), W, H, 1, 0)

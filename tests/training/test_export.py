@@ -13,8 +13,8 @@ onnx = pytest.importorskip("onnx")
 
 from automodel.perception.markings.onnx_check import OPSET, check_onnx
 from automodel.perception.markings.unet import SIZES, open_session, run_network
+from automodel.training.metrics import Metrics
 from automodel.training.session import Origin, write_card, write_metrics
-from automodel.training.train import Metrics
 from automodel.training.unet import MarkingNet, onnx_bytes, standardised, with_metadata
 
 
@@ -110,7 +110,9 @@ def test_the_card_tells_of_all_networks_in_a_folder(tmp_path: Path) -> None:
             validation=256,
             data_version="0123456789ab",
             parameters=84516,
+            rate=0.003,
             resumed=False,
+            device="CPU",
             command=f"automodel train --size {size}",
         )
         write_metrics(tmp_path / f"marking_{size}.json", origin, metrics)

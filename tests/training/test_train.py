@@ -21,7 +21,8 @@ pytest.importorskip("onnx")
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings.unet import MarkingNetwork, UnetConfig, open_session, run_network
 from automodel.training import dataset, train
-from automodel.training.train import TrainConfig, Training, Watcher, measured, rate_factor
+from automodel.training.metrics import measured
+from automodel.training.train import TrainConfig, Training, Watcher, rate_factor
 from automodel.training.unet import MarkingNet
 
 __all__ = ["cli"]
@@ -40,8 +41,8 @@ def drawn(seed: int, count: int = 2) -> np.ndarray:
     return batch
 
 
-def batches() -> Iterator[np.ndarray]:
-    return (drawn(seed) for seed in itertools.count())
+def batches() -> Iterator[Any]:
+    return (torch.from_numpy(drawn(seed)) for seed in itertools.count())
 
 
 def training(clock: Iterator[float] | None = None, **keys: Any) -> Training:
@@ -90,6 +91,49 @@ def test_a_saved_network_is_where_the_next_training_begins(trained: tuple, tmp_p
     net = MarkingNet()
     train.load_weights(path, net)
     assert all(torch.equal(kept.weights[name], weights) for name, weights in net.state_dict().items())
+
+
+def test_an_interrupted_training_goes_on_as_if_nothing_had_been(tmp_path: Path) -> None:
+    def learn(one: Training, first: int, last: int) -> None:
+        for number in range(first, last):
+            one.step(torch.from_numpy(drawn(number)), number / 10.0)
+
+    whole, first, second = training(steps=10), training(steps=10), training(steps=10)
+    learn(whole, 0, 6)
+    learn(first, 0, 3)
+    first._check(drawn(10_000), SILENT)
+    first.losses.append((3, 0.5))
+    first.save(tmp_path / "net.state")
+    second.restore(tmp_path / "net.state")
+    assert (second.steps, second.losses, second.checks) == (3, first.losses, first.checks)
+    assert second.kept is not None
+    assert first.kept is not None
+    assert (second.kept.onnx, second.kept.metrics) == (first.kept.onnx, first.kept.metrics)
+    learn(second, 3, 6)
+    for name, value in whole._average.state_dict().items():
+        assert torch.allclose(value.float(), second._average.state_dict()[name].float(), atol=1e-5), name
+
+
+def test_a_file_that_is_no_interrupted_training_is_refused(trained: tuple, tmp_path: Path) -> None:
+    _, kept, _, _ = trained
+    train.save_weights(tmp_path / "net.state", kept)
+    with pytest.raises(ConfigError, match="is not a file of an interrupted training"):
+        training(steps=3).restore(tmp_path / "net.state")
+
+
+def test_the_command_goes_on_where_it_was_interrupted(
+    cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("automodel.training.session.passes_self_test", lambda _: True)
+    assert cli(*tiny(tmp_path, "--steps", 2)).code == 0
+    state = tmp_path / "out" / "marking_256x128.state"
+    halfway = torch.load(state, weights_only=True)
+    halfway["steps"] = 1
+    torch.save(halfway, state)
+    said = cli(*tiny(tmp_path, "--steps", 2, "--continue"))
+    assert said.code == 0, said.err
+    assert "going on from step 1" in said.err
+    assert torch.load(state, weights_only=True)["steps"] == 2
 
 
 @pytest.mark.parametrize(
@@ -163,7 +207,7 @@ def test_minutes_are_kept_and_the_rate_falls_with_them(monkeypatch: pytest.Monke
 
 
 def test_ctrl_c_keeps_the_best_so_far() -> None:
-    def until_someone_has_enough() -> Iterator[np.ndarray]:
+    def until_someone_has_enough() -> Iterator[Any]:
         yield from itertools.islice(batches(), 3)
         raise KeyboardInterrupt
 
@@ -177,19 +221,19 @@ def test_ctrl_c_keeps_the_best_so_far() -> None:
 
 def test_a_bad_batch_is_passed_over_and_many_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     one = training(steps=100)
-    one.step(drawn(0), 0.5)
+    one.step(torch.from_numpy(drawn(0)), 0.5)
     before = {name: value.clone() for name, value in one._net.state_dict().items() if "running" not in name}
     average = {name: value.clone() for name, value in one._average.state_dict().items()}
     real = train.loss
     monkeypatch.setattr(train, "loss", lambda *maps: real(*maps) * math.nan)
     for _ in range(train.MAX_BAD):
-        assert math.isnan(one.step(drawn(1), 0.5))
+        assert math.isnan(one.step(torch.from_numpy(drawn(1)), 0.5))
     now = one._net.state_dict()
     assert all(torch.equal(now[name], value) for name, value in before.items() if "num_batches" not in name)
     assert all(torch.equal(value, average[name]) for name, value in one._average.state_dict().items())
     assert torch.equal(now["stem.1.running_mean"], average["stem.1.running_mean"])
     with pytest.raises(ValueError, match="no longer finite"):
-        one.step(drawn(1), 0.5)
+        one.step(torch.from_numpy(drawn(1)), 0.5)
 
 
 @pytest.mark.parametrize("keys", [{}, {"steps": 3, "minutes": 1.0}, {"steps": 0}, {"minutes": -1.0}])
@@ -200,6 +244,7 @@ def test_a_training_has_one_length(keys: dict[str, Any]) -> None:
 
 def tiny(tmp_path: Path, *more: object) -> list[object]:
     arguments = ["--out", tmp_path / "out", "--samples", 3, "--validation", 2, "--size", "256x128", "--workers", 1]
+    arguments += ["--batch", 2]
     return ["train", *arguments, *more]
 
 
@@ -213,7 +258,9 @@ def test_the_command_draws_trains_and_exports(cli: Cli, tmp_path: Path, monkeypa
     assert set(said.rows[0]) >= {"precision", "recall", "iou", "near_precision", "near_recall"}
     out = tmp_path / "out"
     names = {path.name for path in out.iterdir()}
-    assert names == {"data", "MODEL_CARD.md", *(f"marking_256x128.{kind}" for kind in ("onnx", "pt", "json"))}
+    files = {f"marking_256x128.{kind}" for kind in ("onnx", "pt", "json", "state")}
+    assert names == {"data", "MODEL_CARD.md", "marking_256x128_curve.png", *files}
+    assert "--steps 2 --batch 2 --rate 0.003 --seed 0`" in (out / "MODEL_CARD.md").read_text(encoding="utf-8")
     assert "drawing 5 samples" in said.err
     again = cli(*tiny(tmp_path, "--steps", 1, "--resume", out / "marking_256x128.pt"))
     assert again.code == 0, again.err
@@ -235,6 +282,7 @@ def test_a_network_that_fails_its_self_test_is_no_success(cli: Cli, tmp_path: Pa
         (["--minutes", "nan"], "'--minutes': expected a finite number, got nan"),
         (["--samples", 0], "'--samples'"),
         (["--resume", "missing.pt"], "automodel: --resume missing.pt: no such file"),
+        (["--continue"], "holds no interrupted training of 512x256"),
     ],
 )
 def test_wrong_arguments_are_told_before_any_work(cli: Cli, tmp_path: Path, arguments: list, said: str) -> None:
