@@ -61,6 +61,9 @@ class Contour:
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
     VIEW_PIECES = 9  # of the view's length, in each of which paint is told from reflections
+    # Odds [nats] from which nodes that point to the camera are paint, 19 in 20: a streak that is followed bends the
+    # lane, and without these nodes others are left. Of 26 such runs of nodes on paint 2 had less, of 82 on streaks 72.
+    PAINT = 3.0
     PIECES = 7  # maximum number of the pair's stations ahead
 
     def __init__(self, car: CarConfig) -> None:
@@ -253,7 +256,7 @@ class Contour:
         found = seen.found[:count] > 0.0
         sides = seen.points(shape, found, half_m)
         if self._reflections.any_points_to_camera(*sides):
-            away = np.concatenate([self._reflections.on_streaks(image, points) for points in sides])
+            away = np.concatenate([self._reflections.on_streaks(image, points, self.PAINT) for points in sides])
             lost = np.flatnonzero(found)[away]
             seen.found[lost] = seen.found[count + lost] = 0.0
 

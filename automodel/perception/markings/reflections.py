@@ -32,16 +32,13 @@ class ReflectionConfig:
     more paint to the test. `blur_px`: largest standard deviation of an image's blur, of a car that turns on the
     spot; with a larger one wide streaks pass for blurred markings. `change`: probability that one of two neighbouring
     pieces of connected pixels is of a streak and the other of paint that points to the camera as well. `reach`: of a
-    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground. `paint`: odds
-    [nats] above which a followed line's nodes that point to the camera are paint, 19 in 20: a streak that is followed
-    bends the lane, and without these nodes others are left. Of 26 such pieces of paint 2 had less, of 82 of streaks 72.
+    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground.
     """
 
     pointing_rad: float = 0.035
     blur_px: float = 5.0
     change: float = 0.01
     reach: float = 2.5
-    paint: float = 3.0
 
 
 class Reflections:
@@ -71,22 +68,23 @@ class Reflections:
         x0, y0 = self._foot
         return any(_points_to(x0, y0, points.copy(), self._most_rad) for points in lines_m)  # of the one compiled kind
 
-    def on_streaks(self, image: Image, points_m: FloatArray) -> Bools:
+    def on_streaks(self, image: Image, points_m: FloatArray, paint: float = 0.0) -> Bools:
         """Which points (n, 2) [m] of a line, the nearest first, lie on a reflection in the camera's image.
 
-        They do where neighbours among them lie in the direction of a streak, and the ground across them looks like one.
+        They do where neighbours among them lie in the direction of a streak, and the ground across them looks like one:
+        its odds [nats] to be `paint` are less than these.
         """
         away, first = np.zeros(len(points_m), np.bool_), 0
         for last in range(1, len(points_m) + 1):
             if last < len(points_m) and self.any_points_to_camera(points_m[last - 1 : last + 1]):
                 continue
             if last - first > 1:
-                away[first:last] = self._streak(image, points_m[first:last])
+                away[first:last] = self._streak(image, points_m[first:last], paint)
             first = last
         return away
 
-    def _streak(self, image: Image, points_m: FloatArray) -> bool:
-        """Whether points (n, 2) [m] that point to the camera lie on a streak, and not on paint."""
+    def _streak(self, image: Image, points_m: FloatArray, paint: float) -> bool:
+        """Whether points (n, 2) [m] that point to the camera lie on a streak, and not on `paint`, by these odds."""
         way = np.diff(points_m, axis=0)
         along = way / np.hypot(*way.T)[:, None]
         left = np.stack((-along[:, 1], along[:, 0]), axis=1)
@@ -104,7 +102,7 @@ class Reflections:
         row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
         piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
         odds = self._profiles.log_odds(values, piece) + 0.5 * (away_rad / self.config.pointing_rad) ** 2
-        return bool(odds.sum() < self.config.paint)
+        return bool(odds.sum() < paint)
 
     def step(self, view: Image, areas: Image, lines: Image) -> Image:
         """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).

@@ -146,6 +146,8 @@ def test_points_on_a_streak_are_told_from_points_on_paint(azimuth_rad: float, da
     )
     assert reflections.on_streaks(streak, points).all()
     assert not reflections.on_streaks(paint, points).any()
+    assert not reflections.on_streaks(streak, points, paint=-1e6).any()  # odds are wanted of it
+    assert reflections.on_streaks(paint, points, paint=1e6).all()
 
 
 def test_only_points_that_point_to_the_camera_are_looked_at() -> None:
