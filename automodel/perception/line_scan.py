@@ -139,7 +139,7 @@ class LineScan:
         Pixels that paint connects within a marking's width are of one piece: worn paint leaves specks.
         """
         paint = lines if paint is None else paint
-        near = cv2.dilate(lines, self._around)
+        near: Image = np.asarray(cv2.dilate(lines, self._around), dtype=np.uint8)
         return tuple(self._line(piece, paint) for piece in self._joined(self._pieces(lines, (near & paint) | lines)))
 
     def of_stripes(self, stripes: Iterable[FloatArray]) -> tuple[SightedLine, ...]:

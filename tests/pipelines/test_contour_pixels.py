@@ -55,9 +55,9 @@ class WatchedPixels:
 
         monkeypatch.setattr(Contour, "_lines_in_view", search_everything)
 
-        def watched_streak(reflections: Reflections, image: Any, points: Any) -> bool:
+        def watched_streak(reflections: Reflections, image: Any, points: Any, paint: float) -> bool:
             image = Noting(image, self)
-            return streak(reflections, image, points)
+            return streak(reflections, image, points, paint)
 
         monkeypatch.setattr(Reflections, "_streak", watched_streak)
 
