@@ -30,6 +30,7 @@ from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
+from automodel.tracking.hypotheses import HypothesesConfig
 from automodel.tracking.lane_change import LaneChanges
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Image, Ints
@@ -67,7 +68,10 @@ class Stereo:
         self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
-        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        anyhow = HypothesesConfig(line=1.0, other=1.0)  # what both eyes match are pieces of any length
+        self._tracking = LaneTracking(
+            car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, hypotheses=anyhow)
+        )
         self._changes = LaneChanges()
         if options.lane_changes and not car.lane.left == car.lane.right == "any":
             raise ValueError('lane_changes: needs [lane] left and right "any": each lane has lines of its own')

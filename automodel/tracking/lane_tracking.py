@@ -9,7 +9,7 @@ estimator starts anew from it. The kinds of the lines beside the lane tell wheth
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from automodel.tracking.hypotheses import (
     RIGHT_FAR,
     STILL_LANES,
     Hypotheses,
+    HypothesesConfig,
     Hypothesis,
     LineKinds,
 )
@@ -67,7 +68,7 @@ class TrackingConfig:
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
     pipeline that reads few pixels, which learns the lines' kinds where it looks anyway. `another`: probability by the
     lines' kinds from which on a lane is another one than it was, and below which it may be. `next_lane`: probability
-    that a lane that is found after one was lost is another.
+    that a lane that is found after one was lost is another. `hypotheses`: how lines in view are weighed.
     """
 
     coast_s: float
@@ -82,6 +83,7 @@ class TrackingConfig:
     look: float = 1.0
     another: float = 0.9
     next_lane: float = 0.3
+    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,7 +124,7 @@ class LaneTracking:
         self._profile = RoadProfile()
         self._odometry = CheckedOdometry(camera, self._unit)
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
-        self._hypotheses = Hypotheses()
+        self._hypotheses = Hypotheses(self.config.hypotheses)
         warm_up()
         self.reset()
 
@@ -283,7 +285,7 @@ class LaneTracking:
         seen = self._together(lines, own)
         share = self._hypotheses.update(seen, self._kinds)
         best, measured = self._hypotheses.all[0], self._measured(followed.pose)
-        alone = Hypotheses()
+        alone = Hypotheses(self.config.hypotheses)
         alone.start(((measured, 0.0),))
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
@@ -319,7 +321,7 @@ class LaneTracking:
         reckoning may be wrong, too.
         """
         assert self._reckoned is not None
-        look = Hypotheses()
+        look = Hypotheses(self.config.hypotheses)
         look.start(((self._reckoned, 0.0), (self._anywhere(), -self.config.exists)))
         look.update(seen, self._kinds)
         best = look.all[0]
@@ -417,7 +419,7 @@ class LaneTracking:
         assert belief is not None
         self._around_m = 0.0
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
-        around, known = Hypotheses(), replace(belief, road=self._bends.road)
+        around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self._bends.road)
         around.start(((known, 0.0), (known.without_road(), -self.config.exists)))  # its bends may be another thing's
         around.update(self._together(lines, own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
@@ -442,7 +444,7 @@ class LaneTracking:
         belief = self._belief
         assert belief is not None
         self._around_m = 0.0
-        around = Hypotheses()
+        around = Hypotheses(self.config.hypotheses)
         around.start(((replace(belief, road=self._bends.road), 0.0),))
         around.update(lines, LineKinds(), math.inf)
         best = around.all[0]
