@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,28 +12,9 @@ torch = pytest.importorskip("torch")
 
 from automodel.training import batches, dataset
 from automodel.training.batches import SHOWN, Batches
-from automodel.training.dataset import Samples, Shard
+from automodel.training.dataset import Samples
 
 H, W = dataset.HEIGHT_PX, dataset.WIDTH_PX
-
-
-def drawn(seed: int) -> SimpleNamespace:
-    """A sample whose grey values say which it is, and a mask that is the sample's bright part."""
-    image = np.full((H, W), seed % 100 + 20, np.uint8)
-    mask = np.zeros((H, W), np.uint8)
-    left = 40 + 16 * (seed % 16)
-    image[:, left : left + 20], mask[:, left : left + 20] = 250, 255
-    return SimpleNamespace(image=image, mask=mask)
-
-
-@pytest.fixture(scope="module")
-def samples(tmp_path_factory: pytest.TempPathFactory) -> Samples:
-    wanted = [
-        Shard(path=tmp_path_factory.mktemp("data") / f"{first}.npy", first_seed=first, count=4) for first in (0, 4)
-    ]
-    for shard in wanted:
-        dataset.write_shard(shard, drawn)
-    return Samples(wanted)
 
 
 def test_batches_are_the_same_for_the_same_seed(samples: Samples) -> None:

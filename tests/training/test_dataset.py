@@ -12,27 +12,9 @@ import pytest
 from automodel.config.toml_reader import ConfigError
 from automodel.training import dataset
 from automodel.training.dataset import Samples, Shard
+from tests.support.drawn_samples import drawn
 
 H, W = dataset.HEIGHT_PX, dataset.WIDTH_PX
-
-
-def drawn(seed: int) -> SimpleNamespace:
-    """A sample whose grey values say which it is, and a mask that is the sample's bright part."""
-    image = np.full((H, W), seed % 100 + 20, np.uint8)
-    mask = np.zeros((H, W), np.uint8)
-    left = 40 + 16 * (seed % 16)
-    image[:, left : left + 20], mask[:, left : left + 20] = 250, 255
-    return SimpleNamespace(image=image, mask=mask)
-
-
-@pytest.fixture(scope="module")
-def samples(tmp_path_factory: pytest.TempPathFactory) -> Samples:
-    wanted = [
-        Shard(path=tmp_path_factory.mktemp("data") / f"{first}.npy", first_seed=first, count=4) for first in (0, 4)
-    ]
-    for shard in wanted:
-        dataset.write_shard(shard, drawn)
-    return Samples(wanted)
 
 
 def test_shards_cover_each_seed_once() -> None:
