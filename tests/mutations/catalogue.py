@@ -512,6 +512,16 @@ LAYERS = {
 
 BOUNDS = (
     *_of(
+        "automodel/perception/line_scan.py",
+        "tests/perception/test_line_scan.py",
+        ("worn-paint-is-specks", "self._pieces(lines, (near & paint) | lines)", "self._pieces(lines, lines)"),
+    ),
+    *_of(
+        "automodel/pipelines/contour.py",
+        "tests/pipelines/test_contour_surroundings.py",
+        ("a-doubtful-streak-is-paint", "on_streaks(image, points, self.PAINT)", "on_streaks(image, points, 0.0)"),
+    ),
+    *_of(
         "automodel/tracking/hypotheses.py",
         "tests/tracking/test_hypotheses.py",
         ("picking-has-no-price", "math.lgamma(things + 0.5) - math.lgamma(things - lines + 0.5)", "0.0"),

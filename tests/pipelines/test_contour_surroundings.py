@@ -151,7 +151,7 @@ def test_nodes_on_a_reflection_are_not_found(monkeypatch: pytest.MonkeyPatch) ->
     assert [seen(frame) for frame in frames[:10]][-1] == (True, True)
     reflections = pipeline._reflections
     monkeypatch.setattr(reflections, "any_points_to_camera", lambda *lines: True)
-    monkeypatch.setattr(reflections, "on_streaks", lambda image, points, paint: points[:, 1] > 0.0)
+    monkeypatch.setattr(reflections, "on_streaks", lambda image, points, paint: (points[:, 1] > 0.0) & (paint > 0.0))
     assert seen(frames[10]) == (False, True)
     monkeypatch.setattr(reflections, "any_points_to_camera", lambda *lines: False)  # `on_streaks` is not asked
     assert seen(frames[11]) == (True, True)
