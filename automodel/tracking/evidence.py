@@ -20,7 +20,8 @@ from automodel.compiled import compiled
 from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
-ROUNDS = 6  # of linearisation, and halvings of a step, at most
+ROUNDS = 30  # of linearisation, and halvings of a step, at most: a road that bends at once needs a dozen
+TRUST = 4.0  # sigmas by which a linearisation may move the belief: farther on, a road coils up and stays so
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
@@ -210,11 +211,13 @@ def settled(
     """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
 
     The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
-    the lines count by a `share`; each step is halved until it is one uphill.
+    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill. Where that ends
+    far from the last linearisation, the misfit is the one there.
     """
     count, full = len(roles), len(prior.root)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
-    misfit, log_volume, actual = np.empty(count), np.empty(count), np.empty(count)
+    misfit, log_volume = np.empty(count), np.empty(count)
+    actual, missed = np.empty(count), np.empty(count)  # misfits at a tried place; what the linearisation missed of them
     z, state = np.zeros(full), prior.state.copy()
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
     for i in range(count):
@@ -231,7 +234,7 @@ def settled(
             best = share * misfit.sum()
         right, root = _together(equations, share)
         step = backward(root, forward(root, right)) - z
-        tried, uphill = 1.0, False
+        tried, uphill = min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300))), False
         for _ in range(ROUNDS):
             at = z + tried * step
             moved = times(prior.root, at)
@@ -246,14 +249,13 @@ def settled(
                 break
             tried *= 0.5
         if not uphill:
-            break
+            return equations, z
         z, state, path, best = at, there, trial, cost
-        told = misfit.sum()
         for i in range(count):
-            told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
-        if tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR:
+            missed[i] = actual[i] - misfit[i] - dot(z, times(information[i], z)) + 2.0 * dot(vector[i], z)
+        if tried == 1.0 and share * abs(missed.sum()) < 2.0 * LINEAR:
             break
-    return Equations(information, vector, misfit, log_volume), z
+    return Equations(information, vector, misfit + missed, log_volume), z
 
 
 @compiled

@@ -528,6 +528,12 @@ BOUNDS = (
         ("a-speck-is-a-line", "odds += sum(config.length(each.line.painted_m / unit) for each in both)", "pass"),
     ),
     *_of(
+        "automodel/tracking/evidence.py",
+        "tests/tracking/test_belief.py",
+        ("roads-coil-up", "min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300)))", "1.0"),
+        ("too-few-rounds", "ROUNDS = 30", "ROUNDS = 6"),
+    ),
+    *_of(
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),

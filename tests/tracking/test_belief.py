@@ -103,6 +103,39 @@ def test_the_covariance_is_as_large_as_the_errors_along_winding_roads() -> None:
     assert np.quantile(errors, 0.999) < 27.6  # once in a million of them
 
 
+def sharp_bend(random: np.random.Generator) -> tuple[LaneBelief, list[Assigned]]:
+    """A belief near the truth of a lane whose bend begins or ends at once, and one or both of its lines far ahead."""
+    before, after = (random.choice((-0.4, 0.0, 0.0, 0.4)) / LANE_M for _ in range(2))
+    changes_m = random.uniform(0.3, 3.5) * LANE_M
+    sigmas = np.array((0.03 * LANE_M, 0.03, 0.03 / LANE_M, 0.03 * LANE_M))
+    mean = np.array((0.0, 0.0, before, LANE_M)) + random.normal(size=4) * sigmas
+    from_lanes = random.uniform(0.5, 2.2)
+    s = np.arange(from_lanes, from_lanes + random.uniform(1.0, 2.5), 0.3) * LANE_M
+    step_m = 0.005 * LANE_M
+    way = np.arange(0.0, s[-1] + step_m, step_m)
+    heading = np.concatenate(((0.0,), np.cumsum(np.where(way[:-1] < changes_m, before, after) * step_m)))
+    x, y = (np.concatenate(((0.0,), np.cumsum(step_m * part[:-1]))) for part in (np.cos(heading), np.sin(heading)))
+    x, y, heading = (np.interp(s, way, part) for part in (x, y, heading))
+    normal, lines = np.column_stack((-np.sin(heading), np.cos(heading))), []
+    for role in ((LEFT, RIGHT), (RIGHT,))[random.integers(2)]:
+        noise = 0.1 * MARKING_M * random.normal(size=(len(s), 1)) + 0.02 * LANE_M * random.normal()
+        lines.append(Assigned(sighted(np.column_stack((x, y)) + (role * LANE_M + noise) * normal), role))
+    return LaneBelief.arc(mean, np.diag(np.square(sigmas)), ROAD_MODEL, 0.0), lines
+
+
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_the_covariance_is_about_as_large_as_the_errors_where_bends_begin_and_end_at_once(seed: int) -> None:
+    """A normal belief smooths such bends, and is a little too sure; a linearisation gone astray would be far off."""
+    random, errors = np.random.default_rng(seed), []
+    for _ in range(400):
+        believed, lines = sharp_bend(random)
+        found, _ = believed.update(lines)
+        error, order = found.mean[:2], np.ix_((0, 1), (0, 1))
+        errors.append(float(error @ np.linalg.solve(found.spread[order], error)))
+    assert 1.6 < np.mean(errors) < 2.8  # 2 is right; 0.1 is a standard deviation of the mean
+    assert np.max(errors) < 40.0
+
+
 MOTIONS = [(0.0, 0.0), (0.3, 0.0), (0.25, 0.3), (-0.1, -0.1), (0.0, 0.4)]
 
 
