@@ -108,7 +108,8 @@ class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
     Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
-    hook. `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
+    hook. It needs as many cameras as `seen`: a loop gives the left image alone to a pipeline that needs one.
+    `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
     free space beside the car. Where it states no bound (the truth), it is.
     """
 
@@ -124,6 +125,7 @@ class FaultyPipeline:
         vehicle: VehicleConfig,
     ) -> None:
         self.knows = True
+        self.cameras = int(getattr(seen, "cameras", 1))
         self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller

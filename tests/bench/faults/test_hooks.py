@@ -16,10 +16,11 @@ from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipelin
 from automodel.bench.faults.judge import Plan
 from automodel.config import VehicleConfig
 from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.loop import Loop
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sources.errors import SourceError
 from firmware_link import messages
-from tests.support.runner_fakes import MS, estimate
+from tests.support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline, estimate
 
 PERIOD_MS = 20
 PLAN = Plan(
@@ -299,6 +300,27 @@ def test_of_a_pair_the_left_image_is_spoilt() -> None:
             white[frame.t_ns // MS] = (bool((frame.left == 255).all()), bool((frame.right == 255).all()))
     assert {t for t, (left, _) in white.items() if left} == set(range(2000, 2200, PERIOD_MS))
     assert not any(right for _, right in white.values())
+
+
+class TwoEyed(FakePipeline):
+    """A pipeline of two cameras."""
+
+    cameras = 2
+
+
+@pytest.mark.parametrize(("seen", "kind"), [(TwoEyed(), StereoFrame), (FakePipeline(), Frame)])
+def test_a_pipeline_gets_as_many_images_as_it_needs(seen: FakePipeline, kind: type) -> None:
+    """In a loop the pipeline with the fault built in stands for the one inside."""
+
+    def truth(frame: Frame, motion: Motion) -> LaneEstimate:
+        return estimate(frame.t_ns)
+
+    clock, image = VirtualClock(0), np.zeros((4, 6), dtype=np.uint8)
+    pipeline = FaultyPipeline(truth, seen, None, PLAN, Staller(None, PLAN, clock), VehicleConfig())
+    loop = Loop(pipeline, FakeController(), FakeLimits(), validity_s=0.1)
+    pair = StereoFrame(t_ns=PLAN.start_ns, index=0, left=image, right=image)
+    loop.tick(pair, Motion(t_ns=PLAN.start_ns, speed_mps=1.0, yaw_rate_radps=0.0), None, PLAN.start_ns)
+    assert [type(frame) for frame in seen.seen] == [kind]
 
 
 def test_a_mask_slides_by_so_many_pixels_and_time_and_index_stay() -> None:
