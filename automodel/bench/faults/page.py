@@ -23,7 +23,8 @@ stands. What the car must do:
 - **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
   limit.
 
-Of two cameras the left one fails. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
+Of two cameras the left one fails, but in the faults of `pair-`: those are of a pair, and only for a pipeline that
+needs one (`--pipeline stereo`). The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
 says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
 asked for: `nominal`, a minute without a fault, on any of the tracks, with random light and floor.
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from automodel.bench.faults import hooks
-from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
+from automodel.bench.faults.fault import At, CameraHook, Hooks, PairHook, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
 from automodel.config import VehicleConfig
@@ -61,7 +61,7 @@ class Ticking:
 def delivered(hook: CameraHook, stall: Stall | None = None) -> list[tuple[int, Frame]]:
     """When [ms] which frame came, from 1.9 s to 2.4 s."""
     clock = VirtualClock(1900 * MS)
-    source = FaultySource(Ticking(clock), hook, PLAN, clock, Staller(stall, PLAN, clock))
+    source = FaultySource(Ticking(clock), Hooks(camera=hook), PLAN, clock, Staller(stall, PLAN, clock))
     came = []
     while clock.now_ns() < 2400 * MS:
         frame = source.read(0.015)
@@ -292,7 +292,7 @@ class TickingPair(Ticking):
 def test_of_a_pair_the_left_image_is_spoilt() -> None:
     clock = VirtualClock(1900 * MS)
     hook = hooks.at_once(hooks.blank(255.0, 0.0, Random(1)))
-    source = FaultySource(TickingPair(clock), hook, PLAN, clock, Staller(None, PLAN, clock))
+    source = FaultySource(TickingPair(clock), Hooks(camera=hook), PLAN, clock, Staller(None, PLAN, clock))
     white = {}
     while clock.now_ns() < 2300 * MS:
         frame = source.read(0.015)
@@ -300,6 +300,53 @@ def test_of_a_pair_the_left_image_is_spoilt() -> None:
             white[frame.t_ns // MS] = (bool((frame.left == 255).all()), bool((frame.right == 255).all()))
     assert {t for t, (left, _) in white.items() if left} == set(range(2000, 2200, PERIOD_MS))
     assert not any(right for _, right in white.values())
+
+
+def delivered_pairs(pair: PairHook) -> tuple[FaultySource, list[tuple[int, Frame | StereoFrame, str]]]:
+    """When [ms] which frame came, from 1.9 s to 2.3 s, and what the source then said of its cameras."""
+    clock = VirtualClock(1900 * MS)
+    source = FaultySource(TickingPair(clock), Hooks(pair=pair), PLAN, clock, Staller(None, PLAN, clock))
+    came = []
+    while clock.now_ns() < 2300 * MS:
+        frame = source.read(0.015)
+        if frame is not None:
+            came.append((clock.now_ns() // MS, frame, source.trouble))
+    return source, came
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_of_a_pair_either_eye_is_spoilt_and_its_time_stays(eye: int) -> None:
+    _, came = delivered_pairs(hooks.of_eye(eye, hooks.blank(255.0, 0.0, Random(1))))
+    for t_ms, frame, trouble in came:
+        assert isinstance(frame, StereoFrame)
+        assert (frame.t_ns // MS, frame.right_late_ns, trouble) == (t_ms, 0, "")
+        spoilt, other = (frame.left, frame.right)[eye], (frame.left, frame.right)[1 - eye]
+        assert bool((spoilt == 255).all()) is (2000 <= t_ms < 2200)
+        assert not (other == 255).any()
+    assert hooks.of_eye(eye, hooks.drop)(came[0][1]) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_an_eye_alone_goes_on_after_two_and_a_half_periods(eye: int) -> None:
+    _, came = delivered_pairs(hooks.alone(eye, PERIOD_MS * MS, 2 * MS))
+    alone = [(t_ms, frame, trouble) for t_ms, frame, trouble in came if isinstance(frame, Frame)]
+    assert [t_ms for t_ms, _, _ in alone] == [2032, *range(2040, 2200, PERIOD_MS)]
+    assert [frame.t_ns // MS for _, frame, _ in alone] == list(range(2020, 2200, PERIOD_MS))
+    assert {frame.eye for _, frame, _ in alone} == {eye}
+    assert {trouble for _, _, trouble in alone} == {f"{('right', 'left')[eye]} camera: no frame comes"}
+    pairs = [(t_ms, trouble) for t_ms, frame, trouble in came if isinstance(frame, StereoFrame)]
+    assert {trouble for _, trouble in pairs} == {""}
+    assert min(t_ms for t_ms, _ in pairs if t_ms >= 2000) == 2200
+
+
+def test_pairs_fall_apart_to_so_many_frames_and_say_so() -> None:
+    _, came = delivered_pairs(hooks.falling_apart(3))
+    late = [frame.right_late_ns // MS for t_ms, frame, _ in came if isinstance(frame, StereoFrame) and t_ms >= 2000]
+    assert late[:11] == [0, -20, -40, *[-60] * 7, 0]
+    for t_ms, frame, _ in came:
+        assert isinstance(frame, StereoFrame)
+        assert frame.t_ns // MS == t_ms
+        assert (int(frame.left[0, 0]) - int(frame.right[0, 0])) * -PERIOD_MS == frame.right_late_ns // MS
 
 
 class TwoEyed(FakePipeline):
