@@ -520,6 +520,8 @@ LAYERS = {
     "boot-id-ignored": "a board that restarts is disarmed and says so, and takes no Arm with another boot id",
     "deadline-of-1-s": "a command's own life ends before, and the board's timer",
     "never-looks-again": "with the true lane there is no bound; with --pipeline windows camera-size finds it",
+    "pairs-of-any-times-pass": "with the true lane there is no pair; with --pipeline stereo pair-times finds it",
+    "pairs-have-no-tolerance": "as above: with --pipeline stereo pair-times finds it",
     "stale-commands-sent": "the board refuses a deadline that is past, and an old frame holds the car",
     "rate-unlimited": "the board limits how far the servo's pulse goes in a servo frame",
     "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
