@@ -132,7 +132,8 @@ def _of_one_eye(random: Random, spoil: hooks.Spoil) -> Hooks:
 
 
 # One eye that gives no image leaves the other one alone. Pairs whose images cannot be a pair are another matter: a
-# source that says that both eyes work, and gives what they cannot have seen, is not believed.
+# source that says that both eyes work, and gives what they cannot have seen, is not believed. A pair that is not the
+# calibrated one is not noticed while the car drives (`automodel doctor` looks): what comes of that is reported.
 PAIR = (
     Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
           text="no image of one of two cameras comes: those of the other one come alone",
@@ -146,6 +147,13 @@ PAIR = (
     Fault(name="pair-times", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, pairs=True,
           text="the right image of each pair is one to six frames older than the left one",
           hooks=lambda random, end_ns: Hooks(pair=hooks.falling_apart(random.randint(1, 6)))),
+    Fault(name="pair-swapped", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 4.0), outside_m=math.inf,
+          pairs=True, text="the left image is the right camera's, and the other way round",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.exchanged)),
+    Fault(name="pair-turned", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 4.0), outside_m=math.inf,
+          pairs=True, text="one of two cameras is turned about its optical axis by 1 to 5 degrees",
+          hooks=lambda random, end_ns: _of_one_eye(
+              random, hooks.turned(random.choice((-1, 1)) * math.radians(random.uniform(1.0, 5.0))))),
 )  # fmt: skip
 
 

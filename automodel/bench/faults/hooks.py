@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
@@ -155,6 +156,24 @@ def alone(eye: int, period_ns: int, latency_ns: int) -> PairHook:
         return (pair.t_ns + latency_ns + period_ns // 2 if number == 1 else 0), frame
 
     return hook
+
+
+def exchanged(pair: StereoFrame) -> tuple[int, StereoFrame]:
+    """The left image is the right camera's, and the other way round."""
+    return 0, replace(pair, left=pair.right, right=pair.left)
+
+
+def turned(angle_rad: float) -> Spoil:
+    """The camera is turned about its optical axis, counterclockwise as it looks."""
+
+    def spoil(frame: Frame) -> Frame:
+        height, width = frame.image.shape[:2]
+        # what a camera that is turned one way sees is turned the other way
+        turn = cv2.getRotationMatrix2D((0.5 * (width - 1), 0.5 * (height - 1)), -math.degrees(angle_rad), 1.0)
+        image = cv2.warpAffine(frame.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        return replace(frame, image=np.asarray(image, dtype=np.uint8))
+
+    return spoil
 
 
 def falling_apart(frames: int) -> PairHook:

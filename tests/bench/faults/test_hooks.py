@@ -349,6 +349,25 @@ def test_pairs_fall_apart_to_so_many_frames_and_say_so() -> None:
         assert (int(frame.left[0, 0]) - int(frame.right[0, 0])) * -PERIOD_MS == frame.right_late_ns // MS
 
 
+def test_eyes_are_exchanged() -> None:
+    left, right = np.zeros((4, 6), np.uint8), np.ones((4, 6), np.uint8)
+    due_ns, pair = hooks.exchanged(StereoFrame(t_ns=5, index=3, left=left, right=right))
+    assert (due_ns, pair.t_ns, pair.index, pair.left.max(), pair.right.min()) == (0, 5, 3, 1, 0)
+
+
+@pytest.mark.parametrize("angle_deg", [-4.0, 3.0])
+def test_what_a_camera_turned_counterclockwise_sees_is_turned_clockwise(angle_deg: float) -> None:
+    image = np.zeros((101, 201), np.uint8)
+    image[50] = 200
+    out = hooks.turned(math.radians(angle_deg))(Frame(t_ns=5, index=3, image=image))
+    assert out is not None
+    columns = np.arange(40, 161)
+    rows = (np.arange(101)[:, None] * out.image.astype(float)).sum(0) / out.image.sum(0)
+    slope, middle = np.polyfit(columns - 100.0, rows[columns], 1)  # rows count downwards: clockwise is positive
+    assert math.degrees(math.atan(slope)) == pytest.approx(angle_deg, abs=0.1)
+    assert middle == pytest.approx(50.0, abs=0.1)
+
+
 class TwoEyed(FakePipeline):
     """A pipeline of two cameras."""
 

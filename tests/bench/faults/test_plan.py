@@ -98,8 +98,10 @@ def test_what_needs_images_is_left_out_where_there_are_none() -> None:
 
 def test_what_needs_two_cameras_is_left_out_where_there_is_one() -> None:
     needing = {fault.name for fault in FAULTS if fault.pairs}
-    assert needing == {"pair-off", "pair-stuck", "pair-dark", "pair-times"}
+    assert needing == {"pair-off", "pair-stuck", "pair-dark", "pair-times", "pair-swapped", "pair-turned"}
     assert needing.isdisjoint(fault.name for fault in chosen((), pairs=False))
+    reported = {fault.name for fault in FAULTS if fault.must is Must.STAY and math.isinf(fault.outside_m)}
+    assert reported == {"pair-swapped", "pair-turned"}
     assert needing.isdisjoint(fault.name for fault in chosen((), images=False))
     with pytest.raises(ValueError, match=r"'pair-off': needs a pipeline of two cameras"):
         chosen(("pair-off",), pairs=False)
