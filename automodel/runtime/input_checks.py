@@ -1,6 +1,7 @@
 """Whether what a run is given can be true, and is certain enough: images, the lane that a pipeline reports, the turns.
 
 - `ImageCheck`: an image has the camera's size, is a new one, and shows anything at all.
+- `PairTimesCheck`: both images of a pair were taken at the same time, or nearly.
 - `LaneJumpCheck`: the lane is still the one that was followed; a car cannot move sideways, or turn, between two frames.
 - `width_fault`: the lane has a width that a lane can have.
 - `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
@@ -188,6 +189,28 @@ def contrast(image: Image) -> int:
     return int((coarse.max(axis=0).astype(np.int64) - coarse.min(axis=0)).max())
 
 
+class PairTimesCheck:
+    """Counts only pairs whose images were taken within `tolerance_s` of each other.
+
+    A car moves between two images: what both show is then not where they place it. As in `ImageCheck` a bad pair is as
+    one that was dropped: only `timeout_s` without a good one is worth a word.
+    """
+
+    def __init__(self, tolerance_s: float, timeout_s: float) -> None:
+        self._tolerance_ns, self._timeout_ns = tolerance_s * 1e9, round(timeout_s * 1e9)
+        self._good_ns: int | None = None  # when the newest good pair was taken
+
+    def step(self, right_late_ns: int, t_ns: int) -> str | None:
+        """What is wrong with the pairs up to this one, taken at `t_ns`; None while all is well, or may still be."""
+        if abs(right_late_ns) <= self._tolerance_ns:
+            self._good_ns = t_ns
+            return None
+        if self._good_ns is not None and t_ns - self._good_ns < self._timeout_ns:
+            return None
+        apart_ms, most_ms = abs(right_late_ns) * 1e-6, self._tolerance_ns * 1e-6
+        return f"the images of a pair were taken {apart_ms:.1f} ms apart (limit {most_ms:.3g})"
+
+
 MIN_MPS = 0.4  # a slower car turns too little to tell
 APART_RADPS = 0.5  # between the yaw rates measured and expected: what a servo a few degrees off its table makes
 APART_SHARE = 0.4  # and this share of the expected one: tyres slip
@@ -237,6 +260,9 @@ class InputChecks:
     def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
+        right = car.camera.right
+        tolerance_s = math.inf if right is None else right.tolerance_s(car.camera.rate_hz)
+        self._pair_times = PairTimesCheck(tolerance_s, timeout_s)
         self._vehicle = car.vehicle
         self._lane_jump = LaneJumpCheck(car.vehicle)
         self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
@@ -248,7 +274,10 @@ class InputChecks:
 
     def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
         """What is wrong with a frame that fits."""
-        return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in self._seen(frame))))
+        wrong = [check.step(image, frame.t_ns) for check, image in self._seen(frame)]
+        if isinstance(frame, StereoFrame):
+            wrong.append(self._pair_times.step(frame.right_late_ns, frame.t_ns))
+        return tuple(filter(None, wrong))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
         """What is wrong with the lane or too uncertain, or wrong with how the car moves."""

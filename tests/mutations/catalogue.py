@@ -168,6 +168,12 @@ SAFETY = (
         ("armed-in-any-lane", "return text if pose.offset_bound_m >= 0.5 * pose.width_m else None", "return None"),
         ("bound-never-held", "(jump, width, uncertain, turns)", "(jump, width, turns)"),
         ("any-width-passes", "vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m", "pose.width_m > 0"),
+        ("pairs-of-any-times-pass", "if abs(right_late_ns) <= self._tolerance_ns:", "if True:"),
+        (
+            "pairs-have-no-tolerance",
+            "math.inf if right is None else right.tolerance_s(car.camera.rate_hz)",
+            "math.inf",
+        ),
         ("stuck-servo-passes", "LASTING_S = 0.25 ", "LASTING_S = 25.0 "),
     ),
     *_of(
@@ -460,6 +466,15 @@ JUDGE = (
     ),
 )
 
+RIG = (
+    *_of(
+        "automodel/bench/faults/faulty_parts.py",
+        "tests/bench/faults/test_hooks.py",
+        ("rig-hides-an-eye", 'int(getattr(seen, "cameras", 1))', "1"),
+        ("rig-spoils-no-pair", "            return pair(frame)\n", "            return 0, frame\n"),
+    ),
+)
+
 CAMERAS = (
     *_of(
         "automodel/sources/cameras.py",
@@ -505,6 +520,8 @@ LAYERS = {
     "boot-id-ignored": "a board that restarts is disarmed and says so, and takes no Arm with another boot id",
     "deadline-of-1-s": "a command's own life ends before, and the board's timer",
     "never-looks-again": "with the true lane there is no bound; with --pipeline windows camera-size finds it",
+    "pairs-of-any-times-pass": "with the true lane there is no pair; with --pipeline stereo pair-times finds it",
+    "pairs-have-no-tolerance": "as above: with --pipeline stereo pair-times finds it",
     "stale-commands-sent": "the board refuses a deadline that is past, and an old frame holds the car",
     "rate-unlimited": "the board limits how far the servo's pulse goes in a servo frame",
     "rolls-out-while-it-stands": "the board ends its roll-out by itself: a disarmed one does not follow the host",
@@ -614,4 +631,5 @@ MUTATIONS = (
     *PAIRS,
     *CAMERAS,
     *JUDGE,
+    *RIG,
 )

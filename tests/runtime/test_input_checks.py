@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.config import CameraConfig, CarConfig, PipelineConfig, VehicleConfig
+from automodel.config import CameraConfig, CarConfig, PipelineConfig, SecondCamera, VehicleConfig
 from automodel.curves import line
 from automodel.runtime.input_checks import (
     FLAT_LEVELS,
@@ -95,6 +95,30 @@ def test_both_pictures_of_a_pair_are_looked_at() -> None:
     pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[0][::2])
     assert checks.misfit(pair) is not None
     assert checks.misfit(Frame(t_ns=0, index=0, image=ROAD[0][::2], eye=1)) is not None
+
+
+def test_images_of_a_pair_that_were_not_taken_together_are_a_fault_where_that_lasts() -> None:
+    """One such pair is as one that was dropped: [safety] frame_timeout_s counts from the last good one."""
+    camera = dataclasses.replace(CAR.camera, right=SecondCamera(pair_tolerance_s=0.004))
+    checks = InputChecks(dataclasses.replace(CAR, camera=camera))
+
+    def of_pair(index: int, late_ms: int) -> tuple[str, ...]:
+        left, right = ROAD[index], ROAD[19 - index]
+        pair = StereoFrame(t_ns=index * 16 * MS, index=index, left=left, right=right, right_late_ns=late_ms * MS)
+        return checks.of_frame(pair)
+
+    assert [of_pair(index, (4, -4, 0)[index]) for index in range(3)] == [()] * 3
+    found = [of_pair(index, (-5, 17)[index % 2]) for index in range(3, 8)]
+    assert [len(texts) for texts in found] == [0, 0, 0, 1, 1]
+    assert found[-1] == ("the images of a pair were taken 17.0 ms apart (limit 4)",)
+    assert of_pair(8, 1) == ()
+
+
+def test_a_pair_s_tolerance_follows_the_rate_and_without_a_second_camera_any_times_do() -> None:
+    two = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, rate_hz=50.0, right=SecondCamera()))
+    for late_ms, car, faults in ((5, two, 0), (6, two, 1), (6, CAR, 0)):
+        pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[1], right_late_ns=late_ms * MS)
+        assert len(InputChecks(car).of_frame(pair)) == faults
 
 
 def test_an_image_of_the_right_camera_alone_is_compared_with_its_own() -> None:

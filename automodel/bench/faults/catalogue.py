@@ -27,7 +27,7 @@ from automodel.bench.faults.fault import (
     WireHook,
 )
 from automodel.bench.faults.real_catalogue import REAL_FAULTS
-from automodel.config import CenterlineConfig, ConfigError
+from automodel.config import CameraConfig, CenterlineConfig, ConfigError
 from firmware_link.can_port import BusTrouble
 from firmware_link.emulator.can_vehicle import COMMAND_TIMEOUT_NS, FULL_LOAD_FRAMES, EmulatedCanVehicle
 
@@ -121,6 +121,39 @@ CAMERA = (
     Fault(name="camera-jitter", kind=Kind.DELAYED, must=Must.NOTHING, duration_s=HELD_S,
           text="frames come 4 to 25 ms after they were taken",
           hooks=lambda random, end_ns: Hooks(camera=_late(random, 4, 25))),
+)  # fmt: skip
+
+
+PERIOD_NS = round(1e9 / CameraConfig().rate_hz)
+
+
+def _of_one_eye(random: Random, spoil: hooks.Spoil) -> Hooks:
+    return Hooks(pair=hooks.of_eye(random.randrange(2), spoil))
+
+
+# One eye that gives no image leaves the other one alone. Pairs whose images cannot be a pair are another matter: a
+# source that says that both eyes work, and gives what they cannot have seen, is not believed. A pair that is not the
+# calibrated one is not noticed while the car drives (`automodel doctor` looks): what comes of that is reported.
+PAIR = (
+    Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
+          text="no image of one of two cameras comes: those of the other one come alone",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.alone(random.randrange(2), PERIOD_NS, LATENCY_NS))),
+    Fault(name="pair-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S, pairs=True,
+          text="the same image of one of two cameras again and again, in pairs with new ones of the other",
+          hooks=lambda random, end_ns: _of_one_eye(random, hooks.frozen())),
+    Fault(name="pair-dark", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, pairs=True,
+          text="black images with sensor noise of one of two cameras",
+          hooks=lambda random, end_ns: _of_one_eye(random, hooks.blank(2.0, 2.0, random))),
+    Fault(name="pair-times", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, pairs=True,
+          text="the right image of each pair is one to six frames older than the left one",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.falling_apart(random.randint(1, 6)))),
+    Fault(name="pair-swapped", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 4.0), outside_m=math.inf,
+          pairs=True, text="the left image is the right camera's, and the other way round",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.exchanged)),
+    Fault(name="pair-turned", kind=Kind.WRONG, must=Must.STAY, duration_s=(0.5, 4.0), outside_m=math.inf,
+          pairs=True, text="one of two cameras is turned about its optical axis by 1 to 5 degrees",
+          hooks=lambda random, end_ns: _of_one_eye(
+              random, hooks.turned(random.choice((-1, 1)) * math.radians(random.uniform(1.0, 5.0))))),
 )  # fmt: skip
 
 
@@ -491,7 +524,7 @@ NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(6
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
 # What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
 ON_CHIP = tuple(fault for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
-FAULTS = (*CAMERA, *PERCEPTION, *NETWORK, *FLOOR, *LOOP, *SERIAL, *BOARD, *RECORDING)
+FAULTS = (*CAMERA, *PAIR, *PERCEPTION, *NETWORK, *FLOOR, *LOOP, *SERIAL, *BOARD, *RECORDING)
 BY_LINK = {"arduino": FAULTS, "avr": ON_CHIP, "can": CAN}
 
 
@@ -518,18 +551,22 @@ def named(names: Iterable[str], faults: Sequence[Fitting]) -> tuple[Fitting, ...
     return tuple(fault for fault in known.values() if fault.name in asked)
 
 
-def chosen(names: Iterable[str], images: bool = True, link: str | None = None) -> tuple[Fault, ...]:
+def chosen(names: Iterable[str], images: bool = True, link: str | None = None, pairs: bool = True) -> tuple[Fault, ...]:
     """The faults of these names in the catalogue's order; without names those of `link`, or all but `nominal`.
 
-    Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, for a fault
-    that needs them.
+    Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, or at none
+    of `pairs` of cameras, for a fault that needs them.
     """
     asked = named(names, (*FAULTS, *CAN, NOMINAL))
     for fault in asked:
         if fault.images and not images:
             raise ConfigError(f"--only {fault.name!r}: needs a pipeline that looks at images")
+        if fault.pairs and not (images and pairs):
+            raise ConfigError(f"--only {fault.name!r}: needs a pipeline of two cameras: --pipeline stereo")
     without = (*FAULTS, *CAN) if link is None else BY_LINK[link]
-    return asked or tuple(fault for fault in without if images or not fault.images)
+    return asked or tuple(
+        fault for fault in without if (images or not fault.images) and ((images and pairs) or not fault.pairs)
+    )
 
 
 _TIMED = (Must.STOP, Must.HOLD)

@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
 
-from automodel.signals import BoardSensors, Frame, LaneEstimate
+from automodel.signals import BoardSensors, Frame, LaneEstimate, StereoFrame
 from firmware_link.emulator.can_vehicle import EmulatedCanVehicle
 
 BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's pin
 
 CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
+PairHook = Callable[[StereoFrame], "tuple[int, Frame | StereoFrame] | None"]  # likewise; a `Frame`: one eye alone
 LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
 WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
 PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
@@ -79,6 +80,7 @@ class Hooks:
     """
 
     camera: CameraHook | None = None
+    pair: PairHook | None = None
     lane: LaneHook | None = None
     stall: Stall | None = None
     to_board: WireHook | None = None
@@ -128,7 +130,8 @@ class Fault:
     before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
     stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
-    must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with a random look.
+    must stay in its lane, its body may leave it by so much (infinite: by how much is only
+    reported). `anywhere`: on any track, with a random look. `pairs`: it needs a pipeline of two cameras.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -151,3 +154,4 @@ class Fault:
     outside_m: float = 0.0
     anywhere: bool = False
     images: bool = False
+    pairs: bool = False

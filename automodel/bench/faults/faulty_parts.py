@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
+from automodel.bench.faults.fault import At, Disk, Hooks, LaneHook, Stall
 from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
 from automodel.config import RecordingConfig, VehicleConfig
 from automodel.interfaces import Pipeline, Recorder, Source
@@ -28,6 +28,7 @@ from automodel.runtime.os_signals import Interrupted
 from automodel.runtime.runner import Runner
 from automodel.signals import BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
 from automodel.sim.world import Scene
+from automodel.sources.pairs import SIDES
 from automodel.types import Image
 from firmware_link.emulator.board import Peripherals
 
@@ -56,13 +57,15 @@ class Staller:
 
 
 class FaultySource:
-    """A `Source`; frames that were taken while the fault lasts go through its hook."""
+    """A `Source`; frames that were taken while the fault lasts go through the hook of the camera, or of the pair.
 
-    def __init__(
-        self, source: Source, hook: CameraHook | None, plan: Plan, clock: VirtualClock, staller: Staller
-    ) -> None:
-        self._source, self._hook, self._plan, self._clock = source, hook, plan, clock
+    `trouble` is why one camera of a pair gives its frames alone, "" while none does.
+    """
+
+    def __init__(self, source: Source, hooks: Hooks, plan: Plan, clock: VirtualClock, staller: Staller) -> None:
+        self._source, self._hooks, self._plan, self._clock = source, hooks, plan, clock
         self._staller = staller
+        self.trouble = ""
         self._late: deque[tuple[int, Frame | StereoFrame]] = deque()
 
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
@@ -72,7 +75,7 @@ class FaultySource:
         while True:
             now_ns = self._clock.now_ns()
             if self._late and self._late[0][0] <= now_ns:
-                return self._late.popleft()[1]
+                return self._told(self._late.popleft()[1])
             until_ns = min(deadline_ns, self._late[0][0]) if self._late else deadline_ns
             frame = self._source.read(max(until_ns - now_ns, 0) * 1e-9)
             if frame is not None:
@@ -80,17 +83,28 @@ class FaultySource:
             elif until_ns == deadline_ns:
                 return None
 
+    def _told(self, frame: Frame | StereoFrame) -> Frame | StereoFrame:
+        self.trouble = ""
+        if isinstance(frame, Frame) and self._hooks.pair is not None:
+            self.trouble = f"{SIDES[1 - frame.eye]} camera: no frame comes"
+        return frame
+
     def _take(self, frame: Frame | StereoFrame) -> None:
         delivery: tuple[int, Frame | StereoFrame] | None = (0, frame)
-        if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
-            delivery = self._spoilt(self._hook, frame)
+        if self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
+            delivery = self._spoilt(frame)
         if delivery is not None:
             due_ns, out = delivery
             before_ns = self._late[-1][0] if self._late else 0  # frames do not overtake each other
             self._late.append((max(due_ns, before_ns), out))
 
-    def _spoilt(self, hook: CameraHook, frame: Frame | StereoFrame) -> tuple[int, Frame | StereoFrame] | None:
-        """Of a pair the left camera fails."""
+    def _spoilt(self, frame: Frame | StereoFrame) -> tuple[int, Frame | StereoFrame] | None:
+        """Of a pair the left camera fails, where the pair itself has no hook."""
+        hook, pair = self._hooks.camera, self._hooks.pair
+        if isinstance(frame, StereoFrame) and pair is not None:
+            return pair(frame)
+        if hook is None:
+            return 0, frame
         if isinstance(frame, Frame):
             return hook(frame)
         left = hook(Frame(t_ns=frame.t_ns, index=frame.index, image=frame.left))
@@ -108,7 +122,8 @@ class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
     Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
-    hook. `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
+    hook. It needs as many cameras as `seen`: a loop gives the left image alone to a pipeline that needs one.
+    `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
     free space beside the car. Where it states no bound (the truth), it is.
     """
 
@@ -124,6 +139,7 @@ class FaultyPipeline:
         vehicle: VehicleConfig,
     ) -> None:
         self.knows = True
+        self.cameras = int(getattr(seen, "cameras", 1))
         self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
@@ -11,9 +12,9 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from automodel.bench.faults.fault import CameraHook, LaneHook, SensorHook, WireHook
+from automodel.bench.faults.fault import CameraHook, LaneHook, PairHook, SensorHook, WireHook
 from automodel.curves import Curve, TabulatedCurve, line
-from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, StereoFrame
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link import messages
@@ -125,6 +126,67 @@ def shifted_in_time(by_ns: int) -> Spoil:
 def late(draw_ns: Callable[[], int]) -> CameraHook:
     """Every frame has the right time, but is delivered so much later."""
     return lambda frame: (frame.t_ns + draw_ns(), frame)
+
+
+def of_eye(eye: int, spoil: Spoil) -> PairHook:
+    """The images of one eye of a pair (0: left, 1: right) are spoilt."""
+
+    def hook(pair: StereoFrame) -> tuple[int, StereoFrame] | None:
+        spoilt = spoil(Frame(t_ns=pair.t_ns, index=pair.index, image=(pair.left, pair.right)[eye]))
+        if spoilt is None:
+            return None
+        return 0, replace(pair, right=spoilt.image) if eye else replace(pair, left=spoilt.image)
+
+    return hook
+
+
+def alone(eye: int, period_ns: int, latency_ns: int) -> PairHook:
+    """The other camera has died, and the frames of `eye` come alone, as from `LivePair`.
+
+    That waits 2.5 periods for the other camera's image: the first frame is lost, and the second one comes late.
+    """
+    seen = itertools.count()
+
+    def hook(pair: StereoFrame) -> tuple[int, Frame] | None:
+        number = next(seen)
+        if number == 0:
+            return None
+        image = (pair.left, pair.right)[eye]
+        frame = Frame(t_ns=pair.t_ns + eye * pair.right_late_ns, index=pair.index, image=image, eye=eye)
+        return (pair.t_ns + latency_ns + period_ns // 2 if number == 1 else 0), frame
+
+    return hook
+
+
+def exchanged(pair: StereoFrame) -> tuple[int, StereoFrame]:
+    """The left image is the right camera's, and the other way round."""
+    return 0, replace(pair, left=pair.right, right=pair.left)
+
+
+def turned(angle_rad: float) -> Spoil:
+    """The camera is turned about its optical axis, counterclockwise as it looks."""
+
+    def spoil(frame: Frame) -> Frame:
+        height, width = frame.image.shape[:2]
+        # what a camera that is turned one way sees is turned the other way
+        turn = cv2.getRotationMatrix2D((0.5 * (width - 1), 0.5 * (height - 1)), -math.degrees(angle_rad), 1.0)
+        image = cv2.warpAffine(frame.image, turn, (width, height), borderMode=cv2.BORDER_REPLICATE)
+        return replace(frame, image=np.asarray(image, dtype=np.uint8))
+
+    return spoil
+
+
+def falling_apart(frames: int) -> PairHook:
+    """The right image is an older and older one, at last of `frames` frames before; its time says so."""
+    before: list[StereoFrame] = []
+
+    def hook(pair: StereoFrame) -> tuple[int, StereoFrame]:
+        before.append(pair)
+        older = before[max(len(before) - 1 - frames, 0)]
+        late_ns = older.t_ns + older.right_late_ns - pair.t_ns
+        return 0, replace(pair, right=older.right, right_late_ns=late_ns)
+
+    return hook
 
 
 def raising(estimate: LaneEstimate) -> LaneEstimate:

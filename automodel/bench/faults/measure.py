@@ -165,7 +165,7 @@ class FaultRig:
         self._estimator = None if by_truth else make_pipeline(pipeline, car)
         self._pipeline = FaultyPipeline(self._truth.step, self._estimator, hooks.lane, plan, self._staller, car.vehicle)
         lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
-        self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
+        self._source = FaultySource(lock_step, hooks, plan, self._clock, self._staller)
 
     def run(self) -> Observed:
         """Drive; raises Interrupted when a signal came."""
@@ -404,7 +404,7 @@ def measure(
     it does for each of its faults that `names` has). Raises ConfigError for an unknown fault, AvrMissing where the
     firmware cannot be built.
     """
-    faults = chosen(names, images=pipeline != TRUTH, link=link)
+    faults = chosen(names, images=pipeline != TRUTH, link=link, pairs=pipeline in PAIR_PIPELINES)
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from automodel.bench.faults.catalogue import CAN, FAULTS
@@ -21,9 +22,10 @@ stands. What the car must do:
   never leaves its lane;
 - **nothing**: it drives on as if there was no fault, and never leaves its lane;
 - **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
-  limit.
+  limit; without a limit it is no violation, but a figure.
 
-Of two cameras the left one fails. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
+Of two cameras the left one fails, but in the faults of `pair-`: those are of a pair, and only for a pipeline that
+needs one (`--pipeline stereo`). The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
 says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
 asked for: `nominal`, a minute without a fault, on any of the tracks, with random light and floor.
 
@@ -54,7 +56,8 @@ def text() -> str:
 def _row(fault: Fault) -> str:
     limited = fault.must in (Must.STOP, Must.HOLD) and fault.within_s < 1e3
     limit = f"{fault.within_s * 1e3:.0f} ms" if limited else "-"
-    limit = f"{fault.outside_m:g} m" if fault.must is Must.STAY else limit
+    if fault.must is Must.STAY:
+        limit = f"{fault.outside_m:g} m" if math.isfinite(fault.outside_m) else "-"
     return f"| `{fault.name}` | {fault.kind.value} | {fault.must.value} | {limit} | {fault.text} |"
 
 

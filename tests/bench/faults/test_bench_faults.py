@@ -15,7 +15,14 @@ from automodel.config import PipelineConfig
 from automodel.config import can as can_config
 from automodel.control import longitudinal as speed_module
 from automodel.runtime import safety
-from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, OffsetBoundCheck, SteeringCheck
+from automodel.runtime.input_checks import (
+    ImageCheck,
+    InputChecks,
+    LaneJumpCheck,
+    OffsetBoundCheck,
+    PairTimesCheck,
+    SteeringCheck,
+)
 from automodel.runtime.supervised_source import SupervisedSource
 from firmware_link import arduino, can_link, can_receiver
 from firmware_link.emulator import can_vehicle, logic
@@ -29,7 +36,7 @@ BENCH = ["bench", "faults", "--pipeline", "truth", "--jobs", "1"]
 
 
 def test_a_run_of_each_fault_has_no_violation(cli: Cli) -> None:
-    faults = [fault for fault in FAULTS if not fault.images]
+    faults = [fault for fault in FAULTS if not fault.images and not fault.pairs]
     said = cli(*BENCH, "--runs", len(faults), "--json")
     assert (said.code, said.err) == (0, "")
     rows = {row["fault"]: row for row in said.rows}
@@ -72,6 +79,33 @@ def test_of_a_pair_the_left_camera_fails(cli: Cli) -> None:
     only = ["--only", "camera-off", "--only", "camera-size", "--only", "camera-flat", "--runs", "3", "--json"]
     said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *only)
     assert (said.code, [row["violations"] for row in said.rows]) == (0, [0, 0, 0])
+
+
+OF_PAIRS = ("pair-off", "pair-stuck", "pair-dark", "pair-times")
+ONLY_PAIRS = [argument for name in OF_PAIRS for argument in ("--only", name)]
+
+
+@pytest.mark.slow
+def test_faults_of_pairs_have_no_violation(cli: Cli) -> None:
+    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *ONLY_PAIRS, "--runs", 16, "--json")
+    assert (said.code, [row["violations"] for row in said.rows]) == (0, [0, 0, 0, 0])
+    assert [row["reaction_max_ms"] is None for row in said.rows] == [True, False, False, False]
+
+
+@pytest.mark.parametrize(
+    ("name", "owner", "check", "text"),
+    [
+        ("pair-times", PairTimesCheck, "step", "never went neutral"),
+        ("pair-off", SupervisedSource, "_report_pair", "no 'camera-missing' was reported"),
+    ],
+)
+def test_a_product_that_believes_any_pair_is_found_out(
+    cli: Cli, monkeypatch: pytest.MonkeyPatch, name: str, owner: type, check: str, text: str
+) -> None:
+    monkeypatch.setattr(owner, check, _nothing)
+    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", "--only", name, "--runs", "1")
+    assert said.code == 1
+    assert text in said.err
 
 
 SOME_FAULTS = ("camera-black", "serial-random", "disk-slow", "perception-blip", "can-frame")
@@ -133,6 +167,7 @@ def test_the_list_names_every_fault_and_what_it_demands(cli: Cli) -> None:
         (["--real-time", "--pipeline", "truth"], "automodel: --real-time: drives a pipeline that looks at images"),
         (["--real-time", "--link", "avr"], "automodel: --real-time: drives a pipeline that looks at images"),
         (["--real-time", "--only", "real-kill"], "automodel: --only 'real-kill': no such fault; near: real-killed"),
+        (["--only", "pair-off"], "automodel: --only 'pair-off': needs a pipeline of two cameras: --pipeline stereo"),
         (["--pipeline", "lidar"], "automodel bench faults: Invalid value for '--pipeline'"),
     ],
 )

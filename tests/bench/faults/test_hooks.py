@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 
 from automodel.bench.faults import hooks
-from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
+from automodel.bench.faults.fault import At, CameraHook, Hooks, PairHook, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
 from automodel.config import VehicleConfig
 from automodel.runtime.clocks import VirtualClock
+from automodel.runtime.loop import Loop
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sources.errors import SourceError
 from firmware_link import messages
-from tests.support.runner_fakes import MS, estimate
+from tests.support.runner_fakes import MS, FakeController, FakeLimits, FakePipeline, estimate
 
 PERIOD_MS = 20
 PLAN = Plan(
@@ -60,7 +61,7 @@ class Ticking:
 def delivered(hook: CameraHook, stall: Stall | None = None) -> list[tuple[int, Frame]]:
     """When [ms] which frame came, from 1.9 s to 2.4 s."""
     clock = VirtualClock(1900 * MS)
-    source = FaultySource(Ticking(clock), hook, PLAN, clock, Staller(stall, PLAN, clock))
+    source = FaultySource(Ticking(clock), Hooks(camera=hook), PLAN, clock, Staller(stall, PLAN, clock))
     came = []
     while clock.now_ns() < 2400 * MS:
         frame = source.read(0.015)
@@ -291,7 +292,7 @@ class TickingPair(Ticking):
 def test_of_a_pair_the_left_image_is_spoilt() -> None:
     clock = VirtualClock(1900 * MS)
     hook = hooks.at_once(hooks.blank(255.0, 0.0, Random(1)))
-    source = FaultySource(TickingPair(clock), hook, PLAN, clock, Staller(None, PLAN, clock))
+    source = FaultySource(TickingPair(clock), Hooks(camera=hook), PLAN, clock, Staller(None, PLAN, clock))
     white = {}
     while clock.now_ns() < 2300 * MS:
         frame = source.read(0.015)
@@ -299,6 +300,93 @@ def test_of_a_pair_the_left_image_is_spoilt() -> None:
             white[frame.t_ns // MS] = (bool((frame.left == 255).all()), bool((frame.right == 255).all()))
     assert {t for t, (left, _) in white.items() if left} == set(range(2000, 2200, PERIOD_MS))
     assert not any(right for _, right in white.values())
+
+
+def delivered_pairs(pair: PairHook) -> tuple[FaultySource, list[tuple[int, Frame | StereoFrame, str]]]:
+    """When [ms] which frame came, from 1.9 s to 2.3 s, and what the source then said of its cameras."""
+    clock = VirtualClock(1900 * MS)
+    source = FaultySource(TickingPair(clock), Hooks(pair=pair), PLAN, clock, Staller(None, PLAN, clock))
+    came = []
+    while clock.now_ns() < 2300 * MS:
+        frame = source.read(0.015)
+        if frame is not None:
+            came.append((clock.now_ns() // MS, frame, source.trouble))
+    return source, came
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_of_a_pair_either_eye_is_spoilt_and_its_time_stays(eye: int) -> None:
+    _, came = delivered_pairs(hooks.of_eye(eye, hooks.blank(255.0, 0.0, Random(1))))
+    for t_ms, frame, trouble in came:
+        assert isinstance(frame, StereoFrame)
+        assert (frame.t_ns // MS, frame.right_late_ns, trouble) == (t_ms, 0, "")
+        spoilt, other = (frame.left, frame.right)[eye], (frame.left, frame.right)[1 - eye]
+        assert bool((spoilt == 255).all()) is (2000 <= t_ms < 2200)
+        assert not (other == 255).any()
+    assert hooks.of_eye(eye, hooks.drop)(came[0][1]) is None  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_an_eye_alone_goes_on_after_two_and_a_half_periods(eye: int) -> None:
+    _, came = delivered_pairs(hooks.alone(eye, PERIOD_MS * MS, 2 * MS))
+    alone = [(t_ms, frame, trouble) for t_ms, frame, trouble in came if isinstance(frame, Frame)]
+    assert [t_ms for t_ms, _, _ in alone] == [2032, *range(2040, 2200, PERIOD_MS)]
+    assert [frame.t_ns // MS for _, frame, _ in alone] == list(range(2020, 2200, PERIOD_MS))
+    assert {frame.eye for _, frame, _ in alone} == {eye}
+    assert {trouble for _, _, trouble in alone} == {f"{('right', 'left')[eye]} camera: no frame comes"}
+    pairs = [(t_ms, trouble) for t_ms, frame, trouble in came if isinstance(frame, StereoFrame)]
+    assert {trouble for _, trouble in pairs} == {""}
+    assert min(t_ms for t_ms, _ in pairs if t_ms >= 2000) == 2200
+
+
+def test_pairs_fall_apart_to_so_many_frames_and_say_so() -> None:
+    _, came = delivered_pairs(hooks.falling_apart(3))
+    late = [frame.right_late_ns // MS for t_ms, frame, _ in came if isinstance(frame, StereoFrame) and t_ms >= 2000]
+    assert late[:11] == [0, -20, -40, *[-60] * 7, 0]
+    for t_ms, frame, _ in came:
+        assert isinstance(frame, StereoFrame)
+        assert frame.t_ns // MS == t_ms
+        assert (int(frame.left[0, 0]) - int(frame.right[0, 0])) * -PERIOD_MS == frame.right_late_ns // MS
+
+
+def test_eyes_are_exchanged() -> None:
+    left, right = np.zeros((4, 6), np.uint8), np.ones((4, 6), np.uint8)
+    due_ns, pair = hooks.exchanged(StereoFrame(t_ns=5, index=3, left=left, right=right))
+    assert (due_ns, pair.t_ns, pair.index, pair.left.max(), pair.right.min()) == (0, 5, 3, 1, 0)
+
+
+@pytest.mark.parametrize("angle_deg", [-4.0, 3.0])
+def test_what_a_camera_turned_counterclockwise_sees_is_turned_clockwise(angle_deg: float) -> None:
+    image = np.zeros((101, 201), np.uint8)
+    image[50] = 200
+    out = hooks.turned(math.radians(angle_deg))(Frame(t_ns=5, index=3, image=image))
+    assert out is not None
+    columns = np.arange(40, 161)
+    rows = (np.arange(101)[:, None] * out.image.astype(float)).sum(0) / out.image.sum(0)
+    slope, middle = np.polyfit(columns - 100.0, rows[columns], 1)  # rows count downwards: clockwise is positive
+    assert math.degrees(math.atan(slope)) == pytest.approx(angle_deg, abs=0.1)
+    assert middle == pytest.approx(50.0, abs=0.1)
+
+
+class TwoEyed(FakePipeline):
+    """A pipeline of two cameras."""
+
+    cameras = 2
+
+
+@pytest.mark.parametrize(("seen", "kind"), [(TwoEyed(), StereoFrame), (FakePipeline(), Frame)])
+def test_a_pipeline_gets_as_many_images_as_it_needs(seen: FakePipeline, kind: type) -> None:
+    """In a loop the pipeline with the fault built in stands for the one inside."""
+
+    def truth(frame: Frame, motion: Motion) -> LaneEstimate:
+        return estimate(frame.t_ns)
+
+    clock, image = VirtualClock(0), np.zeros((4, 6), dtype=np.uint8)
+    pipeline = FaultyPipeline(truth, seen, None, PLAN, Staller(None, PLAN, clock), VehicleConfig())
+    loop = Loop(pipeline, FakeController(), FakeLimits(), validity_s=0.1)
+    pair = StereoFrame(t_ns=PLAN.start_ns, index=0, left=image, right=image)
+    loop.tick(pair, Motion(t_ns=PLAN.start_ns, speed_mps=1.0, yaw_rate_radps=0.0), None, PLAN.start_ns)
+    assert [type(frame) for frame in seen.seen] == [kind]
 
 
 def test_a_mask_slides_by_so_many_pixels_and_time_and_index_stay() -> None:

@@ -54,7 +54,7 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
     assert {fault.kind for fault in FAULTS} == set(Kind) - {Kind.NONE}
     names = [fault.name for fault in (*FAULTS, *CAN, NOMINAL)]
     assert len(names) == len(set(names))
-    assert len(FAULTS) <= 73  # a run of each in the fast lane
+    assert sum(not fault.pairs for fault in FAULTS) <= 73  # a run of each in the fast lane
     for fault in FAULTS:
         assert fault.duration_s[0] <= fault.duration_s[1]
         assert math.isfinite(fault.recovery_s)
@@ -94,6 +94,17 @@ def test_what_needs_images_is_left_out_where_there_are_none() -> None:
     assert needing.isdisjoint(fault.name for fault in chosen((), images=False))
     with pytest.raises(ValueError, match=r"'network-adds': needs a pipeline that looks at images"):
         chosen(("network-adds",), images=False)
+
+
+def test_what_needs_two_cameras_is_left_out_where_there_is_one() -> None:
+    needing = {fault.name for fault in FAULTS if fault.pairs}
+    assert needing == {"pair-off", "pair-stuck", "pair-dark", "pair-times", "pair-swapped", "pair-turned"}
+    assert needing.isdisjoint(fault.name for fault in chosen((), pairs=False))
+    reported = {fault.name for fault in FAULTS if fault.must is Must.STAY and math.isinf(fault.outside_m)}
+    assert reported == {"pair-swapped", "pair-turned"}
+    assert needing.isdisjoint(fault.name for fault in chosen((), images=False))
+    with pytest.raises(ValueError, match=r"'pair-off': needs a pipeline of two cameras"):
+        chosen(("pair-off",), pairs=False)
 
 
 def test_a_person_asks_to_arm_a_car_that_stands() -> None:
