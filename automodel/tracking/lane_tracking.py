@@ -310,7 +310,7 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
-        elif self._refuted(measured) if own else self._strays(measured):
+        elif self._refuted(measured):
             return self._reckoned
         return None
 
