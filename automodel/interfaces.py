@@ -36,6 +36,14 @@ class Pipeline(Protocol):
         """Forget everything but the configuration."""
 
 
+def cameras_of(pipeline: object) -> int:
+    """How many cameras a pipeline looks through: what its `cameras` says, one where it has none.
+
+    `Pipeline.step` of one that looks through two takes a `StereoFrame`, or a `Frame` of the eye that is left.
+    """
+    return int(getattr(pipeline, "cameras", 1))
+
+
 class Controller(Protocol):
     """Computes the requested command from a lane estimate and the vehicle's state; limits follow."""
 

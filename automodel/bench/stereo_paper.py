@@ -30,7 +30,7 @@ from automodel.config.camera import SecondCamera
 from automodel.config.pipelines import CenterlineConfig, ContourConfig, StereoConfig, WindowsConfig
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
-from automodel.interfaces import Pipeline
+from automodel.interfaces import Pipeline, cameras_of
 from automodel.pipelines.stereo import Stereo
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sim.appearance import Appearance
@@ -131,7 +131,7 @@ class Watched:
     @property
     def pairs(self) -> bool:
         """Whether it sees with both eyes."""
-        return int(getattr(self.pipeline, "cameras", 1)) > 1
+        return cameras_of(self.pipeline) > 1
 
     def see(self, pair: StereoFrame, motion: Motion, truths: Sequence[Truth], pitch_rad: float) -> None:
         """One pair, of which a monocular pipeline gets the left image; `truths`: of each lane, the rightmost first."""

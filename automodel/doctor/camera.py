@@ -20,7 +20,7 @@ from automodel.assembly.parts import make_pipeline
 from automodel.config import CarConfig
 from automodel.doctor.camera_pair import judge_times, rig_findings
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
-from automodel.interfaces import Source
+from automodel.interfaces import Source, cameras_of
 from automodel.signals import Frame, LaneEstimate, Motion, MotionSource, StereoFrame
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.images import with_channels
@@ -288,7 +288,7 @@ def lane_finding(car: CarConfig, frames: list[AnyFrame]) -> Finding:
             car.pipeline.name, dataclasses.replace(car, pipeline=dataclasses.replace(car.pipeline, centerline=options))
         )
         widths, step = [], cast(Callable[[AnyFrame, Motion], LaneEstimate], pipeline.step)
-        for frame in frames if getattr(pipeline, "cameras", 1) > 1 else map(left_frame, frames):
+        for frame in frames if cameras_of(pipeline) > 1 else map(left_frame, frames):
             still = Motion(t_ns=frame.t_ns, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
             width = seen_width_m(step(frame, still))
             if width is not None:

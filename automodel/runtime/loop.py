@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from automodel.interfaces import Controller, Driver, Pipeline
+from automodel.interfaces import Controller, Driver, Pipeline, cameras_of
 from automodel.runtime.clocks import NS_PER_S
 from automodel.signals import (
     Command,
@@ -125,7 +125,7 @@ class Loop:
         if not validity_s > 0:
             raise ValueError(f"validity_s: expected a positive number, got {validity_s}")
         self._pipeline = pipeline
-        self._cameras = int(getattr(pipeline, "cameras", 1))
+        self._cameras = cameras_of(pipeline)
         self._controller = controller
         self._limits = limits
         self._validity_ns = round(validity_s * NS_PER_S)

@@ -18,7 +18,7 @@ from automodel.sources.errors import EndOfSource, SourceError
 SIDES = ("left", "right")
 
 _NS = 1_000_000_000
-_MISSING_PERIODS = 2.5  # without a new image a camera is missing: one lost frame is no failure, and at 60 Hz the other
+MISSING_PERIODS = 2.5  # without a new image a camera is missing: one lost frame is no failure, and at 60 Hz the other
 # camera's image comes before the car is held ([safety] frame_timeout_s)
 _AHEAD = 2  # frames of the other camera meanwhile: else it is the machine that stood still
 _APART = 4  # frames in a row, of both cameras, without a partner: more than a lost one of each explains
@@ -188,7 +188,7 @@ class LivePair:
 
     def __init__(self, cameras: Sequence[Callable[[], Source]], tolerance_s: float, rate_hz: float) -> None:
         self.rate_hz, self.tolerance_s = rate_hz, tolerance_s
-        self._patience_ns, self._half_ns = round(_MISSING_PERIODS * _NS / rate_hz), round(0.5 * _NS / rate_hz)
+        self._patience_ns, self._half_ns = round(MISSING_PERIODS * _NS / rate_hz), round(0.5 * _NS / rate_hz)
         self._pairing = Pairing(tolerance_s)
         self._most = max(2, round(_OLDEST_S * rate_hz))
         self._changed, self._stop = threading.Condition(), threading.Event()

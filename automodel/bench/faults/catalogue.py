@@ -124,7 +124,7 @@ CAMERA = (
 )  # fmt: skip
 
 
-PERIOD_NS = round(1e9 / CameraConfig().rate_hz)
+FRAME_NS = round(1e9 / CameraConfig().rate_hz)  # from one frame to the next
 
 
 def _of_one_eye(random: Random, spoil: hooks.Spoil) -> Hooks:
@@ -137,7 +137,7 @@ def _of_one_eye(random: Random, spoil: hooks.Spoil) -> Hooks:
 PAIR = (
     Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
           text="no image of one of two cameras comes: those of the other one come alone",
-          hooks=lambda random, end_ns: Hooks(pair=hooks.alone(random.randrange(2), PERIOD_NS, LATENCY_NS))),
+          hooks=lambda random, end_ns: Hooks(pair=hooks.alone(random.randrange(2), FRAME_NS, LATENCY_NS))),
     Fault(name="pair-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S, pairs=True,
           text="the same image of one of two cameras again and again, in pairs with new ones of the other",
           hooks=lambda random, end_ns: _of_one_eye(random, hooks.frozen())),
@@ -557,16 +557,14 @@ def chosen(names: Iterable[str], images: bool = True, link: str | None = None, p
     Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, or at none
     of `pairs` of cameras, for a fault that needs them.
     """
-    asked = named(names, (*FAULTS, *CAN, NOMINAL))
+    asked, pairs = named(names, (*FAULTS, *CAN, NOMINAL)), pairs and images
     for fault in asked:
         if fault.images and not images:
             raise ConfigError(f"--only {fault.name!r}: needs a pipeline that looks at images")
-        if fault.pairs and not (images and pairs):
+        if fault.pairs and not pairs:
             raise ConfigError(f"--only {fault.name!r}: needs a pipeline of two cameras: --pipeline stereo")
     without = (*FAULTS, *CAN) if link is None else BY_LINK[link]
-    return asked or tuple(
-        fault for fault in without if (images or not fault.images) and ((images and pairs) or not fault.pairs)
-    )
+    return asked or tuple(fault for fault in without if (images or not fault.images) and (pairs or not fault.pairs))
 
 
 _TIMED = (Must.STOP, Must.HOLD)

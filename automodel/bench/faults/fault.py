@@ -130,8 +130,8 @@ class Fault:
     before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
     stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
-    must stay in its lane, its body may leave it by so much (infinite: by how much is only
-    reported). `anywhere`: on any track, with a random look. `pairs`: it needs a pipeline of two cameras.
+    must stay in its lane, its body may leave it by so much (infinite: by how much is only reported). `anywhere`: on any
+    track, with a random look. `pairs`: it needs a pipeline of two cameras.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """

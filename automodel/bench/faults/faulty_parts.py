@@ -20,7 +20,7 @@ import numpy as np
 from automodel.bench.faults.fault import At, Disk, Hooks, LaneHook, Stall
 from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
 from automodel.config import RecordingConfig, VehicleConfig
-from automodel.interfaces import Pipeline, Recorder, Source
+from automodel.interfaces import Pipeline, Recorder, Source, cameras_of
 from automodel.recording.run_file import RunFile
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
@@ -139,7 +139,7 @@ class FaultyPipeline:
         vehicle: VehicleConfig,
     ) -> None:
         self.knows = True
-        self.cameras = int(getattr(seen, "cameras", 1))
+        self.cameras = cameras_of(seen)
         self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller

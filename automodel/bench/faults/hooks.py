@@ -16,6 +16,7 @@ from automodel.bench.faults.fault import CameraHook, LaneHook, PairHook, SensorH
 from automodel.curves import Curve, TabulatedCurve, line
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, StereoFrame
 from automodel.sources.errors import SourceError
+from automodel.sources.pairs import MISSING_PERIODS
 from automodel.types import Image
 from firmware_link import messages
 
@@ -143,17 +144,18 @@ def of_eye(eye: int, spoil: Spoil) -> PairHook:
 def alone(eye: int, period_ns: int, latency_ns: int) -> PairHook:
     """The other camera has died, and the frames of `eye` come alone, as from `LivePair`.
 
-    That waits 2.5 periods for the other camera's image: the first frame is lost, and the second one comes late.
+    That waits for the other camera's image for `MISSING_PERIODS` since its last one: of the frames meanwhile the newest
+    comes late, and those before it are lost.
     """
-    seen = itertools.count()
+    seen, late, after_ns = itertools.count(1), int(MISSING_PERIODS), round(MISSING_PERIODS % 1.0 * period_ns)
 
     def hook(pair: StereoFrame) -> tuple[int, Frame] | None:
         number = next(seen)
-        if number == 0:
+        if number < late:
             return None
         image = (pair.left, pair.right)[eye]
         frame = Frame(t_ns=pair.t_ns + eye * pair.right_late_ns, index=pair.index, image=image, eye=eye)
-        return (pair.t_ns + latency_ns + period_ns // 2 if number == 1 else 0), frame
+        return (pair.t_ns + latency_ns + after_ns if number == late else 0), frame
 
     return hook
 
