@@ -5,11 +5,14 @@
 - `width_fault`: the lane has a width that a lane can have.
 - `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
 - `SteeringCheck`: the car turns as it is steered, by the gyro where there is one.
+- `PairCheck` (of its own module): the two cameras are those of car.toml.
 """
 
 from __future__ import annotations
 
 import math
+
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -27,6 +30,9 @@ from automodel.signals import (
     same_image,
 )
 from automodel.types import Image
+
+if TYPE_CHECKING:
+    from automodel.runtime.pair_check import PairCheck
 
 OFFSET_LANES = 0.5  # further to the side than half a lane's width, another line was taken for the lane's
 HEADING_RAD = 0.6  # turned by more than this, a line across the road was
@@ -237,6 +243,10 @@ class InputChecks:
     def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
+        right = car.camera.right
+        self._apart_s = math.inf if right is None else right.tolerance_s(car.camera.rate_hz)
+        self._pair: StereoFrame | None = None  # the last one that fits
+        self._pair_check = _pair_check(car)
         self._vehicle = car.vehicle
         self._lane_jump = LaneJumpCheck(car.vehicle)
         self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
@@ -244,20 +254,43 @@ class InputChecks:
 
     def misfit(self, frame: Frame | StereoFrame) -> str | None:
         """Why nothing can be made of the frame, None where it can be looked at."""
+        if isinstance(frame, StereoFrame) and abs(frame.right_late_ns) * 1e-9 > self._apart_s:
+            late_ms = 1e-6 * frame.right_late_ns
+            when = "after" if late_ms > 0.0 else "before"
+            return (
+                f"the right image was taken {abs(late_ms):.1f} ms {when} the left one (limit {1e3 * self._apart_s:.1f}):"
+                " they are no pair"
+            )
         return next(filter(None, (check.misfit(image) for check, image in self._seen(frame))), None)
 
     def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
         """What is wrong with a frame that fits."""
+        self._pair = frame if isinstance(frame, StereoFrame) else None
         return tuple(filter(None, (check.step(image, frame.t_ns) for check, image in self._seen(frame))))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
-        """What is wrong with the lane or too uncertain, or wrong with how the car moves."""
+        """What is wrong with the lane or too uncertain, with how the car moves, or with the cameras as a pair."""
         jump, turns = self._lane_jump.step(estimate), self._steering.step(motion, state)
         uncertain, width = self._offset_bound.step(estimate, motion, state), width_fault(estimate, self._vehicle)
-        return tuple(filter(None, (jump, width, uncertain, turns)))
+        cameras = None
+        if self._pair is not None and self._pair_check is not None:
+            cameras = self._pair_check.step(self._pair, state is not None and state.armed)
+        return tuple(filter(None, (jump, width, uncertain, turns, cameras)))
 
     def _seen(self, frame: Frame | StereoFrame) -> list[tuple[ImageCheck, Image]]:
         """Each image with the check of its camera; a single image leaves the other camera's idle."""
         if isinstance(frame, StereoFrame):
             return list(zip(self._pictures, (frame.left, frame.right), strict=True))
         return [(self._pictures[frame.eye], frame.image)]
+
+
+def _pair_check(car: CarConfig) -> PairCheck | None:
+    """The check of a car with two calibrated cameras; loaded for that one alone."""
+    if car.camera.right is None:
+        return None
+    from automodel.runtime.pair_check import PairCheck
+
+    try:
+        return PairCheck(car)
+    except ValueError:  # no pair, such as two cameras at one place: a pipeline that needs one says so
+        return None

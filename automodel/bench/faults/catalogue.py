@@ -124,6 +124,44 @@ CAMERA = (
 )  # fmt: skip
 
 
+REFUSED_S = (2.5, 3.5)  # of asking: five times what a car that is well takes to be armed, at least
+
+
+def _eye(random: Random, spoil: hooks.Spoil) -> Hooks:
+    return Hooks(pair=hooks.of_eye(random.randrange(2), spoil))
+
+
+def _turned(random: Random) -> Hooks:
+    """One of the eyes, about one of its axes."""
+    by_rad = random.choice((-1, 1)) * math.radians(random.uniform(1.0, 2.0))
+    axis = random.randrange(3)
+    return Hooks(rig=hooks.turned(random.randrange(2), *(by_rad * (axis == k) for k in range(3))))
+
+
+PAIR = (
+    Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.3, 1.0), images=True, pair=True,
+          text="one camera of two gives nothing: the other one's images come alone",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.without_eye(random.randrange(2)))),
+    Fault(name="pair-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S, images=True, pair=True,
+          text="one camera of two gives the same image again and again",
+          hooks=lambda random, end_ns: _eye(random, hooks.frozen())),
+    Fault(name="pair-dark", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, images=True, pair=True,
+          text="one camera of two gives black images with sensor noise",
+          hooks=lambda random, end_ns: _eye(random, hooks.blank(2.0, 2.0, random))),
+    Fault(name="pair-times", kind=Kind.DELAYED, must=Must.STOP, duration_s=HELD_S, images=True, pair=True,
+          text="the right image was taken 17 to 100 ms before the left one",
+          hooks=lambda random, end_ns: Hooks(pair=hooks.lagging(random.randint(1, 6)))),
+    Fault(name="pair-swapped", kind=Kind.WRONG, must=Must.REFUSE, duration_s=REFUSED_S, images=True, pair=True,
+          from_start=True, text="the left camera is the right one, and the right one the left one, from the start",
+          hooks=lambda random, end_ns: Hooks(rig=hooks.exchanged)),
+    Fault(name="pair-turned", kind=Kind.WRONG, must=Must.STAY, duration_s=REFUSED_S, images=True, pair=True,
+          from_start=True, outside_m=0.1,
+          text="one camera of two is turned by 1 to 2 degrees against car.toml, from the start: refused, stopped, or"
+          " taken in by the ground plane",
+          hooks=lambda random, end_ns: _turned(random)),
+)  # fmt: skip
+
+
 def _not_finite(random: Random) -> LaneHook:
     field = random.choice(("offset_m", "heading_rad", "width_m", "curvature_per_m"))
     return hooks.with_pose(**{field: random.choice((math.nan, math.inf, -math.inf))})
@@ -491,7 +529,7 @@ NOMINAL = Fault(name="nominal", kind=Kind.NONE, must=Must.NOTHING, duration_s=(6
                 hooks=lambda random, end_ns: Hooks())  # fmt: skip
 # What the firmware on its chip is tried with; its sonars time echoes, whose faults are not those of single readings.
 ON_CHIP = tuple(fault for fault in (*SERIAL, *BOARD) if not fault.name.startswith("sonar-"))
-FAULTS = (*CAMERA, *PERCEPTION, *NETWORK, *FLOOR, *LOOP, *SERIAL, *BOARD, *RECORDING)
+FAULTS = (*CAMERA, *PAIR, *PERCEPTION, *NETWORK, *FLOOR, *LOOP, *SERIAL, *BOARD, *RECORDING)
 BY_LINK = {"arduino": FAULTS, "avr": ON_CHIP, "can": CAN}
 
 
@@ -518,18 +556,24 @@ def named(names: Iterable[str], faults: Sequence[Fitting]) -> tuple[Fitting, ...
     return tuple(fault for fault in known.values() if fault.name in asked)
 
 
-def chosen(names: Iterable[str], images: bool = True, link: str | None = None) -> tuple[Fault, ...]:
+def chosen(
+    names: Iterable[str], images: bool = True, pair: bool = True, link: str | None = None
+) -> tuple[Fault, ...]:
     """The faults of these names in the catalogue's order; without names those of `link`, or all but `nominal`.
 
-    Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, for a fault
-    that needs them.
+    Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, or not at
+    those of a `pair` of cameras, for a fault that needs them.
     """
     asked = named(names, (*FAULTS, *CAN, NOMINAL))
     for fault in asked:
         if fault.images and not images:
             raise ConfigError(f"--only {fault.name!r}: needs a pipeline that looks at images")
+        if fault.pair and not pair:
+            raise ConfigError(f"--only {fault.name!r}: needs a pipeline of two cameras; give --pipeline stereo")
     without = (*FAULTS, *CAN) if link is None else BY_LINK[link]
-    return asked or tuple(fault for fault in without if images or not fault.images)
+    return asked or tuple(
+        fault for fault in without if (images or not fault.images) and (pair or not fault.pair)
+    )
 
 
 _TIMED = (Must.STOP, Must.HOLD)

@@ -8,12 +8,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
 
-from automodel.signals import BoardSensors, Frame, LaneEstimate
+from automodel.config import CameraConfig
+from automodel.signals import BoardSensors, Frame, LaneEstimate, StereoFrame
 from firmware_link.emulator.can_vehicle import EmulatedCanVehicle
 
 BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's pin
 
 CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
+PairHook = Callable[[StereoFrame], Frame | StereoFrame]  # what the two cameras give instead
+RigHook = Callable[[tuple[CameraConfig, CameraConfig]], tuple[CameraConfig, CameraConfig]]  # what stands on the car
 LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
 WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
 PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
@@ -75,10 +78,13 @@ class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
     Hooks are called from the fault's start to its end only. `to_board` gets what the host writes at once (a frame),
-    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start.
+    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start. `rig` takes the
+    two cameras of car.toml, left first, and gives those that the car really has, for the whole run.
     """
 
     camera: CameraHook | None = None
+    pair: PairHook | None = None
+    rig: RigHook | None = None
     lane: LaneHook | None = None
     stall: Stall | None = None
     to_board: WireHook | None = None
@@ -111,6 +117,7 @@ class Must(enum.Enum):
     STOP = "stop"  # neutral within the bound, then straight, until a person arms it again
     HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
     NOTHING = "nothing"  # drive on
+    REFUSE = "refuse"  # never be armed, whoever asks: it is wrong from the start
     STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill
 
 
@@ -127,7 +134,8 @@ class Fault:
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
     before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
-    stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
+    stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images; `pair`: at those of two cameras.
+    `from_start`: it is there before the car is armed, and the pipeline sees the road from the first frame on. `outside_m`: where it
     must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with a random look.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
@@ -151,3 +159,5 @@ class Fault:
     outside_m: float = 0.0
     anywhere: bool = False
     images: bool = False
+    pair: bool = False
+    from_start: bool = False

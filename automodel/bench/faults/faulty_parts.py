@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from automodel.bench.faults.fault import At, CameraHook, Disk, Hooks, LaneHook, Stall
-from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
+from automodel.bench.faults.judge import Plan
 from automodel.config import RecordingConfig, VehicleConfig
 from automodel.interfaces import Pipeline, Recorder, Source
 from automodel.recording.run_file import RunFile
@@ -58,10 +58,8 @@ class Staller:
 class FaultySource:
     """A `Source`; frames that were taken while the fault lasts go through its hook."""
 
-    def __init__(
-        self, source: Source, hook: CameraHook | None, plan: Plan, clock: VirtualClock, staller: Staller
-    ) -> None:
-        self._source, self._hook, self._plan, self._clock = source, hook, plan, clock
+    def __init__(self, source: Source, hooks: Hooks, plan: Plan, clock: VirtualClock, staller: Staller) -> None:
+        self._source, self._hook, self._pair, self._plan, self._clock = source, hooks.camera, hooks.pair, plan, clock
         self._staller = staller
         self._late: deque[tuple[int, Frame | StereoFrame]] = deque()
 
@@ -82,8 +80,11 @@ class FaultySource:
 
     def _take(self, frame: Frame | StereoFrame) -> None:
         delivery: tuple[int, Frame | StereoFrame] | None = (0, frame)
-        if self._hook is not None and self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
-            delivery = self._spoilt(self._hook, frame)
+        if self._plan.start_ns <= frame.t_ns < self._plan.end_ns:
+            if self._pair is not None and isinstance(frame, StereoFrame):
+                delivery = (0, self._pair(frame))
+            elif self._hook is not None:
+                delivery = self._spoilt(self._hook, frame)
         if delivery is not None:
             due_ns, out = delivery
             before_ns = self._late[-1][0] if self._late else 0  # frames do not overtake each other
@@ -107,7 +108,7 @@ class FaultySource:
 class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
-    Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
+    Without `seen` it always gives the truth. It needs as many `cameras` as `seen`. Estimates of frames that were taken while the fault lasts go through its
     hook. `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
     free space beside the car. Where it states no bound (the truth), it is.
     """
@@ -124,6 +125,7 @@ class FaultyPipeline:
         vehicle: VehicleConfig,
     ) -> None:
         self.knows = True
+        self.cameras = int(getattr(seen, "cameras", 1))
         self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
         self._staller = staller
@@ -141,10 +143,15 @@ class FaultyPipeline:
         return estimate
 
     def _estimate(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        if self._seen is None or frame.t_ns < RENDERED_NS:
+        if self._seen is None or frame.t_ns < self._plan.rendered_ns:
             return self._truth(frame, motion)
         seen = self._seen.step(frame, motion)
-        return seen if frame.t_ns >= PIPELINE_NS else self._truth(frame, motion)
+        return seen if frame.t_ns >= self._plan.pipeline_ns else self._truth(frame, motion)
+
+    @property
+    def trouble(self) -> str:
+        """The pipeline's, while its estimates count."""
+        return str(getattr(self._seen, "trouble", ""))
 
     def reset(self) -> None:
         """As the pipeline's."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from random import Random
@@ -11,9 +12,10 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from automodel.bench.faults.fault import CameraHook, LaneHook, SensorHook, WireHook
+from automodel.bench.faults.fault import CameraHook, LaneHook, PairHook, RigHook, SensorHook, WireHook
+from automodel.config import CameraConfig
 from automodel.curves import Curve, TabulatedCurve, line
-from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus
+from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, StereoFrame
 from automodel.sources.errors import SourceError
 from automodel.types import Image
 from firmware_link import messages
@@ -125,6 +127,58 @@ def shifted_in_time(by_ns: int) -> Spoil:
 def late(draw_ns: Callable[[], int]) -> CameraHook:
     """Every frame has the right time, but is delivered so much later."""
     return lambda frame: (frame.t_ns + draw_ns(), frame)
+
+
+def without_eye(eye: int) -> PairHook:
+    """One camera gives nothing: the other one's images come alone."""
+
+    def hook(pair: StereoFrame) -> Frame:
+        image, late_ns = (pair.right, pair.right_late_ns) if eye == 0 else (pair.left, 0)
+        return Frame(t_ns=pair.t_ns + late_ns, index=pair.index, image=image, eye=1 - eye)
+
+    return hook
+
+
+def of_eye(eye: int, spoil: Spoil) -> PairHook:
+    """One camera's images are spoilt, its times and the other one's images are as they were."""
+    side = ("left", "right")[eye]
+
+    def hook(pair: StereoFrame) -> StereoFrame:
+        spoilt = spoil(Frame(t_ns=pair.t_ns, index=pair.index, image=getattr(pair, side), eye=eye))
+        return pair if spoilt is None else replace(pair, **{side: spoilt.image})
+
+    return hook
+
+
+def lagging(frames: int) -> PairHook:
+    """The right camera's image is that of up to `frames` pairs before, with the time at which it was taken."""
+    before: deque[tuple[int, Image]] = deque(maxlen=frames + 1)
+
+    def hook(pair: StereoFrame) -> StereoFrame:
+        before.append((pair.t_ns + pair.right_late_ns, pair.right))
+        t_ns, image = before[0]
+        return replace(pair, right=image, right_late_ns=t_ns - pair.t_ns)
+
+    return hook
+
+
+def exchanged(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
+    """The left camera stands where the right one is said to be, and the right one where the left one is."""
+    return eyes[1], eyes[0]
+
+
+def turned(eye: int, yaw_rad: float, pitch_rad: float, roll_rad: float) -> RigHook:
+    """One camera is turned by so much against its calibration."""
+
+    def hook(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
+        at = eyes[eye].extrinsics
+        place = replace(
+            at, yaw_rad=at.yaw_rad + yaw_rad, pitch_rad=at.pitch_rad + pitch_rad, roll_rad=at.roll_rad + roll_rad
+        )
+        camera = replace(eyes[eye], extrinsics=place)
+        return (camera, eyes[1]) if eye == 0 else (eyes[0], camera)
+
+    return hook
 
 
 def raising(estimate: LaneEstimate) -> LaneEstimate:

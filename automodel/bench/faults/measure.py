@@ -37,7 +37,6 @@ from automodel.bench.faults.faulty_parts import (
 )
 from automodel.bench.faults.judge import (
     REARM_S,
-    RENDERED_NS,
     Observed,
     Pin,
     Plan,
@@ -154,7 +153,7 @@ class FaultRig:
         self._simulated: AvrBoard | None = None
         self._stopping = False
         by_truth = pipeline == TRUTH
-        self._first = math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
+        self._first = math.ceil(plan.rendered_ns * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
         self._build_world(None if by_truth else self._first)
         self._clock = VirtualClock(0, self._advance)
         self._person = Person(plan, self._clock)
@@ -165,7 +164,7 @@ class FaultRig:
         self._estimator = None if by_truth else make_pipeline(pipeline, car)
         self._pipeline = FaultyPipeline(self._truth.step, self._estimator, hooks.lane, plan, self._staller, car.vehicle)
         lock_step = LockStepSource(self._world, self._clock, car.camera.rate_hz, LATENCY_NS, self._on_scene)
-        self._source = FaultySource(lock_step, hooks.camera, plan, self._clock, self._staller)
+        self._source = FaultySource(lock_step, hooks, plan, self._clock, self._staller)
 
     def run(self) -> Observed:
         """Drive; raises Interrupted when a signal came."""
@@ -218,7 +217,10 @@ class FaultRig:
             slip=self._slip(),
             seed=plan.look,
         )
-        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(car.camera.eyes)]
+        eyes, rig = car.camera.eyes, self._hooks.rig
+        if rig is not None and len(eyes) == 2:
+            eyes = rig((eyes[0], eyes[1]))
+        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(eyes)]
         self._world = World(
             Plant(true, start),
             EyePair(*cameras) if len(cameras) > 1 else cameras[0],
@@ -404,7 +406,7 @@ def measure(
     it does for each of its faults that `names` has). Raises ConfigError for an unknown fault, AvrMissing where the
     firmware cannot be built.
     """
-    faults = chosen(names, images=pipeline != TRUTH, link=link)
+    faults = chosen(names, images=pipeline != TRUTH, pair=pipeline in PAIR_PIPELINES, link=link)
     cases = [Case(faults[number % len(faults)].name, number // len(faults)) for number in range(runs)]
     verdicts: dict[str, list[Verdict]] = {case.name: [] for case in cases}
     with tempfile.TemporaryDirectory(prefix="avr-") as folder:
