@@ -265,8 +265,8 @@ class Stereo:
             return ""
         self._off += 1
         return (
-            "the ground as both cameras see it does not fit their calibration: a camera was turned, or they are swapped,"
-            " or car.toml is that of another pair"
+            "the ground as both cameras see it does not fit their calibration: a camera was turned, or they are"
+            " swapped, or car.toml is that of another pair"
         )
 
     def _odds(self, eye: int, stripes: tuple[Stripes, Stripes], images: Sequence[Image | None]) -> FloatArray:

@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import math
-
 from typing import TYPE_CHECKING
 
 import cv2
@@ -258,8 +257,8 @@ class InputChecks:
             late_ms = 1e-6 * frame.right_late_ns
             when = "after" if late_ms > 0.0 else "before"
             return (
-                f"the right image was taken {abs(late_ms):.1f} ms {when} the left one (limit {1e3 * self._apart_s:.1f}):"
-                " they are no pair"
+                f"the right image was taken {abs(late_ms):.1f} ms {when} the left one"
+                f" (limit {1e3 * self._apart_s:.1f}): they are no pair"
             )
         return next(filter(None, (check.misfit(image) for check, image in self._seen(frame))), None)
 

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from automodel.config import CameraConfig, CarConfig, PipelineConfig, VehicleConfig
+from automodel.config import CameraConfig, CarConfig, PipelineConfig, SecondCamera, VehicleConfig
 from automodel.curves import line
 from automodel.runtime.input_checks import (
     FLAT_LEVELS,
@@ -95,6 +95,19 @@ def test_both_pictures_of_a_pair_are_looked_at() -> None:
     pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[0][::2])
     assert checks.misfit(pair) is not None
     assert checks.misfit(Frame(t_ns=0, index=0, image=ROAD[0][::2], eye=1)) is not None
+
+
+@pytest.mark.parametrize(
+    ("late_ms", "when"), [(5.1, "after"), (-5.1, "before"), (5.0, None), (-5.0, None), (0.0, None)]
+)
+def test_images_taken_at_different_times_are_no_pair(late_ms: float, when: str | None) -> None:
+    camera = dataclasses.replace(CAR.camera, right=SecondCamera(pair_tolerance_s=0.005))
+    checks = InputChecks(dataclasses.replace(CAR, camera=camera))
+    pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[1], right_late_ns=round(late_ms * MS))
+    text = checks.misfit(pair)
+    assert (text is None) == (when is None)
+    if when is not None:
+        assert text == f"the right image was taken 5.1 ms {when} the left one (limit 5.0): they are no pair"
 
 
 def test_an_image_of_the_right_camera_alone_is_compared_with_its_own() -> None:

@@ -556,9 +556,7 @@ def named(names: Iterable[str], faults: Sequence[Fitting]) -> tuple[Fitting, ...
     return tuple(fault for fault in known.values() if fault.name in asked)
 
 
-def chosen(
-    names: Iterable[str], images: bool = True, pair: bool = True, link: str | None = None
-) -> tuple[Fault, ...]:
+def chosen(names: Iterable[str], images: bool = True, pair: bool = True, link: str | None = None) -> tuple[Fault, ...]:
     """The faults of these names in the catalogue's order; without names those of `link`, or all but `nominal`.
 
     Raises ConfigError for an unknown name, with similar ones; and, where the pipeline looks at no `images`, or not at
@@ -571,9 +569,7 @@ def chosen(
         if fault.pair and not pair:
             raise ConfigError(f"--only {fault.name!r}: needs a pipeline of two cameras; give --pipeline stereo")
     without = (*FAULTS, *CAN) if link is None else BY_LINK[link]
-    return asked or tuple(
-        fault for fault in without if (images or not fault.images) and (pair or not fault.pair)
-    )
+    return asked or tuple(fault for fault in without if (images or not fault.images) and (pair or not fault.pair))
 
 
 _TIMED = (Must.STOP, Must.HOLD)

@@ -78,8 +78,8 @@ class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
     Hooks are called from the fault's start to its end only. `to_board` gets what the host writes at once (a frame),
-    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start. `rig` takes the
-    two cameras of car.toml, left first, and gives those that the car really has, for the whole run.
+    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start. `rig` takes
+    the two cameras of car.toml, left first, and gives those that the car really has, for the whole run.
     """
 
     camera: CameraHook | None = None
@@ -134,9 +134,10 @@ class Fault:
     those of a run without the fault. `timed_from_motion`: the bound counts from when the car's motion shows the fault;
     before that the car may do anything. `shown_by` are messages of a CAN bus: the bound counts from the first frame of
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
-    stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images; `pair`: at those of two cameras.
-    `from_start`: it is there before the car is armed, and the pipeline sees the road from the first frame on. `outside_m`: where it
-    must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with a random look.
+    stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images; `pair`: at those of two
+    cameras. `from_start`: it is there before the car is armed, and the pipeline sees the road from the first frame on.
+    `outside_m`: where it must stay in its lane, its body may leave it by so much. `anywhere`: on any track, with a
+    random look.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """

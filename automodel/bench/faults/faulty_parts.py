@@ -108,9 +108,9 @@ class FaultySource:
 class FaultyPipeline:
     """A `Pipeline` that gives the truth until `seen` has found the lane, then its estimates.
 
-    Without `seen` it always gives the truth. It needs as many `cameras` as `seen`. Estimates of frames that were taken while the fault lasts go through its
-    hook. `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
-    free space beside the car. Where it states no bound (the truth), it is.
+    Without `seen` it always gives the truth. It needs as many `cameras` as `seen`. Estimates of frames that were taken
+    while the fault lasts go through its hook. `knows` is whether the last estimate before the fault was sure of its
+    lane: its offset's bound was within the free space beside the car. Where it states no bound (the truth), it is.
     """
 
     name = "faulty"

@@ -141,11 +141,12 @@ def without_eye(eye: int) -> PairHook:
 
 def of_eye(eye: int, spoil: Spoil) -> PairHook:
     """One camera's images are spoilt, its times and the other one's images are as they were."""
-    side = ("left", "right")[eye]
 
     def hook(pair: StereoFrame) -> StereoFrame:
-        spoilt = spoil(Frame(t_ns=pair.t_ns, index=pair.index, image=getattr(pair, side), eye=eye))
-        return pair if spoilt is None else replace(pair, **{side: spoilt.image})
+        spoilt = spoil(Frame(t_ns=pair.t_ns, index=pair.index, image=(pair.left, pair.right)[eye], eye=eye))
+        if spoilt is None:
+            return pair
+        return replace(pair, left=spoilt.image) if eye == 0 else replace(pair, right=spoilt.image)
 
     return hook
 

@@ -215,7 +215,9 @@ def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
 
 def _from_the_start(fault: Fault, plan: Plan, seen: Observed) -> Verdict:
     """That of a car that must not be armed (REFUSE), or stay in its lane where it is (STAY)."""
-    found, left_m = _in_common(fault, plan, seen), max(seen.left_m, seen.rolled_m)
+    found, left_m = _in_common(fault, plan, seen), seen.left_m
+    if not _drives_at(seen, plan.until_ns):  # else it is the run's end that stops it, wherever it is
+        left_m = max(left_m, seen.rolled_m)
     moved_ns = next((t for t, _, motor in seen.pins if t <= plan.until_ns and motor != seen.neutral_us), None)
     if fault.must is Must.REFUSE and moved_ns is not None:
         found.append(f"it was armed, and moved off after {moved_ns * 1e-9:.2f} s")

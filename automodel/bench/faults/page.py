@@ -20,10 +20,12 @@ stands. What the car must do:
 - **hold**: neutral within the limit if the fault lasts that long; it drives on by itself when the fault is over, and
   never leaves its lane;
 - **nothing**: it drives on as if there was no fault, and never leaves its lane;
+- **refuse**: it is wrong before the car is armed: it is never armed, whoever asks;
 - **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
   limit.
 
-Of two cameras the left one fails. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
+Of two cameras the left one fails, and either one by `pair-`: those need a pipeline of two cameras, and so a
+`bench faults --pipeline stereo`. The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
 says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
 asked for: `nominal`, a minute without a fault, on any of the tracks, with random light and floor.
 

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
 from automodel.bench.faults import faulty_parts
 from automodel.bench.faults import measure as fault_rig
-from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS
-from automodel.bench.faults.fault import Must
+from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS, NOMINAL, chosen
+from automodel.bench.faults.fault import Hooks, Must
+from automodel.bench.faults.judge import RENDERED_NS, draw_plan
 from automodel.config import PipelineConfig
 from automodel.config import can as can_config
 from automodel.control import longitudinal as speed_module
+from automodel.pipelines.stereo import Stereo
 from automodel.runtime import safety
 from automodel.runtime.input_checks import ImageCheck, InputChecks, LaneJumpCheck, OffsetBoundCheck, SteeringCheck
 from automodel.runtime.supervised_source import SupervisedSource
+from automodel.signals import Frame, LaneEstimate, Motion, StereoFrame
 from firmware_link import arduino, can_link, can_receiver
 from firmware_link.emulator import can_vehicle, logic
 from firmware_link.emulator.avr import missing_tools
@@ -65,6 +69,36 @@ def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
     (row,) = cli("bench", "faults", *only).rows
     assert row["violations"] == 0
     assert 0 < row["left_max_m"] < 0.2
+
+
+def test_a_pipeline_of_two_cameras_sees_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, given = Stereo.step, []
+
+    def watched(self: Stereo, frame: Frame | StereoFrame, motion: Motion) -> LaneEstimate:
+        given.append(type(frame))
+        return step(self, frame, motion)
+
+    monkeypatch.setattr(Stereo, "step", watched)
+    plan = replace(draw_plan(NOMINAL, 0, 0, 1), start_ns=RENDERED_NS, until_ns=RENDERED_NS + 40_000_000)
+    fault_rig.FaultRig(fault_rig.car_of("stereo"), "stereo", plan, Hooks()).run()
+    assert len(given) >= 2
+    assert set(given) == {StereoFrame}
+
+
+@pytest.mark.parametrize("name", ["pair-times", "pair-swapped"])
+def test_a_run_with_a_fault_of_a_pair(name: str) -> None:
+    (fault,) = chosen((name,))
+    verdict = fault_rig.judged("stereo", fault, 3, 0)
+    assert verdict.violations == ()
+    assert (verdict.reaction_s is None) == (fault.must is Must.REFUSE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [fault.name for fault in FAULTS if fault.pair])
+def test_faults_of_pairs(name: str) -> None:
+    (fault,) = chosen((name,))
+    for index in range(4):
+        assert fault_rig.judged("stereo", fault, 11, index).violations == ()
 
 
 @pytest.mark.slow

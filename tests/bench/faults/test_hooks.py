@@ -14,7 +14,7 @@ from automodel.bench.faults import hooks
 from automodel.bench.faults.fault import At, CameraHook, Hooks, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
-from automodel.config import VehicleConfig
+from automodel.config import CameraConfig, SecondCamera, VehicleConfig
 from automodel.runtime.clocks import VirtualClock
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sources.errors import SourceError
@@ -60,7 +60,7 @@ class Ticking:
 def delivered(hook: CameraHook, stall: Stall | None = None) -> list[tuple[int, Frame]]:
     """When [ms] which frame came, from 1.9 s to 2.4 s."""
     clock = VirtualClock(1900 * MS)
-    source = FaultySource(Ticking(clock), hook, PLAN, clock, Staller(stall, PLAN, clock))
+    source = FaultySource(Ticking(clock), Hooks(camera=hook), PLAN, clock, Staller(stall, PLAN, clock))
     came = []
     while clock.now_ns() < 2400 * MS:
         frame = source.read(0.015)
@@ -291,7 +291,7 @@ class TickingPair(Ticking):
 def test_of_a_pair_the_left_image_is_spoilt() -> None:
     clock = VirtualClock(1900 * MS)
     hook = hooks.at_once(hooks.blank(255.0, 0.0, Random(1)))
-    source = FaultySource(TickingPair(clock), hook, PLAN, clock, Staller(None, PLAN, clock))
+    source = FaultySource(TickingPair(clock), Hooks(camera=hook), PLAN, clock, Staller(None, PLAN, clock))
     white = {}
     while clock.now_ns() < 2300 * MS:
         frame = source.read(0.015)
@@ -325,3 +325,53 @@ def test_lines_are_added_where_none_are_and_stay_where_they_are() -> None:
     assert int(first.image[added].max()) >= 190
     assert not added[: round(0.4 * 90) - 2].any()
     assert int(image.max()) == 200  # the camera's own image is not touched
+
+
+def pairs(count: int) -> list[StereoFrame]:
+    images = [np.full((4, 6), 10 * k, np.uint8) for k in range(count)]
+    return [
+        StereoFrame(t_ns=k * PERIOD_MS * MS, index=k, left=image, right=image + 1, right_late_ns=k * MS)
+        for k, image in enumerate(images)
+    ]
+
+
+def test_the_other_eye_goes_on_alone_with_its_own_time() -> None:
+    for k, pair in enumerate(pairs(3)):
+        left = hooks.without_eye(1)(pair)
+        right = hooks.without_eye(0)(pair)
+        assert isinstance(left, Frame)
+        assert isinstance(right, Frame)
+        assert (left.eye, left.t_ns, left.image[0, 0]) == (0, pair.t_ns, 10 * k)
+        assert (right.eye, right.t_ns, right.image[0, 0]) == (1, pair.t_ns + k * MS, 10 * k + 1)
+
+
+@pytest.mark.parametrize("eye", [0, 1])
+def test_one_eye_is_spoilt_and_the_other_one_is_not(eye: int) -> None:
+    hook = hooks.of_eye(eye, hooks.frozen())
+    for k, pair in enumerate(pairs(3)):
+        out = hook(pair)
+        assert isinstance(out, StereoFrame)
+        assert (out.t_ns, out.right_late_ns) == (pair.t_ns, pair.right_late_ns)
+        spoilt, well = (out.left, out.right) if eye == 0 else (out.right, out.left)
+        assert (spoilt[0, 0], well[0, 0]) == (eye, 10 * k + 1 - eye)
+
+
+def test_the_right_image_lags_by_its_own_time() -> None:
+    hook, found = hooks.lagging(2), []
+    for pair in pairs(5):
+        out = hook(pair)
+        assert isinstance(out, StereoFrame)
+        found.append((int(out.right[0, 0]), out.right_late_ns // MS))
+    assert found == [(1, 0), (1, -20), (1, -40), (11, -39), (21, -38)]
+
+
+def test_cameras_are_exchanged_and_turned() -> None:
+    left, right = CameraConfig(right=SecondCamera()).eyes
+    right = dataclasses.replace(right, extrinsics=dataclasses.replace(right.extrinsics, y_m=-0.2))
+    assert hooks.exchanged((left, right)) == (right, left)
+    one, other = hooks.turned(1, 0.1, 0.0, -0.2)((left, right))
+    assert one == left
+    assert other.extrinsics == dataclasses.replace(
+        right.extrinsics, yaw_rad=right.extrinsics.yaw_rad + 0.1, roll_rad=right.extrinsics.roll_rad - 0.2
+    )
+    assert hooks.turned(0, 0.0, 0.1, 0.0)((left, right))[0].extrinsics.pitch_rad == left.extrinsics.pitch_rad + 0.1

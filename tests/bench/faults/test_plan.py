@@ -22,7 +22,7 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another() -> None:
 
 
 def test_a_fault_starts_at_any_time_of_a_servo_frame_and_of_a_frame() -> None:
-    starts = [plan.start_ns for _, plan in PLANS]
+    starts = [plan.start_ns for fault, plan in PLANS if not fault.from_start]
     assert all(START_NS[0] <= start <= START_NS[1] for start in starts)
     for period_ns in (20_000_000, 16_666_667):
         assert {start % period_ns * 8 // period_ns for start in starts} == set(range(8))
@@ -31,7 +31,7 @@ def test_a_fault_starts_at_any_time_of_a_servo_frame_and_of_a_frame() -> None:
 def test_a_request_is_either_too_early_or_in_time() -> None:
     seen = set()
     for fault, plan in PLANS:
-        if fault.must is not Must.STOP or plan.press_ns is None:
+        if fault.must is not Must.STOP or plan.press_ns is None:  # none of those is armed again
             assert not plan.drives_again
             continue
         if plan.drives_again:
@@ -54,7 +54,7 @@ def test_every_way_of_failing_is_there_and_every_name_once() -> None:
     assert {fault.kind for fault in FAULTS} == set(Kind) - {Kind.NONE}
     names = [fault.name for fault in (*FAULTS, *CAN, NOMINAL)]
     assert len(names) == len(set(names))
-    assert len(FAULTS) <= 73  # a run of each in the fast lane
+    assert len(FAULTS) <= 79  # a run of each in the fast lane
     for fault in FAULTS:
         assert fault.duration_s[0] <= fault.duration_s[1]
         assert math.isfinite(fault.recovery_s)
@@ -90,10 +90,30 @@ def test_faults_are_chosen_by_name() -> None:
 
 def test_what_needs_images_is_left_out_where_there_are_none() -> None:
     needing = {fault.name for fault in FAULTS if fault.images}
-    assert needing == {"network-slides", "network-jumps", "network-adds"}
+    assert needing == {"network-slides", "network-jumps", "network-adds", *OF_PAIRS}
     assert needing.isdisjoint(fault.name for fault in chosen((), images=False))
     with pytest.raises(ValueError, match=r"'network-adds': needs a pipeline that looks at images"):
         chosen(("network-adds",), images=False)
+
+
+OF_PAIRS = {"pair-off", "pair-stuck", "pair-dark", "pair-times", "pair-swapped", "pair-turned"}
+
+
+def test_what_needs_two_cameras_is_left_out_where_there_is_one() -> None:
+    assert {fault.name for fault in FAULTS if fault.pair} == OF_PAIRS
+    assert OF_PAIRS.isdisjoint(fault.name for fault in chosen((), pair=False))
+    with pytest.raises(ValueError, match=r"'pair-off': needs a pipeline of two cameras; give --pipeline stereo"):
+        chosen(("pair-off",), pair=False)
+
+
+def test_what_is_there_from_the_start_is_asked_about_while_it_lasts() -> None:
+    found = [plan for fault, plan in PLANS if fault.from_start]
+    assert len(found) == 60
+    for plan in found:
+        assert (plan.start_ns, plan.rendered_ns, plan.pipeline_ns, plan.drives_again) == (0, 0, 0, False)
+        assert plan.press_ns is not None
+        assert plan.press_ns < plan.until_ns - 0.4e9
+        assert plan.until_ns >= 2.5e9
 
 
 def test_a_person_asks_to_arm_a_car_that_stands() -> None:
