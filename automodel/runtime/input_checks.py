@@ -5,13 +5,13 @@
 - `width_fault`: the lane has a width that a lane can have.
 - `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
 - `SteeringCheck`: the car turns as it is steered, by the gyro where there is one.
-- `PairCheck` (of its own module): the two cameras are those of car.toml.
+- `PairLook`, which is given: the two cameras are those of car.toml.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -29,9 +29,6 @@ from automodel.signals import (
     same_image,
 )
 from automodel.types import Image
-
-if TYPE_CHECKING:
-    from automodel.runtime.pair_check import PairCheck
 
 OFFSET_LANES = 0.5  # further to the side than half a lane's width, another line was taken for the lane's
 HEADING_RAD = 0.6  # turned by more than this, a line across the road was
@@ -233,19 +230,28 @@ class SteeringCheck:
         return abs(motion.yaw_rate_radps - expected) > APART_RADPS + APART_SHARE * abs(expected)
 
 
+class PairLook(Protocol):
+    """Whether two cameras are the pair of car.toml (`assembly.pair_check`)."""
+
+    def step(self, pair: StereoFrame, armed: bool) -> str | None:
+        """Why the car must not be armed with these cameras, None where nothing speaks against them."""
+        ...
+
+
 class InputChecks:
     """Implements `Checks`. They outlive a reset of the chain: what they remember is bounded in time.
 
-    `noiseless` is for a simulated camera whose images have no noise.
+    `noiseless` is for a simulated camera whose images have no noise. `pair` looks at the pairs of two cameras, where
+    there are two.
     """
 
-    def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
+    def __init__(self, car: CarConfig, *, noiseless: bool = False, pair: PairLook | None = None) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
         right = car.camera.right
         self._apart_s = math.inf if right is None else right.tolerance_s(car.camera.rate_hz)
         self._pair: StereoFrame | None = None  # the last one that fits
-        self._pair_check = _pair_check(car)
+        self._pair_look = pair
         self._vehicle = car.vehicle
         self._lane_jump = LaneJumpCheck(car.vehicle)
         self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
@@ -272,8 +278,8 @@ class InputChecks:
         jump, turns = self._lane_jump.step(estimate), self._steering.step(motion, state)
         uncertain, width = self._offset_bound.step(estimate, motion, state), width_fault(estimate, self._vehicle)
         cameras = None
-        if self._pair is not None and self._pair_check is not None:
-            cameras = self._pair_check.step(self._pair, state is not None and state.armed)
+        if self._pair is not None and self._pair_look is not None:
+            cameras = self._pair_look.step(self._pair, state is not None and state.armed)
         return tuple(filter(None, (jump, width, uncertain, turns, cameras)))
 
     def _seen(self, frame: Frame | StereoFrame) -> list[tuple[ImageCheck, Image]]:
@@ -281,15 +287,3 @@ class InputChecks:
         if isinstance(frame, StereoFrame):
             return list(zip(self._pictures, (frame.left, frame.right), strict=True))
         return [(self._pictures[frame.eye], frame.image)]
-
-
-def _pair_check(car: CarConfig) -> PairCheck | None:
-    """The check of a car with two calibrated cameras; loaded for that one alone."""
-    if car.camera.right is None:
-        return None
-    from automodel.runtime.pair_check import PairCheck
-
-    try:
-        return PairCheck(car)
-    except ValueError:  # no pair, such as two cameras at one place: a pipeline that needs one says so
-        return None

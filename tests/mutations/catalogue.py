@@ -595,8 +595,8 @@ PAIRS = (
         ("eyes-swapped", "left=one.image, right=other.image", "left=other.image, right=one.image"),
     ),
     *_of(
-        "automodel/runtime/pair_check.py",
-        "tests/runtime/test_pair_check.py",
+        "automodel/assembly/pair_check.py",
+        "tests/assembly/test_pair_check.py",
         ("swapped-eyes-pass", "if evidence.exchanged > -math.log(REFUSED):", "if False:"),
         ("turned-eyes-pass", "elif evidence.turned > -math.log(REFUSED):", "elif False:"),
         ("armed-before-the-first-look", "elif self._looked_ns is None:", "elif False:"),
@@ -606,7 +606,7 @@ PAIRS = (
     ),
     *_of(
         "automodel/runtime/input_checks.py",
-        "tests/runtime/test_pair_check.py",
+        "tests/assembly/test_pair_check.py",
         ("pairs-unlooked-at", "(jump, width, uncertain, turns, cameras)", "(jump, width, uncertain, turns)"),
     ),
     *_of(

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from automodel.assembly.pair_check import pair_check
 from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
@@ -287,7 +288,7 @@ class FaultRig:
             source=self._source,
             link=ArduinoLink(self._transport, car.link, car.vehicle),
             clock=self._clock,
-            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car)),
+            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car, pair=pair_check(car))),
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)

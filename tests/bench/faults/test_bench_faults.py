@@ -263,7 +263,7 @@ def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_n
     return self._enter(safety.SafetyMode.STOPPED, "stop", "at once", now_ns)
 
 
-def _strict_checks(car: object) -> object:
+def _strict_checks(car: object, **_: object) -> object:
     """Checks that take one dropped frame for a fault."""
 
     class Strict(InputChecks):

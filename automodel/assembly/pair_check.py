@@ -96,5 +96,13 @@ class PairCheck:
             self._refused = None
 
 
+def pair_check(car: CarConfig) -> PairCheck | None:
+    """The check of a car with two calibrated cameras, None for others: a pipeline that needs a pair says so."""
+    try:
+        return None if car.camera.right is None else PairCheck(car)
+    except ValueError:
+        return None
+
+
 def _grey(image: Image) -> Image:
     return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -8,14 +8,14 @@ import math
 import numpy as np
 import pytest
 
+from automodel.assembly import pair_check
+from automodel.assembly.pair_check import SWAPPED, PairCheck
+from automodel.assembly.parts import make_checks
 from automodel.assembly.simulated_car import appearance, renderers
 from automodel.bench.faults.hooks import turned
 from automodel.cli.init import kit_path
 from automodel.config import CarConfig, load_car
 from automodel.perception.stereo.pair_evidence import PairEvidence
-from automodel.runtime import pair_check
-from automodel.runtime.input_checks import InputChecks
-from automodel.runtime.pair_check import SWAPPED, PairCheck
 from automodel.signals import LaneEstimate, LaneStatus, Motion, StereoFrame, VehicleState
 from automodel.sim.track_files import load_track
 from automodel.types import Image
@@ -141,21 +141,25 @@ def test_the_text_of_a_turned_camera_stays_the_same(monkeypatch: pytest.MonkeyPa
 
 
 def test_the_checks_of_a_run_refuse_a_pair_until_it_is_armed(eyes: tuple[Image, Image]) -> None:
-    checks, lost = InputChecks(CAR), LaneEstimate(t_ns=0, status=LaneStatus.LOST)
+    checks, lost = make_checks(CAR), LaneEstimate(t_ns=0, status=LaneStatus.LOST)
     motion = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
     first = pair(0, eyes[::-1])
     assert checks.of_frame(first) == ()
     assert checks.of_estimate(lost, motion, VehicleState(t_ns=0, armed=True)) == ()
     assert checks.of_estimate(lost, motion, VehicleState(t_ns=0, armed=False)) == (SWAPPED,)
-    assert InputChecks(CAR).of_estimate(lost, motion, None) == ()  # without a pair there is nothing to look at
+    anew = make_checks(CAR)
+    assert anew.of_estimate(lost, motion, None) == ()  # without a pair there is nothing to look at
 
 
-def test_a_car_whose_cameras_are_no_pair_has_no_such_check(eyes: tuple[Image, Image]) -> None:
+def test_a_car_whose_cameras_are_no_pair_has_no_such_check() -> None:
     place = dataclasses.replace(CAR.camera.right, extrinsics=CAR.camera.extrinsics)  # type: ignore[type-var]
     car = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, right=place))
     with pytest.raises(ValueError, match="same place"):
         PairCheck(car)
-    checks = InputChecks(car)
-    checks.of_frame(pair(0, eyes[::-1]))
+    assert pair_check.pair_check(car) is None
+    single = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, right=None))
+    assert pair_check.pair_check(single) is None
+    checks = make_checks(single)
+    checks.of_frame(pair(0, view(CAR)[::-1]))
     motion = Motion(t_ns=0, speed_mps=0.0, yaw_rate_radps=0.0)
     assert checks.of_estimate(LaneEstimate(t_ns=0, status=LaneStatus.LOST), motion, None) == ()
