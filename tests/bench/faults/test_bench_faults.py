@@ -74,6 +74,13 @@ def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
     assert 0 < row["left_max_m"] < 0.2
 
 
+@pytest.mark.parametrize("name", ["rig-swapped", "rig-turned"])
+def test_a_pair_that_is_wrong_before_the_car_is_armed(name: str) -> None:
+    (fault,) = fault_rig.chosen((name,))
+    verdict = fault_rig.judged("stereo", fault, 3, 0)
+    assert (verdict.violations, verdict.reaction_s) == ((), None)
+
+
 @pytest.mark.slow
 def test_of_a_pair_the_left_camera_fails(cli: Cli) -> None:
     only = ["--only", "camera-off", "--only", "camera-size", "--only", "camera-flat", "--runs", "3", "--json"]
@@ -264,7 +271,7 @@ def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_n
     return self._enter(safety.SafetyMode.STOPPED, "stop", "at once", now_ns)
 
 
-def _strict_checks(car: object) -> object:
+def _strict_checks(car: object, **_: object) -> object:
     """Checks that take one dropped frame for a fault."""
 
     class Strict(InputChecks):
