@@ -9,7 +9,7 @@ import pytest
 
 from automodel.bench.faults import faulty_parts
 from automodel.bench.faults import measure as fault_rig
-from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS
+from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS, chosen
 from automodel.bench.faults.fault import Must
 from automodel.config import PipelineConfig
 from automodel.config import can as can_config
@@ -76,7 +76,7 @@ def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
 
 @pytest.mark.parametrize("name", ["rig-swapped", "rig-turned"])
 def test_a_pair_that_is_wrong_before_the_car_is_armed(name: str) -> None:
-    (fault,) = fault_rig.chosen((name,))
+    (fault,) = chosen((name,))
     verdict = fault_rig.judged("stereo", fault, 3, 0)
     assert (verdict.violations, verdict.reaction_s) == ((), None)
 
