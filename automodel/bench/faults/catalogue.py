@@ -143,7 +143,8 @@ def _rig_turned(random: Random) -> Hooks:
 
 # One eye that gives no image leaves the other one alone. Pairs whose images cannot be a pair are another matter: a
 # source that says that both eyes work, and gives what they cannot have seen, is not believed. A pair that is not the
-# calibrated one is not noticed while the car drives (`automodel doctor` looks): what comes of that is reported.
+# calibrated one is refused before the car is armed (`rig-`); while it drives only the ground plane tells, not always:
+# what comes of that is reported.
 PAIR = (
     Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
           text="no image of one of two cameras comes: those of the other one come alone",
