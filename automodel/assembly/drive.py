@@ -9,7 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from automodel.assembly.parts import build_run, make_camera, make_link, make_loop, make_recorder, run_config
+from automodel.assembly.parts import (
+    build_run,
+    make_camera,
+    make_checks,
+    make_link,
+    make_loop,
+    make_recorder,
+    run_config,
+)
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource, Watcher
 from automodel.assembly.simulated_car import Simulation, board_of, lock_step, on_desk, real_time
 from automodel.config import CarConfig, ConfigError
@@ -20,7 +28,6 @@ from automodel.interfaces import Clock
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import MonotonicClock
 from automodel.runtime.cores import LoopCores
-from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickRecord
 from automodel.runtime.runner import Runner
 from automodel.signals import DriverInput, Event
@@ -166,7 +173,7 @@ def drive_simulated(
         style=options.style,
         link=options.board or board_of(car),
     )
-    checks = InputChecks(car, noiseless=options.style == "clean")
+    checks = make_checks(car, noiseless=options.style == "clean")
     total_m = laps * lane.centerline.length_m if laps else None
     watch = Stopwatch()
     with contextlib.ExitStack() as leaving:
@@ -236,7 +243,7 @@ def drive_real(
             source=camera,
             link=make_link(car),
             clock=MonotonicClock(),
-            loop=make_loop(car, checks=InputChecks(car)),
+            loop=make_loop(car, checks=make_checks(car)),
             recorder=recorder,
             auto_arm=options.arm,
         )

@@ -22,6 +22,7 @@ from automodel.interfaces import Controller, Pipeline, Recorder, Source, Vehicle
 from automodel.recording.reader import RecordingSource
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import SleepingClock
+from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.loop import Checks, Loop
 from automodel.runtime.run_types import RunConfig, RunParts
 from automodel.runtime.safety import Safety
@@ -202,6 +203,18 @@ def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Check
         checks=checks,
         driver=ManualDriver(car),
     )
+
+
+def make_checks(car: CarConfig, *, noiseless: bool = False) -> InputChecks:
+    """The checks of what a car that drives is given; `noiseless` as in `InputChecks`.
+
+    What looks at a pair of cameras is loaded for two of them alone.
+    """
+    if car.camera.right is None:
+        return InputChecks(car, noiseless=noiseless)
+    from automodel.assembly.pair_check import pair_check
+
+    return InputChecks(car, noiseless=noiseless, pair=pair_check(car))
 
 
 def build_run(

@@ -36,6 +36,7 @@ from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingCon
 from automodel.types import Bools, FloatArray, Image, Ints
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
+FAR_OFF = 31.8  # chi-square of three degrees of freedom that is exceeded as rarely as 5 sigma of one are: 6e-7
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
 THIN = 8  # every so many-th pixel of every so many-th row tells whether an image is the last one: noise changes all
@@ -122,7 +123,8 @@ class Stereo:
             for eye, count in zip(("left", "right"), self._frozen, strict=True)
             if count
         ]
-        return "; ".join(text for text in (self._width.warning, *blind, *frozen) if text)
+        off = f"the ground plane did not fit the cameras' calibration in {self._off} pairs: calibrate both again"
+        return "; ".join(text for text in (self._width.warning, *blind, *frozen, off * (self._off > 0)) if text)
 
     @property
     def plane(self) -> Plane:
@@ -140,6 +142,8 @@ class Stereo:
         self._missing = [0, 0]  # frames without an image of the left camera, of the right one
         self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
         self._before: list[Image | None] = [None, None]
+        self.trouble = ""  # why there is no lane in this pair, where the cameras are wrong
+        self._off = 0  # pairs with a plane that cannot be
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._changes.reset()
@@ -151,6 +155,7 @@ class Stereo:
         A single image is that of the camera that its `eye` says; the other one is missing.
         """
         self.stages.start()
+        self.trouble = ""
         single, images = _images(frame)
         self._missing = [count + (image is None) for count, image in zip(self._missing, images, strict=True)]
         self._predict(single, motion)  # speed and yaw rate
@@ -165,6 +170,9 @@ class Stereo:
         left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
+        self.trouble = self._off_calibration()
+        if self.trouble:
+            return self._tracking.lost_estimate(single)
         if self._tracking.lost:
             self._changes.reset()
             belief = self._start(frame.t_ns, images[0], lines)
@@ -247,6 +255,19 @@ class Stereo:
         lines = reconstruct(left, right, matches, fit.inliers, odds, self._spacing_m)
         self.stages.lap("lines")
         return lines
+
+    def _off_calibration(self) -> str:
+        """That the plane lies where no body of a car brings it, "" where it does not.
+
+        An eye that is turned against its calibration shows so: stripes do not meet on any plane but a wrong one.
+        """
+        if self._plane.off_calibration <= FAR_OFF:
+            return ""
+        self._off += 1
+        return (
+            "the ground as both cameras see it does not fit their calibration: a camera was turned, or they are"
+            " swapped, or car.toml is that of another pair"
+        )
 
     def _odds(self, eye: int, stripes: tuple[Stripes, Stripes], images: Sequence[Image | None]) -> FloatArray:
         """Log-odds (k,) [nats] that the stripes of one eye (0: left, 1: right) are paint on the ground.

@@ -217,7 +217,9 @@ class Loop:
             return lost, wrong + faults, ()
         self._failures = 0
         self._look_again(estimate, motion, state)
-        return estimate, wrong, () if checks is None else checks.of_estimate(estimate, motion, state)
+        unfit = () if checks is None else checks.of_estimate(estimate, motion, state)
+        trouble = str(getattr(self._pipeline, "trouble", ""))
+        return estimate, wrong, (*unfit, trouble) if trouble else unfit
 
     def _look_again(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> None:
         """Forget a lane that nobody may be armed in, where the car stands and is not armed.

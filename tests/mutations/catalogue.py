@@ -166,7 +166,7 @@ SAFETY = (
         ("lane-turns-pass", "if abs(turn_rad) > most_rad:", "if False:"),
         ("uncertain-for-ever", "return None if bridged else text", "return None"),
         ("armed-in-any-lane", "return text if pose.offset_bound_m >= 0.5 * pose.width_m else None", "return None"),
-        ("bound-never-held", "(jump, width, uncertain, turns)", "(jump, width, turns)"),
+        ("bound-never-held", "(jump, width, uncertain, turns, cameras)", "(jump, width, turns, cameras)"),
         ("any-width-passes", "vehicle.width_m <= pose.width_m <= WIDEST_CARS * vehicle.width_m", "pose.width_m > 0"),
         ("pairs-of-any-times-pass", "if abs(right_late_ns) <= self._tolerance_ns:", "if True:"),
         (
@@ -615,6 +615,51 @@ PAIRS = (
             "right if late_ns > 0 else left",
         ),
         ("eyes-swapped", "left=one.image, right=other.image", "left=other.image, right=one.image"),
+    ),
+    *_of(
+        "automodel/assembly/pair_check.py",
+        "tests/assembly/test_pair_check.py",
+        ("swapped-eyes-pass", "if evidence.exchanged > -math.log(REFUSED):", "if False:"),
+        ("turned-eyes-pass", "elif evidence.turned > -math.log(REFUSED):", "elif False:"),
+        ("armed-before-the-first-look", "elif self._looked_ns is None:", "elif False:"),
+        ("never-looked-at-again", "self._pair, self._looked_ns = None, t_ns", "self._looked_ns = t_ns"),
+        ("a-weak-look-frees", "elif against < math.log(ACCEPTED):", "elif against < 1.0:"),
+        ("good-pairs-refused", "REFUSED, ACCEPTED = 1e-6, 1e-2", "REFUSED, ACCEPTED = 1e6, 1e-2"),
+    ),
+    *_of(
+        "automodel/runtime/input_checks.py",
+        "tests/assembly/test_pair_check.py",
+        ("pairs-unlooked-at", "(jump, width, uncertain, turns, cameras)", "(jump, width, uncertain, turns)"),
+    ),
+    *_of(
+        "automodel/perception/stereo/pair_evidence.py",
+        "tests/perception/stereo/test_pair_evidence.py",
+        ("behind-is-ahead", "_upper(parallax / noise + _EDGE) *", "1.0 *"),
+        (
+            "one-exchange-for-another",
+            "_Seen.of(rig.right, rig.left, rig.middle_m",
+            "_Seen.of(rig.left, rig.right, rig.middle_m",
+        ),
+    ),
+    *_of(
+        "automodel/pipelines/stereo.py",
+        "tests/pipelines/test_stereo.py",
+        ("any-plane-passes", "if self._plane.off_calibration <= FAR_OFF:", "if True:"),
+        ("bounce-is-no-plane", "FAR_OFF = 31.8 ", "FAR_OFF = 1.8 "),
+    ),
+    *_of(
+        "automodel/runtime/loop.py",
+        "tests/runtime/test_loop.py",
+        (
+            "trouble-untold",
+            "return estimate, wrong, (*unfit, trouble) if trouble else unfit",
+            "return estimate, wrong, unfit",
+        ),
+    ),
+    *_of(
+        "automodel/bench/faults/judge.py",
+        "tests/bench/faults/test_judge.py",
+        ("armed-though-refused", "if fault.must is Must.REFUSE and moved_ns is not None:", "if False:"),
     ),
 )
 

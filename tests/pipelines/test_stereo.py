@@ -14,6 +14,7 @@ from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import renderers
 from automodel.bench.stereo_paper import mirror_car
 from automodel.config import CarConfig, ConfigError, LaneConfig, SecondCamera
+from automodel.geometry.stereo_rig import Plane
 from automodel.pipelines.stereo import Stereo
 from automodel.runtime.input_checks import LaneJumpCheck
 from automodel.runtime.loop import Loop
@@ -175,6 +176,50 @@ def test_noise_makes_no_lane(shape: tuple[int, ...]) -> None:
         estimate = pipeline.step(StereoFrame(t_ns=k * 30_000_000, index=k, left=left, right=right), motion(k))
         check_sound(estimate, k * 30_000_000)
         assert estimate.status is LaneStatus.LOST
+
+
+@pytest.mark.parametrize(("pitch_deg", "lost"), [(0.0, False), (1.0, False), (2.0, True), (-2.0, True)])
+def test_an_eye_that_is_turned_against_its_calibration_makes_a_plane_that_cannot_be(
+    pitch_deg: float, lost: bool
+) -> None:
+    """The right camera nods; no body of a car rolls as far as the ground then seems to. One degree is taken in."""
+    assert CAR.camera.right is not None
+    at = CAR.camera.right.extrinsics
+    leaning = dataclasses.replace(at, pitch_rad=at.pitch_rad + np.radians(pitch_deg))
+    second = dataclasses.replace(CAR.camera.right, extrinsics=leaning)
+    there = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, right=second))
+    drive = StereoDrive(track=load_track("oval"), car=there, look=LOOK, pipeline=Stereo(CAR))
+    seen = drive.run(0.0, 1.0)
+    assert isinstance(drive.estimator, Stereo)
+    assert ("did not fit the cameras' calibration" in drive.estimator.warning) is lost
+    assert any(one.estimate.status is LaneStatus.LOST for one in seen[3:]) is lost
+    if not lost:
+        assert errors_m(seen).max() < 0.05 * CAR.lane.width_m
+
+
+def test_a_plane_that_cannot_be_is_lost_with_the_reason_until_it_is_gone(lap: tuple[StereoDrive, list[Seen]]) -> None:
+    seen, pipeline = lap[1], Stereo(CAR)
+    for one in seen[:10]:
+        pipeline.step(one.frame, one.motion)
+    assert pipeline.trouble == ""
+    pipeline._plane.plane = Plane(roll_rad=np.radians(20.0))  # further than one pair can bring it back
+    estimate = pipeline.step(seen[10].frame, seen[10].motion)
+    assert estimate.status is LaneStatus.LOST
+    assert pipeline.trouble.startswith("the ground as both cameras see it does not fit their calibration")
+    pipeline.reset()
+    assert pipeline.trouble == ""
+    assert pipeline.warning == ""
+    for one in seen[11:16]:
+        pipeline.step(one.frame, one.motion)
+    assert pipeline.trouble == ""
+
+
+@pytest.mark.parametrize("nod_deg", [1.0, 2.0])
+def test_a_car_that_bounces_makes_no_plane_that_cannot_be(nod_deg: float) -> None:
+    drive = StereoDrive(track=load_track("oval"), car=CAR, look=LOOK, nod_rad=np.radians(nod_deg))
+    drive.run(0.0, 1.5)
+    assert isinstance(drive.estimator, Stereo)
+    assert "calibration" not in drive.estimator.warning
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -108,6 +108,14 @@ def test_a_frame_that_does_not_fit_never_reaches_the_pipeline() -> None:
     assert (tick.estimate.status, tick.faults, tick.command.speed_mps) == (LaneStatus.LOST, ("too small",), 0.0)
 
 
+def test_what_a_pipeline_finds_wrong_with_the_cameras_is_a_fault_of_the_lane() -> None:
+    pipeline = FakePipeline()
+    loop, *_ = make(pipeline)
+    assert loop.tick(frame(0.0), MOTION, None, MS).lane_faults == ()
+    pipeline.trouble = "a camera was turned"  # type: ignore[attr-defined]
+    assert loop.tick(frame(20.0, 1), MOTION, None, 21 * MS).lane_faults == ("a camera was turned",)
+
+
 def test_an_estimate_that_is_not_finite_is_lost() -> None:
     loop, pipeline, *_ = make(FakePipeline({0: math.nan}))
     tick = loop.tick(frame(7.0), MOTION, None, 8 * MS)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from random import Random
 
+from automodel.config import CameraConfig
 from automodel.signals import BoardSensors, Frame, LaneEstimate, StereoFrame
 from firmware_link.emulator.can_vehicle import EmulatedCanVehicle
 
@@ -15,6 +16,7 @@ BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's 
 
 CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
 PairHook = Callable[[StereoFrame], "tuple[int, Frame | StereoFrame] | None"]  # likewise; a `Frame`: one eye alone
+RigHook = Callable[[tuple[CameraConfig, CameraConfig]], tuple[CameraConfig, CameraConfig]]  # what stands on the car
 LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
 WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
 PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded
@@ -76,11 +78,13 @@ class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
     Hooks are called from the fault's start to its end only. `to_board` gets what the host writes at once (a frame),
-    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start.
+    `from_board` what the board has sent since it was last read. `moments` are in seconds after the start. `rig` takes
+    the two cameras of car.toml, left first, and gives those that the car really has, for the whole run.
     """
 
     camera: CameraHook | None = None
     pair: PairHook | None = None
+    rig: RigHook | None = None
     lane: LaneHook | None = None
     stall: Stall | None = None
     to_board: WireHook | None = None
@@ -113,6 +117,7 @@ class Must(enum.Enum):
     STOP = "stop"  # neutral within the bound, then straight, until a person arms it again
     HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
     NOTHING = "nothing"  # drive on
+    REFUSE = "refuse"  # never be armed, whoever asks: it is wrong from the start
     STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill
 
 
@@ -131,7 +136,8 @@ class Fault:
     one of them to the host's command that lets the car go. `holds_first`: the car may be held and drive on before it is
     stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
     must stay in its lane, its body may leave it by so much (infinite: by how much is only reported). `anywhere`: on any
-    track, with a random look. `pairs`: it needs a pipeline of two cameras.
+    track, with a random look. `pairs`: it needs a pipeline of two cameras. `from_start`: it is there before the car is
+    armed, and the pipeline sees the road from the first frame on.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -155,3 +161,4 @@ class Fault:
     anywhere: bool = False
     images: bool = False
     pairs: bool = False
+    from_start: bool = False

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from automodel.bench.faults.fault import At, Disk, Hooks, LaneHook, Stall
-from automodel.bench.faults.judge import PIPELINE_NS, RENDERED_NS, Plan
+from automodel.bench.faults.judge import Plan
 from automodel.config import RecordingConfig, VehicleConfig
 from automodel.interfaces import Pipeline, Recorder, Source, cameras_of
 from automodel.recording.run_file import RunFile
@@ -157,10 +157,15 @@ class FaultyPipeline:
         return estimate
 
     def _estimate(self, frame: Frame, motion: Motion) -> LaneEstimate:
-        if self._seen is None or frame.t_ns < RENDERED_NS:
+        if self._seen is None or frame.t_ns < self._plan.rendered_ns:
             return self._truth(frame, motion)
         seen = self._seen.step(frame, motion)
-        return seen if frame.t_ns >= PIPELINE_NS else self._truth(frame, motion)
+        return seen if frame.t_ns >= self._plan.pipeline_ns else self._truth(frame, motion)
+
+    @property
+    def trouble(self) -> str:
+        """The pipeline's."""
+        return str(getattr(self._seen, "trouble", ""))
 
     def reset(self) -> None:
         """As the pipeline's."""

@@ -12,7 +12,8 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
-from automodel.bench.faults.fault import CameraHook, LaneHook, PairHook, SensorHook, WireHook
+from automodel.bench.faults.fault import CameraHook, LaneHook, PairHook, RigHook, SensorHook, WireHook
+from automodel.config import CameraConfig
 from automodel.curves import Curve, TabulatedCurve, line
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, StereoFrame
 from automodel.sources.errors import SourceError
@@ -176,6 +177,25 @@ def turned(angle_rad: float) -> Spoil:
         return replace(frame, image=np.asarray(image, dtype=np.uint8))
 
     return spoil
+
+
+def eyes_exchanged(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
+    """The left camera stands where the right one is said to be, and the right one where the left one is."""
+    return eyes[1], eyes[0]
+
+
+def eye_turned(eye: int, yaw_rad: float, pitch_rad: float, roll_rad: float) -> RigHook:
+    """One camera is turned by so much against its calibration."""
+
+    def hook(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
+        at = eyes[eye].extrinsics
+        place = replace(
+            at, yaw_rad=at.yaw_rad + yaw_rad, pitch_rad=at.pitch_rad + pitch_rad, roll_rad=at.roll_rad + roll_rad
+        )
+        camera = replace(eyes[eye], extrinsics=place)
+        return (camera, eyes[1]) if eye == 0 else (eyes[0], camera)
+
+    return hook
 
 
 def falling_apart(frames: int) -> PairHook:

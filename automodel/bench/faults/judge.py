@@ -36,7 +36,8 @@ class Plan:
 
     `press_ns` is when a person asks to arm, None for never; `drives_again` whether the car must then drive. The run
     ends at `until_ns`. At neutral the car rolls for `coast_s`. It starts at the share `place` (0 .. 1) of the lane's
-    length, `offset_m` beside its middle; `look` chooses light and floor, `track` the track.
+    length, `offset_m` beside its middle; `look` chooses light and floor, `track` the track. The pipeline gets images of
+    the road from `rendered_ns` on, and its estimates count from `pipeline_ns` on.
     """
 
     seed: str
@@ -51,6 +52,8 @@ class Plan:
     speed_mps: float
     look: int
     track: str = TRACK
+    rendered_ns: int = RENDERED_NS
+    pipeline_ns: int = PIPELINE_NS
 
     def hooks_random(self) -> Random:
         """The generator for what is random in the fault itself."""
@@ -61,7 +64,7 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
     """The plan of the fault's run number `index`; the same arguments give the same plan."""
     name = f"{seed}/{fault.name}/{index}"
     random = Random(name)
-    start_ns = random.randint(*START_NS)
+    start_ns = 0 if fault.from_start else random.randint(*START_NS)
     end_ns = start_ns + round(random.uniform(*fault.duration_s) * 1e9)
     coast_s = random.uniform(*COAST_S)
     press_ns, drives_again, until_ns = _afterwards(fault, random, (start_ns, end_ns), coast_s)
@@ -78,6 +81,8 @@ def draw_plan(fault: Fault, seed: int, index: int, looks: int) -> Plan:
         speed_mps=random.uniform(0.7, 1.3),
         look=random.randrange(looks, RANDOM_LOOKS) if fault.anywhere else random.randrange(looks),
         track=random.choice(TRACKS) if fault.anywhere else TRACK,
+        rendered_ns=0 if fault.from_start else RENDERED_NS,
+        pipeline_ns=0 if fault.from_start else PIPELINE_NS,
     )
 
 
@@ -91,6 +96,7 @@ def _afterwards(
 ) -> tuple[int | None, bool, int]:
     """When a person asks to arm, whether the car must then drive, and when the run ends.
 
+    A car that must not be armed at all is asked at any time, besides once at the start, as by `--arm`.
     After a stop either nobody touches the car; or a person asks too early, which must be refused and forgotten; or in
     time, once the car stands, which must work: a lane that was lost is looked for as at the start then.
     """
@@ -100,6 +106,8 @@ def _afterwards(
     quiet_ns = healthy_ns + round(_QUIET_S * 1e9)
     how = random.choice(("nobody", "early", "in time") if fault.host_notices else ("nobody", "in time"))
     early_ns = round(random.uniform(start_ns + 0.2e9, end_ns + (REARM_S - 0.05) * 1e9))
+    if fault.from_start:
+        return round(random.uniform(0.1e9, end_ns - 0.5e9)), False, end_ns
     if fault.must is not Must.STOP:
         return None, False, end_ns + round(0.35e9)
     if not fault.ends:
@@ -161,6 +169,8 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
     """The verdict on a run; `without` is the same run without the fault, for `same_pulses`."""
     if seen.error is not None:
         return Verdict(violations=(f"the run ended by {seen.error}",), reaction_s=None)
+    if fault.from_start:
+        return _from_the_start(fault, plan, seen)
     start_ns = plan.start_ns
     if fault.timed_from_motion or fault.shown_by:
         if seen.shown_ns is None:
@@ -201,6 +211,19 @@ def _in_common(fault: Fault, plan: Plan, seen: Observed) -> list[str]:
     if fault.event is not None and not any(e.kind == fault.event and e.t_ns >= plan.start_ns for e in seen.events):
         found.append(f"no {fault.event!r} was reported")
     return found
+
+
+def _from_the_start(fault: Fault, plan: Plan, seen: Observed) -> Verdict:
+    """That of a car that must not be armed (REFUSE), or stay in its lane where it is (STAY)."""
+    found, left_m = _in_common(fault, plan, seen), seen.left_m
+    if not _drives_at(seen, plan.until_ns):  # else it is the run's end that stops it, wherever it is
+        left_m = max(left_m, seen.rolled_m)
+    moved_ns = next((t for t, _, motor in seen.pins if t <= plan.until_ns and motor != seen.neutral_us), None)
+    if fault.must is Must.REFUSE and moved_ns is not None:
+        found.append(f"it was armed, and moved off after {moved_ns * 1e-9:.2f} s")
+    if fault.must is Must.STAY and left_m > fault.outside_m:
+        found.append(f"it left its lane by {left_m:.3f} m")
+    return Verdict(violations=tuple(found), reaction_s=None, left_m=left_m)
 
 
 def _stopped(fault: Fault, plan: Plan, seen: Observed, start_ns: int, neutral_ns: int | None) -> list[str]:

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from automodel.assembly.pair_check import pair_check
 from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
@@ -37,7 +38,6 @@ from automodel.bench.faults.faulty_parts import (
 )
 from automodel.bench.faults.judge import (
     REARM_S,
-    RENDERED_NS,
     Observed,
     Pin,
     Plan,
@@ -154,7 +154,7 @@ class FaultRig:
         self._simulated: AvrBoard | None = None
         self._stopping = False
         by_truth = pipeline == TRUTH
-        self._first = math.ceil(RENDERED_NS * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
+        self._first = math.ceil(plan.rendered_ns * 1e-9 * car.camera.rate_hz)  # the first image that shows the road
         self._build_world(None if by_truth else self._first)
         self._clock = VirtualClock(0, self._advance)
         self._person = Person(plan, self._clock)
@@ -218,7 +218,10 @@ class FaultRig:
             slip=self._slip(),
             seed=plan.look,
         )
-        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(car.camera.eyes)]
+        eyes, rig = car.camera.eyes, self._hooks.rig
+        if rig is not None and len(eyes) == 2:
+            eyes = rig((eyes[0], eyes[1]))
+        cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(eyes)]
         self._world = World(
             Plant(true, start),
             EyePair(*cameras) if len(cameras) > 1 else cameras[0],
@@ -285,7 +288,7 @@ class FaultRig:
             source=self._source,
             link=ArduinoLink(self._transport, car.link, car.vehicle),
             clock=self._clock,
-            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car)),
+            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car, pair=pair_check(car))),
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)

@@ -21,6 +21,7 @@ stands. What the car must do:
 - **hold**: neutral within the limit if the fault lasts that long; it drives on by itself when the fault is over, and
   never leaves its lane;
 - **nothing**: it drives on as if there was no fault, and never leaves its lane;
+- **refuse**: it is wrong before the car is armed: it is never armed, whoever asks;
 - **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
   limit; without a limit it is no violation, but a figure.
 

@@ -58,6 +58,15 @@ class PlaneFilter:
         self.plane = Plane(*(np.array(self.plane) + step).tolist())
         self.covariance = np.asarray(covariance, dtype=np.float64)
 
+    @property
+    def off_calibration(self) -> float:
+        """Squared Mahalanobis distance of the plane from the calibrated one: chi-square of three degrees of freedom.
+
+        By what a body that pitches and bounces does, and by what is not known of the plane.
+        """
+        plane = np.array(self.plane)
+        return float(plane @ np.linalg.solve(self._most + self.covariance, plane))
+
     def height_sigma_m(self, ahead_m: FloatArray) -> FloatArray:
         """How well the ground's height is known (n,) [m] at places (n, 2) [m] ahead and to the left of the cameras."""
         rows = np.column_stack((-np.ones(len(ahead_m)), ahead_m[:, 0], -ahead_m[:, 1]))

@@ -9,7 +9,7 @@ import pytest
 
 from automodel.bench.faults import faulty_parts
 from automodel.bench.faults import measure as fault_rig
-from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS
+from automodel.bench.faults.catalogue import CAN, CYCLE_S, FAULTS, chosen
 from automodel.bench.faults.fault import Must
 from automodel.config import PipelineConfig
 from automodel.config import can as can_config
@@ -72,6 +72,13 @@ def test_a_network_that_lies_is_looked_at(cli: Cli) -> None:
     (row,) = cli("bench", "faults", *only).rows
     assert row["violations"] == 0
     assert 0 < row["left_max_m"] < 0.2
+
+
+@pytest.mark.parametrize("name", ["rig-swapped", "rig-turned"])
+def test_a_pair_that_is_wrong_before_the_car_is_armed(name: str) -> None:
+    (fault,) = chosen((name,))
+    verdict = fault_rig.judged("stereo", fault, 3, 0)
+    assert (verdict.violations, verdict.reaction_s) == ((), None)
 
 
 @pytest.mark.slow
@@ -264,7 +271,7 @@ def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_n
     return self._enter(safety.SafetyMode.STOPPED, "stop", "at once", now_ns)
 
 
-def _strict_checks(car: object) -> object:
+def _strict_checks(car: object, **_: object) -> object:
     """Checks that take one dropped frame for a fault."""
 
     class Strict(InputChecks):

@@ -14,7 +14,7 @@ from automodel.bench.faults import hooks
 from automodel.bench.faults.fault import At, CameraHook, Hooks, PairHook, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
-from automodel.config import VehicleConfig
+from automodel.config import CameraConfig, SecondCamera, VehicleConfig
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.loop import Loop
 from automodel.signals import BoardSensors, Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
@@ -413,3 +413,16 @@ def test_lines_are_added_where_none_are_and_stay_where_they_are() -> None:
     assert int(first.image[added].max()) >= 190
     assert not added[: round(0.4 * 90) - 2].any()
     assert int(image.max()) == 200  # the camera's own image is not touched
+
+
+def test_the_cameras_of_a_rig_are_exchanged_and_turned() -> None:
+    left, right = CameraConfig(right=SecondCamera()).eyes
+    right = dataclasses.replace(right, extrinsics=dataclasses.replace(right.extrinsics, y_m=-0.2))
+    assert hooks.eyes_exchanged((left, right)) == (right, left)
+    one, other = hooks.eye_turned(1, 0.1, 0.0, -0.2)((left, right))
+    assert one == left
+    assert other.extrinsics == dataclasses.replace(
+        right.extrinsics, yaw_rad=right.extrinsics.yaw_rad + 0.1, roll_rad=right.extrinsics.roll_rad - 0.2
+    )
+    nodding = hooks.eye_turned(0, 0.0, 0.1, 0.0)((left, right))[0]
+    assert nodding.extrinsics.pitch_rad == left.extrinsics.pitch_rad + 0.1

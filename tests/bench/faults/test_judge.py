@@ -214,6 +214,29 @@ def test_a_car_that_must_stay_may_leave_its_lane_by_so_much() -> None:
     assert judge(stay, PLAN, seen(pins())).reaction_s is None
 
 
+def test_a_car_that_must_not_be_armed_may_never_move() -> None:
+    refuse = fault(Must.REFUSE, from_start=True)
+    plan = replace(PLAN, start_ns=0, end_ns=3000 * MS, until_ns=3000 * MS)
+    assert judge(refuse, plan, seen(pins((0, 9999)))).violations == ()
+    (text,) = judge(refuse, plan, seen(pins((0, 2480), (2500, 9999)))).violations
+    assert text == "it was armed, and moved off after 2.48 s"
+    (text,) = judge(replace(refuse, event="fault"), plan, seen(pins((0, 9999)))).violations
+    assert text == "no 'fault' was reported"
+
+
+def test_a_car_that_is_wrong_from_the_start_may_drive_where_it_stays_in_its_lane() -> None:
+    stay = fault(Must.STAY, from_start=True, outside_m=0.1)
+    plan = replace(PLAN, start_ns=0, end_ns=3000 * MS, until_ns=3000 * MS)
+    for made in (pins((0, 9999)), pins((0, 600)), pins((0, 600), (2000, 9999))):
+        assert judge(stay, plan, seen(made, left_m=0.1)).violations == ()
+        assert judge(stay, plan, seen(made, left_m=0.05)).left_m == 0.05
+        (text,) = judge(stay, plan, seen(made, left_m=0.11)).violations
+        assert text == "it left its lane by 0.110 m"
+    stopped = judge(stay, plan, seen(pins((0, 600), (2000, 9999)), rolled_m=0.11))
+    assert stopped.violations == ("it left its lane by 0.110 m",)
+    assert judge(stay, plan, seen(pins((0, 600)), rolled_m=0.11)).violations == ()  # the run has ended
+
+
 def test_a_refusal_is_right_where_no_pipeline_could_start() -> None:
     made = pins((2100, 4300))
     assert judge(fault(Must.STOP), ARMED_AGAIN, seen(made, could_start=False)).violations == ()

@@ -22,7 +22,7 @@ def test_the_same_seed_gives_the_same_plan_and_another_one_another() -> None:
 
 
 def test_a_fault_starts_at_any_time_of_a_servo_frame_and_of_a_frame() -> None:
-    starts = [plan.start_ns for _, plan in PLANS]
+    starts = [plan.start_ns for fault, plan in PLANS if not fault.from_start]
     assert all(START_NS[0] <= start <= START_NS[1] for start in starts)
     for period_ns in (20_000_000, 16_666_667):
         assert {start % period_ns * 8 // period_ns for start in starts} == set(range(8))
@@ -98,13 +98,26 @@ def test_what_needs_images_is_left_out_where_there_are_none() -> None:
 
 def test_what_needs_two_cameras_is_left_out_where_there_is_one() -> None:
     needing = {fault.name for fault in FAULTS if fault.pairs}
-    assert needing == {"pair-off", "pair-stuck", "pair-dark", "pair-times", "pair-swapped", "pair-turned"}
+    assert needing == {
+        *("pair-off", "pair-stuck", "pair-dark", "pair-times", "pair-swapped", "pair-turned"),
+        *("rig-swapped", "rig-turned"),
+    }
     assert needing.isdisjoint(fault.name for fault in chosen((), pairs=False))
     reported = {fault.name for fault in FAULTS if fault.must is Must.STAY and math.isinf(fault.outside_m)}
     assert reported == {"pair-swapped", "pair-turned"}
     assert needing.isdisjoint(fault.name for fault in chosen((), images=False))
     with pytest.raises(ValueError, match=r"'pair-off': needs a pipeline of two cameras"):
         chosen(("pair-off",), pairs=False)
+
+
+def test_what_is_there_from_the_start_is_asked_about_while_it_lasts() -> None:
+    found = [plan for fault, plan in PLANS if fault.from_start]
+    assert len(found) == 60
+    for plan in found:
+        assert (plan.start_ns, plan.rendered_ns, plan.pipeline_ns, plan.drives_again) == (0, 0, 0, False)
+        assert plan.press_ns is not None
+        assert plan.press_ns < plan.until_ns - 0.4e9
+        assert plan.until_ns >= 2.5e9
 
 
 def test_a_person_asks_to_arm_a_car_that_stands() -> None:

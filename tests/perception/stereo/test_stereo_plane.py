@@ -175,6 +175,25 @@ def test_the_plane_gets_less_certain_with_time_but_no_less_than_at_the_start() -
     np.testing.assert_allclose(known.covariance, start)
 
 
+def test_how_far_a_plane_is_from_the_calibrated_one() -> None:
+    """Samples of a body's walk about the calibrated plane: chi-square of three degrees of freedom, whose mean is 3."""
+    plane_filter = PlaneFilter(1.0)
+    assert plane_filter.off_calibration == 0.0
+    sigmas = np.sqrt(np.diag(plane_filter.covariance))
+    rng = np.random.default_rng(0)
+    found = []
+    for sample in rng.normal(size=(4000, 3)) * sigmas:
+        plane_filter.reset()
+        plane_filter.update(sample, np.zeros((3, 3)))
+        found.append(plane_filter.off_calibration)
+    assert np.mean(found) == pytest.approx(3.0, rel=0.1)
+    plane_filter.update(np.zeros(3), np.diag(sigmas**2))  # as uncertain again
+    assert plane_filter.off_calibration == pytest.approx(0.5 * found[-1])
+    plane_filter.reset()
+    plane_filter.update(np.array((0.0, 6.0 * sigmas[1], 0.0)), np.zeros((3, 3)))
+    assert plane_filter.off_calibration == pytest.approx(36.0)
+
+
 def test_what_nothing_measures_returns_to_the_calibration_unless_it_is_held() -> None:
     known = PlaneFilter(1.2)
     known.update(np.array((0.01, 0.002, 0.0)), 1e-6 * np.eye(3))
