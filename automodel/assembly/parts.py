@@ -206,15 +206,17 @@ def make_loop(car: CarConfig, *, pipeline: Pipeline | None = None, checks: Check
 
 
 def make_checks(car: CarConfig, *, noiseless: bool = False) -> InputChecks:
-    """The checks of what a car that drives is given; `noiseless` as in `InputChecks`.
-
-    What looks at a pair of cameras is loaded for two of them alone.
-    """
+    """The checks of what a car that drives is given; `noiseless` as in `InputChecks`."""
     if car.camera.right is None:
         return InputChecks(car, noiseless=noiseless)
-    from automodel.assembly.pair_check import pair_check
+    from automodel.assembly.pair_checks import PairChecks  # compiled code, which a single camera does not need
+    from automodel.pipelines.stereo import Stereo
 
-    return InputChecks(car, noiseless=noiseless, pair=pair_check(car))
+    try:
+        rig = Stereo.rig(car)
+    except ValueError:  # not calibrated: a pipeline that needs both cameras says so
+        return InputChecks(car, noiseless=noiseless)
+    return PairChecks(car, rig, noiseless=noiseless)
 
 
 def build_run(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from automodel.config import CarConfig
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
-from automodel.perception.stereo.points import RigCheck, check_rig
+from automodel.perception.stereo.points import ORDER_SIGMAS, RigCheck, check_rig
 from automodel.pipelines.stereo import Stereo
 from automodel.signals import StereoFrame
 from automodel.sources.images import with_channels
@@ -14,7 +14,6 @@ from automodel.sources.pairs import SIDES, PairStatus
 
 PAIRED_WARN, PAIRED_FAIL = 0.95, 0.5  # share of the frames; a car drives with half its rate, and is held for gaps
 REPEATED = 0.5  # share of a camera's frames that are the one before
-ORDER_SIGMAS = 3.0  # of a sign test: 1 in 700 that wrong matches alone say so
 RIGID = 0.5  # share of the matches that belong together; of wrong ones alone it is up to 0.4
 OFF_WARN_PX, OFF_FAIL_PX = 3.0, 10.0  # 0.4 and 1.2 deg at 480 px: what the ground plane takes in, and what it does not
 LOOKED_AT = 3  # pairs

@@ -127,6 +127,19 @@ class Stereo:
         return "; ".join(text for text in (self._width.warning, *blind, *frozen, off * (self._off > 0)) if text)
 
     @property
+    def trouble(self) -> str:
+        """Why there is no lane, where the cameras are wrong; "" where nothing speaks against them.
+
+        An eye that is turned against its calibration puts the ground plane where no body of a car brings it.
+        """
+        if self._plane.off_calibration <= FAR_OFF:
+            return ""
+        return (
+            "the ground as both cameras see it does not fit their calibration: a camera was turned, or car.toml is that"
+            " of another pair; calibrate both again"
+        )
+
+    @property
     def plane(self) -> Plane:
         """The cameras' height, pitch and roll over the ground, beyond the calibrated ones."""
         return self._plane.plane
@@ -142,8 +155,7 @@ class Stereo:
         self._missing = [0, 0]  # frames without an image of the left camera, of the right one
         self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
         self._before: list[Image | None] = [None, None]
-        self.trouble = ""  # why there is no lane in this pair, where the cameras are wrong
-        self._off = 0  # pairs with a plane that cannot be
+        self._off = 0  # pairs with a plane that does not fit the calibration
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._changes.reset()
@@ -155,7 +167,6 @@ class Stereo:
         A single image is that of the camera that its `eye` says; the other one is missing.
         """
         self.stages.start()
-        self.trouble = ""
         single, images = _images(frame)
         self._missing = [count + (image is None) for count, image in zip(self._missing, images, strict=True)]
         self._predict(single, motion)  # speed and yaw rate
@@ -170,8 +181,8 @@ class Stereo:
         left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
-        self.trouble = self._off_calibration()
         if self.trouble:
+            self._off += 1
             return self._tracking.lost_estimate(single)
         if self._tracking.lost:
             self._changes.reset()
@@ -255,19 +266,6 @@ class Stereo:
         lines = reconstruct(left, right, matches, fit.inliers, odds, self._spacing_m)
         self.stages.lap("lines")
         return lines
-
-    def _off_calibration(self) -> str:
-        """That the plane lies where no body of a car brings it, "" where it does not.
-
-        An eye that is turned against its calibration shows so: stripes do not meet on any plane but a wrong one.
-        """
-        if self._plane.off_calibration <= FAR_OFF:
-            return ""
-        self._off += 1
-        return (
-            "the ground as both cameras see it does not fit their calibration: a camera was turned, or they are"
-            " swapped, or car.toml is that of another pair"
-        )
 
     def _odds(self, eye: int, stripes: tuple[Stripes, Stripes], images: Sequence[Image | None]) -> FloatArray:
         """Log-odds (k,) [nats] that the stripes of one eye (0: left, 1: right) are paint on the ground.

@@ -2,7 +2,6 @@
 
 - `ImageCheck`: an image has the camera's size, is a new one, and shows anything at all.
 - `PairTimesCheck`: both images of a pair were taken at the same time, or nearly.
-- `PairLook`, which is given: the two cameras are those of car.toml.
 - `LaneJumpCheck`: the lane is still the one that was followed; a car cannot move sideways, or turn, between two frames.
 - `width_fault`: the lane has a width that a lane can have.
 - `OffsetBoundCheck`: the car is in its lane, whatever its pose may be wrong by.
@@ -12,7 +11,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -253,29 +251,18 @@ class SteeringCheck:
         return abs(motion.yaw_rate_radps - expected) > APART_RADPS + APART_SHARE * abs(expected)
 
 
-class PairLook(Protocol):
-    """Whether two cameras are the pair of car.toml (`assembly.pair_check`)."""
-
-    def step(self, pair: StereoFrame, armed: bool) -> str | None:
-        """Why the car must not be armed with these cameras, None where nothing speaks against them."""
-        ...
-
-
 class InputChecks:
     """Implements `Checks`. They outlive a reset of the chain: what they remember is bounded in time.
 
-    `noiseless` is for a simulated camera whose images have no noise. `pair` looks at the pairs of two cameras, where
-    there are two.
+    `noiseless` is for a simulated camera whose images have no noise.
     """
 
-    def __init__(self, car: CarConfig, *, noiseless: bool = False, pair: PairLook | None = None) -> None:
+    def __init__(self, car: CarConfig, *, noiseless: bool = False) -> None:
         size, timeout_s = (car.camera.width_px, car.camera.height_px), car.safety.frame_timeout_s
         self._pictures = tuple(ImageCheck(*size, timeout_s, noiseless=noiseless) for _ in range(2))
         right = car.camera.right
         tolerance_s = math.inf if right is None else right.tolerance_s(car.camera.rate_hz)
         self._pair_times = PairTimesCheck(tolerance_s, timeout_s)
-        self._pair: StereoFrame | None = None  # the last one that fits
-        self._pair_look = pair
         self._vehicle = car.vehicle
         self._lane_jump = LaneJumpCheck(car.vehicle)
         self._offset_bound = OffsetBoundCheck(car.vehicle, *car.pipeline.coasting(car.lane.width_m))
@@ -287,20 +274,16 @@ class InputChecks:
 
     def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
         """What is wrong with a frame that fits."""
-        self._pair = frame if isinstance(frame, StereoFrame) else None
         wrong = [check.step(image, frame.t_ns) for check, image in self._seen(frame)]
         if isinstance(frame, StereoFrame):
             wrong.append(self._pair_times.step(frame.right_late_ns, frame.t_ns))
         return tuple(filter(None, wrong))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
-        """What is wrong with the lane or too uncertain, with how the car moves, or with the cameras as a pair."""
+        """What is wrong with the lane or too uncertain, or wrong with how the car moves."""
         jump, turns = self._lane_jump.step(estimate), self._steering.step(motion, state)
         uncertain, width = self._offset_bound.step(estimate, motion, state), width_fault(estimate, self._vehicle)
-        cameras = None
-        if self._pair is not None and self._pair_look is not None:
-            cameras = self._pair_look.step(self._pair, state is not None and state.armed)
-        return tuple(filter(None, (jump, width, uncertain, turns, cameras)))
+        return tuple(filter(None, (jump, width, uncertain, turns)))
 
     def _seen(self, frame: Frame | StereoFrame) -> list[tuple[ImageCheck, Image]]:
         """Each image with the check of its camera; a single image leaves the other camera's idle."""

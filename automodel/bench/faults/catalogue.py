@@ -131,20 +131,19 @@ def _of_one_eye(random: Random, spoil: hooks.Spoil) -> Hooks:
     return Hooks(pair=hooks.of_eye(random.randrange(2), spoil))
 
 
-REFUSED_S = (2.5, 3.5)  # of asking: five times what a car that is well takes to be armed, at least
+RIG_S = (2.5, 3.5)  # a car that is well is armed and drives off within 1 s
 
 
 def _rig_turned(random: Random) -> Hooks:
     """One of the eyes, about one of its axes."""
-    by_rad = random.choice((-1, 1)) * math.radians(random.uniform(1.0, 2.0))
-    axis = random.randrange(3)
-    return Hooks(rig=hooks.eye_turned(random.randrange(2), *(by_rad * (axis == k) for k in range(3))))
+    angle, by_deg = random.choice(("yaw_rad", "pitch_rad", "roll_rad")), random.uniform(1.0, 2.0)
+    return Hooks(rig=hooks.eye_turned(random.randrange(2), angle, random.choice((-1, 1)) * math.radians(by_deg)))
 
 
 # One eye that gives no image leaves the other one alone. Pairs whose images cannot be a pair are another matter: a
 # source that says that both eyes work, and gives what they cannot have seen, is not believed. A pair that is not the
-# calibrated one is refused before the car is armed (`rig-`); while it drives only the ground plane tells, not always:
-# what comes of that is reported.
+# calibrated one is refused before the car is armed, where it shows (`rig-`); while it drives only the ground plane
+# tells, not always: what comes of that is reported.
 PAIR = (
     Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
           text="no image of one of two cameras comes: those of the other one come alone",
@@ -165,10 +164,10 @@ PAIR = (
           pairs=True, text="one of two cameras is turned about its optical axis by 1 to 5 degrees",
           hooks=lambda random, end_ns: _of_one_eye(
               random, hooks.turned(random.choice((-1, 1)) * math.radians(random.uniform(1.0, 5.0))))),
-    Fault(name="rig-swapped", kind=Kind.WRONG, must=Must.REFUSE, duration_s=REFUSED_S, pairs=True, from_start=True,
+    Fault(name="rig-swapped", kind=Kind.WRONG, must=Must.REFUSE, duration_s=RIG_S, pairs=True, from_start=True,
           text="the left camera is the right one, and the right one the left one, before the car is armed",
-          hooks=lambda random, end_ns: Hooks(rig=hooks.eyes_exchanged)),
-    Fault(name="rig-turned", kind=Kind.WRONG, must=Must.STAY, duration_s=REFUSED_S, pairs=True, from_start=True,
+          hooks=lambda random, end_ns: Hooks(rig=lambda eyes: eyes[::-1])),
+    Fault(name="rig-turned", kind=Kind.WRONG, must=Must.STAY, duration_s=RIG_S, pairs=True, from_start=True,
           outside_m=0.1,
           text="one of two cameras is turned by 1 to 2 degrees against car.toml before the car is armed: refused,"
           " stopped, or taken in by the ground plane",

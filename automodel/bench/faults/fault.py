@@ -16,7 +16,7 @@ BOUND_S = 0.150  # from the start of a fault to neutral throttle at the motor's 
 
 CameraHook = Callable[[Frame], "tuple[int, Frame] | None"]  # when the frame is delivered, None: never; may raise
 PairHook = Callable[[StereoFrame], "tuple[int, Frame | StereoFrame] | None"]  # likewise; a `Frame`: one eye alone
-RigHook = Callable[[tuple[CameraConfig, CameraConfig]], tuple[CameraConfig, CameraConfig]]  # what stands on the car
+RigHook = Callable[[tuple[CameraConfig, ...]], tuple[CameraConfig, ...]]
 LaneHook = Callable[[LaneEstimate], LaneEstimate]  # may raise
 WireHook = Callable[[bytes, int], Iterable[tuple[int, bytes]]]  # bytes at a time -> when which bytes arrive
 PulseHook = Callable[[float, float], tuple[float, float]]  # servo and motor pulse [us], as commanded

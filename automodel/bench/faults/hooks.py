@@ -179,21 +179,13 @@ def turned(angle_rad: float) -> Spoil:
     return spoil
 
 
-def eyes_exchanged(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
-    """The left camera stands where the right one is said to be, and the right one where the left one is."""
-    return eyes[1], eyes[0]
+def eye_turned(eye: int, angle: str, by_rad: float) -> RigHook:
+    """One camera is turned against its calibration: this angle of its extrinsics is larger by so much."""
 
-
-def eye_turned(eye: int, yaw_rad: float, pitch_rad: float, roll_rad: float) -> RigHook:
-    """One camera is turned by so much against its calibration."""
-
-    def hook(eyes: tuple[CameraConfig, CameraConfig]) -> tuple[CameraConfig, CameraConfig]:
+    def hook(eyes: tuple[CameraConfig, ...]) -> tuple[CameraConfig, ...]:
         at = eyes[eye].extrinsics
-        place = replace(
-            at, yaw_rad=at.yaw_rad + yaw_rad, pitch_rad=at.pitch_rad + pitch_rad, roll_rad=at.roll_rad + roll_rad
-        )
-        camera = replace(eyes[eye], extrinsics=place)
-        return (camera, eyes[1]) if eye == 0 else (eyes[0], camera)
+        there = replace(eyes[eye], extrinsics=replace(at, **{angle: getattr(at, angle) + by_rad}))
+        return (*eyes[:eye], there, *eyes[eye + 1 :])
 
     return hook
 

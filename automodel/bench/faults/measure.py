@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from automodel.assembly.pair_check import pair_check
-from automodel.assembly.parts import build_run, make_loop, make_pipeline, run_config
+from automodel.assembly.parts import build_run, make_checks, make_loop, make_pipeline, run_config
 from automodel.assembly.simulated_car import LATENCY_NS, renderer
 from automodel.bench.accuracy import Row
 from automodel.bench.faults.can_rig import run_can_fault
@@ -53,7 +52,6 @@ from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
 from automodel.interfaces import Recorder
 from automodel.runtime.clocks import NS_PER_S, VirtualClock
-from automodel.runtime.input_checks import InputChecks
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.runner import Runner
 from automodel.signals import Motion
@@ -218,9 +216,7 @@ class FaultRig:
             slip=self._slip(),
             seed=plan.look,
         )
-        eyes, rig = car.camera.eyes, self._hooks.rig
-        if rig is not None and len(eyes) == 2:
-            eyes = rig((eyes[0], eyes[1]))
+        eyes = car.camera.eyes if self._hooks.rig is None else self._hooks.rig(car.camera.eyes)
         cameras = [RoadCamera(camera, plan, first, eye) for eye, camera in enumerate(eyes)]
         self._world = World(
             Plant(true, start),
@@ -288,7 +284,7 @@ class FaultRig:
             source=self._source,
             link=ArduinoLink(self._transport, car.link, car.vehicle),
             clock=self._clock,
-            loop=make_loop(car, pipeline=self._pipeline, checks=InputChecks(car, pair=pair_check(car))),
+            loop=make_loop(car, pipeline=self._pipeline, checks=make_checks(car)),
             recorder=recorder,
         )
         config = run_config(car, collector_off=False)

@@ -20,6 +20,7 @@ CORNERS = 1000  # of an image at most: 20 to 70 ms a pair
 CONTRAST = 7  # grey levels of a corner: floors are plain
 NEAR_PX = 2.0  # of an epipolar line lies what may be the same point: corners are found within a pixel or two
 PARALLAX_PX = 5.0  # beyond the noise of points that are infinitely far
+ORDER_SIGMAS = 3.0  # of the sign test: 1 in 700 that wrong matches alone say so
 _LEAST = 8  # matches that an epipolar geometry needs
 _RIGID_PX, _SURE, _TRIES = 1.0, 0.999, 2000
 
@@ -104,5 +105,8 @@ def _rigid(left_px: FloatArray, right_px: FloatArray) -> Bools:
     """Which matches (n,) the epipolar geometry explains that explains most of them."""
     if len(left_px) < _LEAST:
         return np.zeros(len(left_px), np.bool_)
-    _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, _RIGID_PX, _SURE, _TRIES)
+    try:
+        _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, _RIGID_PX, _SURE, _TRIES)
+    except cv2.error:  # some matches that are all wrong make a geometry that OpenCV itself refuses
+        mask = None
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel().astype(np.bool_)

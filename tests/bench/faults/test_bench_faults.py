@@ -246,7 +246,7 @@ BROKEN: list[tuple[str, int, Break, str]] = [  # the fault, how many runs, how t
     ("camera-off", 1, lambda m: m.setattr(safety.Safety, "_at_rest", _restarting), "drove off by itself"),
     ("camera-off", 6, lambda m: m.setattr(safety.Safety, "_at_rest", _remembering), "drove off by itself"),
     ("camera-pauses", 1, lambda m: m.setattr(safety.Safety, "_held", _nothing_held), "stop after"),
-    ("camera-drops-1", 1, lambda m: m.setattr(fault_rig, "InputChecks", _strict_checks), "hold after"),
+    ("camera-drops-1", 1, lambda m: m.setattr(fault_rig, "make_checks", _strict_checks), "hold after"),
     ("perception-blip", 1, lambda m: m.setattr(SupervisedSource, "read", _raising), "the run ended by"),
     ("sonar-spikes", 3, lambda m: m.setattr(speed_module.ObstacleGuard, "range_m", property(_newest)), "neutral"),
     ("battery-low", 1, lambda m: m.setattr(arduino.BatteryMeter, "step", _nothing), "was reported"),
@@ -271,7 +271,7 @@ def _nothing_held(self: safety.Safety, inputs: object, unwell: str | None, now_n
     return self._enter(safety.SafetyMode.STOPPED, "stop", "at once", now_ns)
 
 
-def _strict_checks(car: object, **_: object) -> object:
+def _strict_checks(car: object) -> object:
     """Checks that take one dropped frame for a fault."""
 
     class Strict(InputChecks):

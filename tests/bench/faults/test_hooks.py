@@ -415,14 +415,11 @@ def test_lines_are_added_where_none_are_and_stay_where_they_are() -> None:
     assert int(image.max()) == 200  # the camera's own image is not touched
 
 
-def test_the_cameras_of_a_rig_are_exchanged_and_turned() -> None:
-    left, right = CameraConfig(right=SecondCamera()).eyes
-    right = dataclasses.replace(right, extrinsics=dataclasses.replace(right.extrinsics, y_m=-0.2))
-    assert hooks.eyes_exchanged((left, right)) == (right, left)
-    one, other = hooks.eye_turned(1, 0.1, 0.0, -0.2)((left, right))
-    assert one == left
-    assert other.extrinsics == dataclasses.replace(
-        right.extrinsics, yaw_rad=right.extrinsics.yaw_rad + 0.1, roll_rad=right.extrinsics.roll_rad - 0.2
-    )
-    nodding = hooks.eye_turned(0, 0.0, 0.1, 0.0)((left, right))[0]
-    assert nodding.extrinsics.pitch_rad == left.extrinsics.pitch_rad + 0.1
+@pytest.mark.parametrize("angle", ["yaw_rad", "pitch_rad", "roll_rad"])
+def test_a_camera_of_a_rig_is_turned(angle: str) -> None:
+    eyes = CameraConfig(right=SecondCamera()).eyes
+    for eye in (0, 1):
+        found = hooks.eye_turned(eye, angle, 0.1)(eyes)
+        before, after = eyes[eye].extrinsics, found[eye].extrinsics
+        assert found[1 - eye] == eyes[1 - eye]
+        assert after == dataclasses.replace(before, **{angle: getattr(before, angle) + 0.1})

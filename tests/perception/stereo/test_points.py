@@ -5,13 +5,41 @@ from __future__ import annotations
 import dataclasses
 import math
 
+import cv2
 import numpy as np
 import pytest
 
-from automodel.geometry.stereo_rig import Eye, image_of
+from automodel.config import Extrinsics, Intrinsics
+from automodel.geometry import CameraModel, GroundCamera
+from automodel.geometry.stereo_rig import Eye, StereoRig, image_of
 from automodel.perception.stereo.points import RigCheck, check_rig, epipolar
-from tests.support.patterned_wall import F_PX, parallel, wall
 from tests.support.stereo_pictures import mirror_cameras
+
+F_PX, BASELINE_M, WALL_M = 480.0, 0.25, 3.0
+
+
+def parallel(right_pitch_rad: float = 0.0) -> StereoRig:
+    """Two level cameras beside each other."""
+    lens = Intrinsics(fx_px=F_PX, fy_px=F_PX, cx_px=319.5, cy_px=179.5)
+
+    def camera(y_m: float, pitch_rad: float) -> GroundCamera:
+        return GroundCamera(CameraModel(lens, 640, 360), Extrinsics(x_m=0.0, y_m=y_m, z_m=1.0, pitch_rad=pitch_rad))
+
+    return StereoRig(camera(0.5 * BASELINE_M, 0.0), camera(-0.5 * BASELINE_M, right_pitch_rad))
+
+
+def wall(noise: float = 2.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A patterned wall `WALL_M` ahead of both, as they see it."""
+    rng = np.random.default_rng(seed)
+    shift = round(F_PX * BASELINE_M / WALL_M)
+    pattern = cv2.resize(rng.integers(40, 220, (60, 120)).astype(np.uint8), None, fx=6.5, fy=6.5)
+    whole = pattern[:360, : 640 + shift].astype(float)
+    left, right = whole[:, :640], whole[:, shift:]  # what is at column u on the left is at u - shift on the right
+
+    def noisy(image: np.ndarray) -> np.ndarray:
+        return np.clip(image + noise * rng.standard_normal(image.shape), 0, 255).astype(np.uint8)
+
+    return noisy(left), noisy(right)
 
 
 def test_rays_that_meet_have_no_error_and_the_angle_between_them() -> None:
@@ -71,3 +99,13 @@ def test_the_sign_test() -> None:
     check = RigCheck(matched=0, rigid=0, error_px=0.0, as_given=20, exchanged=5)
     assert check.order_sigmas == 3.0
     assert dataclasses.replace(check, as_given=5, exchanged=20).order_sigmas == -3.0
+
+
+def test_matches_of_which_opencv_makes_no_geometry_have_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*args: object) -> None:
+        raise cv2.error("Assertion failed: !model.empty()")
+
+    monkeypatch.setattr(cv2, "findFundamentalMat", refused)
+    check = check_rig([wall()], parallel())
+    assert (check.rigid, check.as_given > 20 * check.exchanged) == (0, True)
+    assert math.isnan(check.error_px)
