@@ -7,6 +7,10 @@ With x the state, P = L L' its covariance, R that of the points' errors, r the l
 
 in the coordinates z of x = x0 + L z, in which the belief is a unit normal. A and v are sums over the lines, so that
 every set of lines is weighed by one small factorisation (Bar-Shalom, Li, Kirubarajan 2001, section 3.2).
+
+The points' errors are Student's with two degrees of freedom, because some are of another thing, which touches the line
+or was joined to it: each point's row of R^-1 has a weight w = 3 / (2 + r^2 / variance), found in turns with z
+(expectation maximisation, Lange, Little, Taylor 1989, "Robust Statistical Modeling Using the t Distribution").
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ from automodel.compiled import compiled
 from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
-ROUNDS = 6  # of linearisation, and halvings of a step, at most
+ROUNDS = 8  # of linearisation and weighing, and halvings of a step, at most
 TRUST = 4.0  # sigmas by which a linearisation may move the belief: beyond, the road may coil up (8 does as well)
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
@@ -30,8 +34,8 @@ class Prior(NamedTuple):
     """A belief as lines are weighed against it; the last coordinate is the camera's nod, its pitch in this frame alone.
 
     `root` (n + 1, n + 1): square root of the covariance, in the order of the state and the nod. `point_variance` [m^2]:
-    of a point's error, `line_share`: of the error that a line's points have in common, in units of it. `eye_m`: the
-    camera's place ahead and above; `pitch_rad`: sigma of its pitch.
+    squared scale of a point's error; `line_share`: variance of the error that a line's points have in common, in units
+    of it. `eye_m`: the camera's place ahead and above; `pitch_rad`: sigma of its pitch.
     """
 
     state: FloatArray
@@ -48,7 +52,7 @@ class Prior(NamedTuple):
 class Equations(NamedTuple):
     """Normal equations of lines (m,) in the whitened coordinates: `information` (m, n + 1, n + 1), `vector` (m, n + 1).
 
-    `misfit` (m,): squared residuals over the points' errors. `log_volume` (m,): of these errors, with their 2 pi.
+    `misfit` (m,): of the points, weighted squares and what the weights cost. `log_volume` (m,): of the points' errors.
     """
 
     information: FloatArray
@@ -135,18 +139,42 @@ def _tilt(prior: Prior, x: float, y: float, heading: float) -> float:
 
 
 @compiled
-def _misfit(prior: Prior, path: FloatArray, state: FloatArray, nod: float, points: FloatArray, role: float) -> float:
-    """Squared residuals of a line's points (n, 2) [m] over their errors, where a state and a nod put the line."""
-    squares, total = 0.0, 0.0
+def _residuals(
+    prior: Prior, path: FloatArray, state: FloatArray, nod: float, points: FloatArray, role: float, rest: FloatArray
+) -> None:
+    """Fill `rest` (n,) with how far a line's points lie from where a state and a nod put the line [m]."""
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
         s, left = foot_on(path, x, y)
         arc = min(max(int(s / path[1, 0]), 0), len(path) - 1)
         heading = path[arc, 3] + path[arc, 4] * (s - path[arc, 0])
-        rest = left - role * state[WIDTH] - (state[PITCH] + nod) * _tilt(prior, x, y, heading)
-        squares, total = squares + rest * rest, total + rest
-    shared = prior.line_share / (1.0 + len(points) * prior.line_share)
+        rest[i] = left - role * state[WIDTH] - (state[PITCH] + nod) * _tilt(prior, x, y, heading)
+
+
+@compiled
+def _misfit(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
+    """Squared residuals (n,) of a line's weighted points over their errors."""
+    squares, total, count = 0.0, 0.0, 0.0
+    for i in range(len(rest)):
+        squares += weights[i] * rest[i] * rest[i]
+        total += weights[i] * rest[i]
+        count += weights[i]
+    shared = prior.line_share / (1.0 + count * prior.line_share)
     return (squares - shared * total * total) / prior.point_variance
+
+
+@compiled
+def _weigh(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
+    """Weigh a line's points anew by their residuals (n,); returns what the weights themselves cost [twice nats]."""
+    total, count = 0.0, 0.0
+    for i in range(len(rest)):
+        total += weights[i] * rest[i]
+        count += weights[i]
+    common, cost = prior.line_share / (1.0 + count * prior.line_share) * total, 0.0
+    for i in range(len(rest)):
+        weights[i] = 3.0 / (2.0 + (rest[i] - common) ** 2 / prior.point_variance)
+        cost += 2.0 * weights[i] - 3.0 * math.log(weights[i]) - 3.0 + 3.0 * math.log(1.5)
+    return cost
 
 
 @compiled
@@ -155,6 +183,7 @@ def _equations(
     path: FloatArray,
     state: FloatArray,
     points: FloatArray,
+    weights: FloatArray,
     role: float,
     information: FloatArray,
     vector: FloatArray,
@@ -163,7 +192,7 @@ def _equations(
     size, full = len(state), len(prior.root)
     away = state - prior.state
     row, white = np.empty(full), np.empty(full)
-    white_sum, rest_sum, misfit = np.zeros(full), 0.0, 0.0
+    white_sum, rest_sum, misfit, count = np.zeros(full), 0.0, 0.0, 0.0
     information[:], vector[:] = 0.0, 0.0
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
@@ -177,13 +206,14 @@ def _equations(
             if row[i] != 0.0:
                 for j in range(i + 1):
                     white[j] += row[i] * prior.root[i, j]
-        rest_sum, misfit = rest_sum + rest, misfit + rest * rest
+        weight = weights[k]
+        rest_sum, misfit, count = rest_sum + weight * rest, misfit + weight * rest * rest, count + weight
         for i in range(full):
-            white_sum[i] += white[i]
-            vector[i] += white[i] * rest
+            white_sum[i] += weight * white[i]
+            vector[i] += weight * white[i] * rest
             for j in range(i + 1):
-                information[i, j] += white[i] * white[j]
-    shared = prior.line_share / (1.0 + len(points) * prior.line_share)
+                information[i, j] += weight * white[i] * white[j]
+    shared = prior.line_share / (1.0 + count * prior.line_share)
     for i in range(full):
         vector[i] = (vector[i] - shared * white_sum[i] * rest_sum) / prior.point_variance
         for j in range(i + 1):
@@ -211,22 +241,20 @@ def settled(
     """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
 
     The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
-    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill.
+    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill. The points are
+    weighed in each round.
     """
     count, full = len(roles), len(prior.root)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
-    misfit, log_volume, actual = np.empty(count), np.empty(count), np.empty(count)
+    misfit, log_volume, actual, spent = np.empty(count), np.empty(count), np.empty(count), np.zeros(count)
+    weights, rest = np.ones(len(points)), np.empty(len(points))
     z, state = np.zeros(full), prior.state.copy()
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
-    for i in range(count):
-        n = ends[i] - (ends[i - 1] if i else 0)
-        log_volume[i] = n * math.log(math.tau * prior.point_variance) + math.log1p(n * prior.line_share)
-        actual[i] = np.inf
-    best = np.inf
+    best, linearised = np.inf, False
     for _ in range(ROUNDS):
         for i in range(count):
-            line = points[ends[i - 1] if i else 0 : ends[i]]
-            misfit[i] = _equations(prior, path, state, line, roles[i], information[i], vector[i])
+            its = slice(ends[i - 1] if i else 0, ends[i])
+            misfit[i] = _equations(prior, path, state, points[its], weights[its], roles[i], information[i], vector[i])
         equations = Equations(information, vector, misfit, log_volume)
         if best == np.inf:
             best = share * misfit.sum()
@@ -239,21 +267,36 @@ def settled(
             there = prior.state + moved[:-1]
             trial = lane_path(there, prior.start_m, prior.spacing_m, prior.reference_x_m)
             for i in range(count):
-                line = points[ends[i - 1] if i else 0 : ends[i]]
-                actual[i] = _misfit(prior, trial, there, moved[full - 1], line, roles[i])
+                its = slice(ends[i - 1] if i else 0, ends[i])
+                _residuals(prior, trial, there, moved[full - 1], points[its], roles[i], rest[its])
+                actual[i] = _misfit(prior, rest[its], weights[its])
             cost = share * actual.sum() + dot(at, at)
             if cost < best:
                 uphill = True
                 break
             tried *= 0.5
-        if not uphill:
-            break
-        z, state, path, best = at, there, trial, cost
-        told = misfit.sum()
+        if uphill:
+            z, state, path, best = at, there, trial, cost
+            told = misfit.sum()
+            for i in range(count):
+                told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
+            linearised = tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR
+        gain, nod = 0.0, dot(prior.root[full - 1], z)
         for i in range(count):
-            told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
-        if tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR:
+            its = slice(ends[i - 1] if i else 0, ends[i])
+            _residuals(prior, path, state, nod, points[its], roles[i], rest[its])
+            gain += _misfit(prior, rest[its], weights[its]) + spent[i]
+            spent[i] = _weigh(prior, rest[its], weights[its])
+            actual[i] = _misfit(prior, rest[its], weights[its])
+            gain -= actual[i] + spent[i]
+        best = share * actual.sum() + dot(z, z)
+        if (linearised or not uphill) and share * gain < 2.0 * LINEAR:
             break
+    for i in range(count):
+        its = slice(ends[i - 1] if i else 0, ends[i])
+        n = ends[i] - its.start
+        misfit[i] += spent[i]
+        log_volume[i] = n * math.log(8.0 * prior.point_variance) + math.log1p(weights[its].sum() * prior.line_share)
     return Equations(information, vector, misfit, log_volume), z
 
 

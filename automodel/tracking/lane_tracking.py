@@ -61,8 +61,8 @@ class TrackingConfig:
     nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next; twice
     as much, and the next lane may be taken for this one.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
-    freedom), and of a line's points: with nine of them, the most, once in a thousand true lines. `differs`: squared
-    innovation that happens once in a hundred frames. `sure`: posterior of the one hypothesis that is followed.
+    freedom); `differs`: once in a hundred. `fits`: misfit of a line's points that happens once in a thousand true lines
+    of nine points, the most (as of Student's errors). `sure`: posterior of the one hypothesis that is followed.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
@@ -77,6 +77,7 @@ class TrackingConfig:
     confusable: float = 0.125
     gate: float = 27.6
     differs: float = 9.2
+    fits: float = 49.4
     sure: float = 0.99
     exists: float = 5.0
     start: float = 0.25
@@ -310,7 +311,7 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
-        elif self._refuted(measured):
+        elif self._refuted(measured) if own else self._strays(measured):
             return self._reckoned
         return None
 
@@ -401,7 +402,7 @@ class LaneTracking:
         if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
             evidence = Evidence(belief.on(self._bends.road))
-            assigned = evidence.explained(own, self.config.gate)
+            assigned = evidence.explained(own, self.config.fits)
             if len(assigned) < len(own):
                 self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others

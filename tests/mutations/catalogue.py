@@ -548,6 +548,7 @@ BOUNDS = (
         "automodel/tracking/evidence.py",
         "tests/tracking/test_belief.py",
         ("roads-coil-up", "min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300)))", "1.0"),
+        ("every-point-is-the-line's", "3.0 / (2.0 + (rest[i] - common) ** 2 / prior.point_variance)", "1.0"),
     ),
     *_of(
         "automodel/tracking/lane_tracking.py",
@@ -555,6 +556,7 @@ BOUNDS = (
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),
         ("drawn-away-step-by-step", "return best.log_odds > -math.log(EXCEEDED) and", "return"),
         ("uncertain-is-excused", "self._apart(certain, belief) > self", "self._apart(measured, belief) > self"),
+        ("astray-in-doubt", "self._refuted(measured) if own else self._strays(measured)", "self._refuted(measured)"),
         ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
     ),
     *_of(

@@ -142,6 +142,25 @@ def test_the_covariance_is_about_as_large_as_the_errors_where_bends_begin_and_en
     assert np.max(errors) < 40.0
 
 
+@pytest.mark.parametrize("away_m", [0.05, 0.1, 0.2])
+def test_a_point_of_another_thing_hardly_moves_the_lane(away_m: float) -> None:
+    """A lamp's edge that touches a line, a zebra's bar that is joined to it."""
+    random, errors = np.random.default_rng(7), []
+    for _ in range(300):
+        believed, ((line, role), *others) = sharp_bend(random)
+        points = line.points_m.copy()
+        points[random.integers(len(points)), 1] += away_m * random.choice((-1.0, 1.0))
+        lines = [Assigned(sighted(points), role), *others]
+        found, log_likelihood = believed.update(lines)
+        if log_likelihood < sum(believed.anything().of_line(line) for line, _ in lines):
+            continue
+        error, order = found.mean[:2], np.ix_((0, 1), (0, 1))
+        errors.append(float(error @ np.linalg.solve(found.spread[order], error)))
+    assert len(errors) > 0.85 * 300
+    assert 1.6 < np.mean(errors) < 2.6
+    assert np.max(errors) < 40.0
+
+
 MOTIONS = [(0.0, 0.0), (0.3, 0.0), (0.25, 0.3), (-0.1, -0.1), (0.0, 0.4)]
 
 

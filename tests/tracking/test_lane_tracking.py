@@ -458,10 +458,16 @@ def test_without_a_lane_a_wrong_odometry_is_no_matter() -> None:
     assert not drive.doubted
 
 
+@pytest.mark.parametrize("doubted", [False, True])
 @pytest.mark.parametrize("uncertain", [False, True])
-def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembered(uncertain: bool) -> None:
+def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembered(
+    uncertain: bool, doubted: bool
+) -> None:
     drive, astray = driving(), said(0.1 * LANE_M, NONE)
     assert drive.follow(said(0.0, NONE), sights(0.0)).status is LaneStatus.COASTING
+    if doubted:
+        assert drive.tracking._belief is not None
+        drive.tracking._contradict(drive.tracking._belief)
     for _ in range(6):
         drive.follow(unsure(astray) if uncertain else astray, ())
         if drive.anew is not None:
