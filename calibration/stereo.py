@@ -273,8 +273,8 @@ def check_direction(found: StereoCalibration, left: Extrinsics, before: Extrinsi
     """
     if found.baseline_m < max(_SAME_PLACE_M, 3.0 * max(found.std[name] for name in NAMES if name.endswith("_m"))):
         raise CalibrationError(
-            f"both cameras would be at the same place ({1e3 * found.baseline_m:.1f} mm apart); are LEFT and RIGHT images "
-            "of one camera?"
+            f"both cameras would be at the same place ({1e3 * found.baseline_m:.1f} mm apart); are LEFT and RIGHT "
+            "images of one camera?"
         )
     baseline = _centre(found.extrinsics) - _centre(left)
     expected = np.array([0.0, -1.0, 0.0]) if before is None else _centre(before) - _centre(left)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -44,6 +45,14 @@ class Rig:
         numbers = np.concatenate((self.pose, self.lens))
         numbers[self.free] += step
         return replace(self, pose=numbers[:6], lens=numbers[6:])
+
+
+class Row(NamedTuple):
+    """Residuals (m,) [px], and the derivatives of the pixels by the board's pose (m, 6) and the free numbers (m, k)."""
+
+    residuals: FloatArray
+    by_board: FloatArray
+    by_free: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -90,15 +99,12 @@ def fit_pair(rig: Rig, sights: Sequence[Sight], boards: FloatArray) -> Fit:
 
     Raises CalibrationError where the views do not determine the cameras.
     """
-    rows = [linearised(rig, sight, board) for sight, board in zip(sights, boards, strict=True)]
-    cost = sum(float(residual @ residual) for residual, _, _ in rows)
+    rows, cost = _rows(rig, sights, boards)
     for _ in range(_STEPS):
-        step, steps, _ = _normal(rows)
+        step, steps = _step(rows)
         for halving in range(_HALVINGS):
-            share = 0.5**halving
-            moved, moved_boards = rig.moved(share * step), boards + share * steps
-            new = [linearised(moved, sight, board) for sight, board in zip(sights, moved_boards, strict=True)]
-            new_cost = sum(float(residual @ residual) for residual, _, _ in new)
+            moved, moved_boards = rig.moved(0.5**halving * step), boards + 0.5**halving * steps
+            new, new_cost = _rows(moved, sights, moved_boards)
             if new_cost < cost:
                 break
         else:
@@ -106,20 +112,24 @@ def fit_pair(rig: Rig, sights: Sequence[Sight], boards: FloatArray) -> Fit:
         gain, cost, rig, boards, rows = cost - new_cost, new_cost, moved, moved_boards, new
         if gain < _CONVERGED * cost:
             break
-    _, _, normal = _normal(rows)
-    freedom = sum(len(residual) for residual, _, _ in rows) - boards.size - int(rig.free.sum())
     if not math.isfinite(cost):
         raise CalibrationError("the views do not determine the cameras: tilt the board to all sides, near and far")
     return Fit(
         rig=rig,
         boards=boards,
-        residuals_px=tuple(residual.reshape(-1, 2) for residual, _, _ in rows),
-        covariance=np.asarray(cost / max(freedom, 1) * np.linalg.pinv(normal, hermitian=True), np.float64),
+        residuals_px=tuple(row.residuals.reshape(-1, 2) for row in rows),
+        covariance=_jackknife(rows),
     )
 
 
-def linearised(rig: Rig, sight: Sight, board: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Residuals (m,) [px] of a sight, and how its projections change with its board (m, 6) and the free numbers (m, k).
+def _rows(rig: Rig, sights: Sequence[Sight], boards: FloatArray) -> tuple[list[Row], float]:
+    """Every sight linearised, and the sum of the squared residuals [px^2]."""
+    rows = [linearised(rig, sight, board) for sight, board in zip(sights, boards, strict=True)]
+    return rows, sum(float(row.residuals @ row.residuals) for row in rows)
+
+
+def linearised(rig: Rig, sight: Sight, board: FloatArray) -> Row:
+    """The residuals of a sight beside a rig and a board's pose (6,).
 
     Rotations by `cv2.composeRT` and `cv2.projectPoints`, with their derivatives.
     """
@@ -138,22 +148,38 @@ def linearised(rig: Rig, sight: Sight, board: FloatArray) -> tuple[FloatArray, F
     away.append((sight.pixels[1] - pixels.reshape(-1, 2)).ravel())
     by_boards.append(change[:, :6] @ by_board)
     by_free.append(np.column_stack((change[:, :6] @ by_pose, change[:, 6 : 6 + LENS])))
-    return np.concatenate(away), np.concatenate(by_boards), np.concatenate(by_free)[:, rig.free]
+    return Row(np.concatenate(away), np.concatenate(by_boards), np.concatenate(by_free)[:, rig.free])
 
 
-def _normal(rows: Sequence[tuple[FloatArray, FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The steps of the free numbers (k,) and of the boards (n, 6), and the normal matrix (k, k) without the boards."""
-    size = rows[0][2].shape[1]
-    normal, right_side = np.zeros((size, size)), np.zeros(size)
-    bases = [np.linalg.qr(by_board) for _, by_board, _ in rows]
-    for (residual, _, by_free), (basis, _) in zip(rows, bases, strict=True):
-        clean = by_free - basis @ (basis.T @ by_free)
-        normal += clean.T @ clean
-        right_side += clean.T @ residual
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    step = scale * np.linalg.lstsq(normal * np.outer(scale, scale), scale * right_side, rcond=None)[0]
-    steps = [
-        np.linalg.lstsq(triangle, basis.T @ (residual - by_free @ step), rcond=None)[0]
-        for (residual, _, by_free), (basis, triangle) in zip(rows, bases, strict=True)
-    ]
-    return step, np.array(steps), normal
+def _equations(row: Row) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix (k, k) and right side (k,) of the free numbers, without the board's pose."""
+    basis, _ = np.linalg.qr(row.by_board)
+    clean = row.by_free - basis @ (basis.T @ row.by_free)
+    return clean.T @ clean, clean.T @ row.residuals
+
+
+def _solved(normal: FloatArray, right_side: FloatArray) -> FloatArray:
+    """The solution (k,), with the numbers scaled alike: pixels and radians are far apart."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), np.finfo(float).tiny))
+    found = np.linalg.lstsq(normal * np.outer(scale, scale), scale * right_side, rcond=None)[0]
+    return np.asarray(scale * found)
+
+
+def _step(rows: Sequence[Row]) -> tuple[FloatArray, FloatArray]:
+    """The steps of the free numbers (k,) and of the boards (n, 6)."""
+    normals, right_sides = zip(*map(_equations, rows), strict=True)
+    step = _solved(sum(normals), sum(right_sides))
+    boards = [np.linalg.lstsq(row.by_board, row.residuals - row.by_free @ step, rcond=None)[0] for row in rows]
+    return step, np.array(boards)
+
+
+def _jackknife(rows: Sequence[Row]) -> FloatArray:
+    """Covariance (k, k) of the free numbers, from the linearised fits that leave out one sight each.
+
+    The corners of one image err together (blur, light, the board's slant): counted one by one they promise too much.
+    """
+    normals, right_sides = zip(*map(_equations, rows), strict=True)
+    whole = sum(normals)
+    away = np.array([_solved(whole - normal, side) for normal, side in zip(normals, right_sides, strict=True)])
+    away -= away.mean(axis=0)
+    return np.asarray((len(rows) - 1) / len(rows) * away.T @ away)
