@@ -114,6 +114,8 @@ def calibrate_stereo(
     free = np.array([True] * 6 + [fit_lens] * (LENS - 1) + [fit_lens and lens.distortion[4] != 0.0])
     rig = Rig(left=left.camera, pose=_start(sights, left.camera, numbers), lens=numbers, free=free)
     fit, used, sights, dropped = _consistent(rig, used, sights)
+    extrinsics, std = _placed(fit, left)
+    baseline_m = _baseline_m(fit, std)
     both = [i for i, pair in enumerate(used) if pair.left is not None]
     held_out, off = _cross_validated(fit, used, sights, both, left)
     errors = tuple(
@@ -125,12 +127,11 @@ def calibrate_stereo(
         )
         for i, residuals, epipolar_px in zip(both, held_out, off, strict=True)
     )
-    extrinsics, std = _placed(fit, left)
     return StereoCalibration(
         intrinsics=_intrinsics(fit.rig) if fit_lens else lens,
         extrinsics=extrinsics,
         std=std,
-        baseline_m=float(np.linalg.norm(fit.rig.pose[3:])),
+        baseline_m=baseline_m,
         rms_px=rms_of([fit.residuals_px[i] for i in both]),
         cross_validated_px=rms_of(held_out),
         epipolar_px=math.sqrt(float(np.mean(np.concatenate(off) ** 2))),
@@ -241,6 +242,17 @@ def _placed(fit: Fit, left: GroundCamera) -> tuple[Extrinsics, dict[str, float]]
     return _extrinsics(pose, left), dict(zip(NAMES, std.tolist(), strict=True))
 
 
+def _baseline_m(fit: Fit, std: dict[str, float]) -> float:
+    """The distance between both cameras; raises CalibrationError where it is none."""
+    baseline_m = float(np.linalg.norm(fit.rig.pose[3:]))
+    if baseline_m < max(_SAME_PLACE_M, 3.0 * max(std[name] for name in NAMES if name.endswith("_m"))):
+        raise CalibrationError(
+            f"both cameras would be at the same place ({1e3 * baseline_m:.1f} mm apart); are LEFT and RIGHT images of "
+            "one camera?"
+        )
+    return baseline_m
+
+
 def _body_pose(pose: FloatArray, left: GroundCamera) -> FloatArray:
     """right_from_left (6,) and the left camera -> x, y, z, pitch, yaw, roll of the right one."""
     turn = np.asarray(cv2.Rodrigues(pose[:3])[0], np.float64)
@@ -267,15 +279,10 @@ def _intrinsics(rig: Rig) -> Intrinsics:
 
 
 def check_direction(found: StereoCalibration, left: Extrinsics, before: Extrinsics | None) -> None:
-    """Raise CalibrationError where the images are of one camera, or the cameras were swapped.
+    """Raise CalibrationError where the cameras were swapped: the right one lies opposite to where it was `before`.
 
-    They were where the right one lies opposite to where it was `before`; without that it should lie to the right.
+    Without that it should lie to the right of the left one.
     """
-    if found.baseline_m < max(_SAME_PLACE_M, 3.0 * max(found.std[name] for name in NAMES if name.endswith("_m"))):
-        raise CalibrationError(
-            f"both cameras would be at the same place ({1e3 * found.baseline_m:.1f} mm apart); are LEFT and RIGHT "
-            "images of one camera?"
-        )
     baseline = _centre(found.extrinsics) - _centre(left)
     expected = np.array([0.0, -1.0, 0.0]) if before is None else _centre(before) - _centre(left)
     if float(baseline @ expected) > _WRONG_WAY * float(np.linalg.norm(baseline) * np.linalg.norm(expected)):

@@ -100,7 +100,7 @@ def open_pairs(left: Path, right: Path, car: CarConfig) -> Iterator[PairFeed]:
     for path in (left, right):
         if path.suffix.lower() == ".mcap" or is_tub(path):
             raise ConfigError(f"{path}: expected two folders of images or two videos, got a recording")
-    if left.is_dir() != right.is_dir():
+    if left.exists() and right.exists() and left.is_dir() != right.is_dir():
         raise ConfigError(f"{left} and {right}: expected two folders of images or two videos, got one of each")
     with contextlib.closing(open_pair(left, right, car, None)) as source:
         yield PairFeed(pairs=_pairs_of(source, left), total=source.frame_count)

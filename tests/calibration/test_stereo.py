@@ -26,6 +26,7 @@ from calibration.stereo import (
 from calibration.stereo_fit import LENS, Rig, Sight, linearised
 from calibration.views import CalibrationError, View
 from tests.support.board_pairs import RIGHT_LENS, cameras, mounts, projected_pairs
+from tests.support.drawn_boards import LENS as LEFT_LENS
 
 NOISE_PX = 0.2
 BOARDS = {0.25: Board(columns=9, rows=6, square_m=0.05), 1.0: Board(columns=9, rows=6, square_m=0.12)}
@@ -154,7 +155,7 @@ def test_too_few_pairs_are_refused(pairs: list[PairView]) -> None:
         check_count(alone)
 
 
-def test_cameras_that_were_swapped_or_are_one(found: StereoCalibration) -> None:
+def test_cameras_that_were_swapped(found: StereoCalibration) -> None:
     left, right = mounts(0.25)
     check_direction(found, left, None)
     check_direction(found, left, right)
@@ -163,8 +164,13 @@ def test_cameras_that_were_swapped_or_are_one(found: StereoCalibration) -> None:
     swapped = dataclasses.replace(found, extrinsics=dataclasses.replace(left, y_m=left.y_m + 0.25))
     with pytest.raises(CalibrationError, match=r"RIGHT would be \(0, 250, 0\) mm ahead, left and above of LEFT"):
         check_direction(swapped, left, None)
-    with pytest.raises(CalibrationError, match="images of one camera"):
-        check_direction(dataclasses.replace(found, baseline_m=5e-4), left, None)
+
+
+def test_images_of_one_camera_are_refused(pairs: list[PairView]) -> None:
+    twins = [dataclasses.replace(pair, right=pair.left) for pair in pairs if pair.left is not None]
+    left = cameras(0.25)[0]
+    with pytest.raises(CalibrationError, match="are LEFT and RIGHT images of one camera"):
+        calibrate_stereo(twins, BOARDS[0.25], left, LEFT_LENS, False)
 
 
 def test_a_camera_below_the_ground_is_refused(pairs: list[PairView]) -> None:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from automodel.config import Intrinsics, load_car
+from automodel.config import load_car
 from automodel.doctor.camera_pair import rig_findings
 from automodel.doctor.examination import judge_records
 from automodel.doctor.findings import Verdict
@@ -32,7 +32,7 @@ TODAY = datetime.date(2026, 6, 1)
 
 @pytest.fixture(scope="module")
 def drawn() -> list[tuple[np.ndarray, np.ndarray]]:
-    return list(drawn_pairs(0.25, BOARD, 10))
+    return list(drawn_pairs(0.25, BOARD, 7))
 
 
 def write_car(path: Path, **right: object) -> None:
@@ -86,7 +86,7 @@ def test_from_pictures_to_a_rig_that_the_doctor_accepts(there: Path, drawn, cli)
     picture = cv2.imread("calibration_pictures/stereo_epipolar.png")
     assert picture is not None
     assert picture.shape == (360, 1280, 3)
-    pairs = [StereoFrame(t_ns=0, index=0, left=left, right=right) for left, right in drawn[:3]]
+    pairs = [StereoFrame(t_ns=0, index=0, left=left, right=right) for left, right in drawn]
     assert {found.verdict for found in rig_findings(car, pairs)} <= {Verdict.OK, Verdict.SKIP}
     assert "stereo calibration" in [found.name for found in judge_records(car, datetime.date.today())]
 
@@ -127,26 +127,24 @@ def test_two_videos_of_a_charuco_board(there: Path, cli) -> None:
 
 
 REFUSED = {
-    "left left": "LEFT and RIGHT are both left; give the right camera's images as well (see automodel calibrate stereo "
-    "--help)",
-    "left fewer": "fewer: expected 10 images as in left, got 9: without times nothing tells which belong together; remove "
-    "those without a partner",
+    "left fewer": "fewer: expected 7 images as in left, got 6: without times nothing tells which belong together; "
+    "remove those without a partner",
     "left nowhere": "nowhere: no such file or folder",
     "left run.mcap": "run.mcap: expected two folders of images or two videos, got a recording",
     "left film.mp4": "left and film.mp4: expected two folders of images or two videos, got one of each",
     "left large": "0.png: expected 640x360 pixels, for which [camera] was calibrated, got 800x450 of the right camera; "
     "take the images at the size in which the car drives",
-    "left blank": "right camera: a chessboard of 9x6 inner corners is in none of the 10 images; is the size right?",
+    "left blank": "right camera: a chessboard of 9x6 inner corners is in none of the 7 images; is the size right?",
     "left late": "no pair of images shows the whole board to both cameras; hold it where both see it, farther away",
-    "few few_right": "expected at least 4 pairs of images with the whole board in both, better 15, got 3: near and far, "
-    "at all sides of what both cameras see, tilted to all sides",
+    "few few_right": "expected at least 4 pairs of images with the whole board in both, better 15, got 3: near and "
+    "far, at all sides of what both cameras see, tilted to all sides",
     "left copy": "both cameras would be at the same place (",
     "right left": "LEFT and RIGHT seem to be swapped: RIGHT would be (",
-    "left right --car lens.toml": "lens.toml: the left camera's [camera.extrinsics] were never calibrated, and the right "
-    "camera is measured from it; run automodel calibrate ground with the left camera first",
-    "left right --car bare.toml": "bare.toml: the left camera's [camera.intrinsics] were never calibrated, and the right "
-    "camera is measured from it; run automodel calibrate camera with the left camera first",
-    "left right --car none.toml": "none.toml: cannot be read: No such file or directory",
+    "left right --car lens.toml": "lens.toml: the left camera's [camera.extrinsics] were never calibrated, and the "
+    "right camera is measured from it; run automodel calibrate ground with the left camera first",
+    "left right --car bare.toml": "bare.toml: the left camera's [camera.intrinsics] were never calibrated, and the "
+    "right camera is measured from it; run automodel calibrate camera with the left camera first",
+    "left right --car none.toml": "none.toml: no such file",
     "left right --car text/none/car.toml": "text/none/car.toml: there is no folder {cwd}/text/none",
     "left right --out bare.toml": "--out bare.toml: bare.toml is not a folder",
 }
@@ -159,14 +157,14 @@ def test_what_cannot_be_is_refused_in_one_line(arguments: str, there: Path, draw
     folders = {
         "fewer": right[1:],
         "large": [np.asarray(cv2.resize(image, (800, 450)), np.uint8) for image in right],
-        "blank": [blank] * 10,
-        "late": [blank] * 5 + right[:5],
+        "blank": [blank] * 7,
+        "late": [blank] * 3 + right[:4],
         "few": left[:3],
         "few_right": right[:3],
         "copy": left,
     }
     if arguments == "left late":
-        write_images(Path("left"), [*left[5:], *[blank] * 5])
+        write_images(Path("left"), [*left[4:], *[blank] * 4])
     if arguments == "left copy":
         write_car(Path("car.toml"), intrinsics=LENS, extrinsics=mounts(0.25)[1])
     for name in set(arguments.split()) & folders.keys():
@@ -183,6 +181,13 @@ def test_what_cannot_be_is_refused_in_one_line(arguments: str, there: Path, draw
     assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
 
 
+def test_the_same_folder_twice_is_a_wrong_argument(there: Path, cli) -> None:
+    Path("other").symlink_to("left")
+    said = cli("calibrate", "stereo", "left", "other", *GIVEN)
+    assert (said.code, said.out) == (2, "")
+    assert "LEFT and RIGHT are both left; give the right camera's images as well (see " in said.line()
+
+
 def test_a_pair_that_does_not_go_together_is_drawn_but_not_written(there: Path, drawn, cli) -> None:
     write_car(Path("car.toml"), intrinsics=dataclasses.replace(RIGHT_LENS, fx_px=600.0), extrinsics=mounts(0.25)[1])
     before = Path("car.toml").read_text()
@@ -192,4 +197,3 @@ def test_a_pair_that_does_not_go_together_is_drawn_but_not_written(there: Path, 
     last = said.err.splitlines()[-1]
     assert last.startswith("automodel: car.toml is unchanged, the right camera found is implausible: residual: ")
     assert Path("car.toml").read_text() == before
-    assert Intrinsics() != RIGHT_LENS
