@@ -77,7 +77,7 @@ def calibrate_from_pairs(
     right, left = car.camera.right, GroundCamera.from_config(car.camera)
     known = right is not None and right.intrinsics != Intrinsics()
     fit_lens = options.fit_lens or not known
-    lens, lens_checks = _lens(kept[1], board) if fit_lens or right is None else (right.intrinsics, ())
+    lens, lens_checks = _lens(kept[1], board) if right is None or fit_lens else (right.intrinsics, ())
     found = calibrate_stereo(pairs[:: math.ceil(len(pairs) / MOST_VIEWS)], board, left, lens, fit_lens)
     placed = right is not None and right.extrinsics != Extrinsics()
     check_direction(found, car.camera.extrinsics, right.extrinsics if right is not None and placed else None)
@@ -121,7 +121,8 @@ def _looked(
                         f"{width}x{height} of the {side} camera; take the images at the size in which the car drives"
                     )
                 views.consider(name, image)
-            first.setdefault(name if not first else next(iter(first)), (pair[0], pair[1]))
+            if not first:
+                first[name] = pair[0], pair[1]
             if any(views.kept and views.kept[-1].name == name for views in sides):
                 images[name] = pair[0], pair[1]
             bar()

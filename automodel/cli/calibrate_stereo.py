@@ -31,7 +31,7 @@ def command(left: Path, right: Path, car_file: Path, **given: Any) -> int:
 
     Example:
 
-    automodel calibrate stereo left right --board 9x6 --square-mm 25 --car car.toml
+    automodel calibrate stereo left right --board 9x6 --square-mm 25
     """
     from automodel.assembly.calibration_source import open_pairs
     from calibration.stereo_dialogue import StereoOptions, calibrate_from_pairs
