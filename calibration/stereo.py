@@ -73,8 +73,9 @@ class StereoCalibration:
 def pair_views(left: Sequence[View], right: Sequence[View], board: Board) -> list[PairView]:
     """Views of both cameras, by the name of their pair.
 
-    A chessboard counts for both where each sees the whole of it: of a part nothing tells which part it is. Its corners
-    are then in the left camera's order; the cameras may be rolled against each other by less than 45 deg.
+    A ChArUco board counts for both where they share a corner, a chessboard where each sees the whole of it: of a part
+    nothing tells which part it is. Its corners are then in the left camera's order; the cameras may be rolled against
+    each other by less than 45 deg.
     """
     seen = {view.name: view for view in left}
     pairs = []
@@ -84,7 +85,8 @@ def pair_views(left: Sequence[View], right: Sequence[View], board: Board) -> lis
             whole = all(len(one.found.grid) == board.columns * board.rows for one in (partner, view))
             partner = partner if whole else None
             view = replace(view, found=_in_order_of(partner.found, view.found)) if partner is not None else view
-        pairs.append(PairView(name=view.name, right=view, left=partner))
+        pair = PairView(name=view.name, right=view, left=partner)
+        pairs.append(pair if partner is None or len(corners_of_both(pair)[0]) else replace(pair, left=None))
     return pairs
 
 
@@ -119,13 +121,8 @@ def calibrate_stereo(
     both = [i for i, pair in enumerate(used) if pair.left is not None]
     held_out, off = _cross_validated(fit, used, sights, both, left)
     errors = tuple(
-        PairError(
-            pair=used[i],
-            rms_px=rms_of([fit.residuals_px[i]]),
-            held_out_px=rms_of([residuals]),
-            epipolar_px=epipolar_px,
-        )
-        for i, residuals, epipolar_px in zip(both, held_out, off, strict=True)
+        PairError(pair=used[i], rms_px=rms_of([fit.residuals_px[i]]), held_out_px=rms_of([outside]), epipolar_px=off_px)
+        for i, outside, off_px in zip(both, held_out, off, strict=True)
     )
     return StereoCalibration(
         intrinsics=_intrinsics(fit.rig) if fit_lens else lens,

@@ -126,7 +126,7 @@ def test_corners_that_the_right_camera_numbers_otherwise(columns: int, quarters:
             assert np.array_equal(again.right.found.corners_px, pair.right.found.corners_px)
 
 
-def test_a_part_of_a_chessboard_counts_for_the_lens_alone(pairs: list[PairView]) -> None:
+def test_what_both_do_not_see_counts_for_the_lens_alone(pairs: list[PairView]) -> None:
     seen = pairs[0].right
     part = FoundBoard(corners_px=seen.found.corners_px[:45], grid=seen.found.grid[:45], columns=9, rows=5)
     assert pairs[0].left is not None
@@ -135,6 +135,12 @@ def test_a_part_of_a_chessboard_counts_for_the_lens_alone(pairs: list[PairView])
     charuco = dataclasses.replace(BOARDS[0.25], marker_m=0.03)
     (pair,) = pair_views([pairs[0].left], [dataclasses.replace(seen, found=part)], charuco)
     assert [len(pixels) for pixels in corners_of_both(pair)] == [45, 45]
+    other = pairs[0].left.found
+    rest = FoundBoard(corners_px=other.corners_px[45:], grid=other.grid[45:], columns=9, rows=1)
+    (pair,) = pair_views(
+        [dataclasses.replace(pairs[0].left, found=rest)], [dataclasses.replace(seen, found=part)], charuco
+    )
+    assert pair.left is None  # no corner that both see
 
 
 def test_a_board_that_moved_between_both_images_is_dropped_and_named(pairs: list[PairView], found) -> None:
