@@ -15,10 +15,10 @@ from automodel.types import FloatArray
 from calibration.boards import Board
 from calibration.views import CalibrationError, Refused, View, coverage
 
-_FEWEST_VIEWS = 4
+FEWEST_VIEWS = 4
 _FOLDS = 5
-_OUTLIER = 3.0  # times the median view's error
-_OUTLIER_PX = 0.5  # and at least this
+OUTLIER = 3.0  # times the median view's error
+OUTLIER_PX = 0.5  # and at least this
 _WORTH = 0.995  # k3 is used where it reduces the error of views left out below this share
 _SIMPLE, _WITH_K3 = cv2.CALIB_FIX_K3, 0
 
@@ -67,52 +67,52 @@ def calibrate_camera(views: Sequence[View], board: Board) -> CameraCalibration:
     Views that fit far worse than the others are dropped. Raises CalibrationError for too few views.
     """
     used, dropped = _consistent(list(views), board)
-    if len(used) < _FEWEST_VIEWS:
+    if len(used) < FEWEST_VIEWS:
         raise CalibrationError(
-            f"expected at least {_FEWEST_VIEWS} usable views of the board, better 15, got {len(used)}: near and far, "
+            f"expected at least {FEWEST_VIEWS} usable views of the board, better 15, got {len(used)}: near and far, "
             "in the corners of the image too, tilted to all sides"
         )
     simple = _cross_validated(used, board, _SIMPLE)
     full = _cross_validated(used, board, _WITH_K3)
-    chosen, flags = (full, _WITH_K3) if _rms(full[0]) < _WORTH * _rms(simple[0]) else (simple, _SIMPLE)
+    chosen, flags = (full, _WITH_K3) if rms_of(full[0]) < _WORTH * rms_of(simple[0]) else (simple, _SIMPLE)
     fit = _fit(used, board, flags)
     held_out, focal_std_px = chosen
     errors = tuple(
-        ViewError(view=view, rms_px=_rms([inside]), held_out_px=_rms([outside]), residuals_px=inside)
+        ViewError(view=view, rms_px=rms_of([inside]), held_out_px=rms_of([outside]), residuals_px=inside)
         for view, inside, outside in zip(used, fit.residuals_px, held_out, strict=True)
     )
     return CameraCalibration(
-        intrinsics=_intrinsics(fit),
+        intrinsics=intrinsics_of(fit.matrix, fit.distortion),
         width_px=used[0].width_px,
         height_px=used[0].height_px,
-        rms_px=_rms(fit.residuals_px),
-        cross_validated_px=_rms(held_out),
+        rms_px=rms_of(fit.residuals_px),
+        cross_validated_px=rms_of(held_out),
         focal_std_px=focal_std_px,
         views=errors,
         dropped=tuple(dropped),
     )
 
 
-def _intrinsics(fit: _Fit) -> Intrinsics:
+def intrinsics_of(matrix: FloatArray, distortion: FloatArray) -> Intrinsics:
     """Rounded to what a text file needs: a thousandth of a pixel."""
-    (fx, _, cx), (_, fy, cy), _ = fit.matrix
+    (fx, _, cx), (_, fy, cy), _ = matrix
     return Intrinsics(
         fx_px=round(float(fx), 3),
         fy_px=round(float(fy), 3),
         cx_px=round(float(cx), 3),
         cy_px=round(float(cy), 3),
-        distortion=tuple(round(float(k), 6) for k in fit.distortion),
+        distortion=tuple(round(float(k), 6) for k in distortion),
     )
 
 
 def _consistent(views: list[View], board: Board) -> tuple[list[View], list[Refused]]:
     """Drops the views that fit badly, the worst first: their corners are wrong, or the board was bent."""
     dropped: list[Refused] = []
-    while len(views) >= max(_FEWEST_VIEWS, 4 * len(dropped)):
-        errors = np.array([_rms([residuals]) for residuals in _fit(views, board, _SIMPLE).residuals_px])
+    while len(views) >= max(FEWEST_VIEWS, 4 * len(dropped)):
+        errors = np.array([rms_of([residuals]) for residuals in _fit(views, board, _SIMPLE).residuals_px])
         worst = int(np.argmax(errors))
         usual = float(np.median(errors))
-        if errors[worst] < max(_OUTLIER * usual, _OUTLIER_PX):
+        if errors[worst] < max(OUTLIER * usual, OUTLIER_PX):
             break
         reason = f"does not fit the others: error {errors[worst]:.1f} px, median {usual:.1f} px"
         dropped.append(Refused(name=views[worst].name, reason=reason, found=views[worst].found))
@@ -165,7 +165,7 @@ def _projected(
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 
 
-def _rms(residuals: Sequence[FloatArray]) -> float:
+def rms_of(residuals: Sequence[FloatArray]) -> float:
     """Root mean square over corners, as in OpenCV, not over coordinates."""
     return float(np.sqrt(np.mean(np.sum(np.concatenate(residuals) ** 2, axis=1))))
 
@@ -193,7 +193,7 @@ def check_camera(found: CameraCalibration) -> tuple[Check, ...]:
     )
 
 
-def _graded(name: str, value: float, limits: tuple[float, float], text: str, advice: str) -> Check:
+def graded(name: str, value: float, limits: tuple[float, float], text: str, advice: str) -> Check:
     """OK up to the first limit, FAIL beyond the second; with the advice unless it is OK."""
     status = "OK" if value <= limits[0] else "WARN" if value <= limits[1] else "FAIL"
     return Check(name=name, status=status, text=text if status == "OK" else f"{text}; {advice}")
@@ -202,26 +202,26 @@ def _graded(name: str, value: float, limits: tuple[float, float], text: str, adv
 def _residual(found: CameraCalibration) -> Check:
     thousandths = 1e3 * found.rms_px / found.width_px
     text = f"{found.rms_px:.2f} px over {len(found.views)} views"
-    return _graded("residual", thousandths, (1.0, 4.0), text, "glue the board on something flat, hold both still")
+    return graded("residual", thousandths, (1.0, 4.0), text, "glue the board on something flat, hold both still")
 
 
 def _left_out_check(found: CameraCalibration) -> Check:
     ratio = found.cross_validated_px / max(found.rms_px, 1e-9)
     text = f"{found.cross_validated_px:.2f} px in views left out of the fit"
-    return _graded("views left out", ratio, (1.3, 3.0), text, "too few or too similar views: take more, of all sides")
+    return graded("views left out", ratio, (1.3, 3.0), text, "too few or too similar views: take more, of all sides")
 
 
 def _focal_error(found: CameraCalibration) -> Check:
     share = found.focal_std_px / found.intrinsics.fx_px
     text = f"f = {found.intrinsics.fx_px:.1f} +- {found.focal_std_px:.1f} px"
-    return _graded("focal length", share, (0.01, 0.05), text, "tilt the board by 20 to 50 deg to all sides")
+    return graded("focal length", share, (0.01, 0.05), text, "tilt the board by 20 to 50 deg to all sides")
 
 
 def _square_pixels(found: CameraCalibration) -> Check:
     """Some cameras squeeze their images: 16:9 stored as 4:3 has fx / fy = 0.75, as 720x576 it has 0.70."""
     ratio = found.intrinsics.fx_px / found.intrinsics.fy_px
     advice = "right only where the camera squeezes its images; else tilt more views to all sides"
-    return _graded("square pixels", max(ratio, 1.0 / ratio) - 1.0, (0.02, 0.5), f"fx / fy = {ratio:.4f}", advice)
+    return graded("square pixels", max(ratio, 1.0 / ratio) - 1.0, (0.02, 0.5), f"fx / fy = {ratio:.4f}", advice)
 
 
 def _centre(found: CameraCalibration) -> Check:
@@ -229,7 +229,7 @@ def _centre(found: CameraCalibration) -> Check:
     off_v = found.intrinsics.cy_px - 0.5 * (found.height_px - 1)
     share = math.hypot(off_u, off_v) / found.width_px
     text = f"({off_u:+.0f}, {off_v:+.0f}) px from the middle of the image"
-    return _graded("principal point", share, (0.08, 0.25), text, "are the images cropped, or too few views tilted?")
+    return graded("principal point", share, (0.08, 0.25), text, "are the images cropped, or too few views tilted?")
 
 
 def _lens(found: CameraCalibration) -> Check:
@@ -269,4 +269,4 @@ def _view_angle(found: CameraCalibration) -> Check:
 def _coverage(found: CameraCalibration) -> Check:
     share = float((coverage(error.view for error in found.views) > 0).mean())
     text = f"{100.0 * share:.0f} % of the image"
-    return _graded("coverage", 1.0 - share, (0.35, 1.0), text, "show the board where there were no corners")
+    return graded("coverage", 1.0 - share, (0.35, 1.0), text, "show the board where there were no corners")

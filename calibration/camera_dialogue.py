@@ -28,7 +28,7 @@ from calibration.plots import residual_picture
 from calibration.views import CalibrationError, ImageFeed, Refused, View, Views, coverage, missing_views, settle
 
 LIVE_COVERAGE = 0.8  # share of the image that must be covered before a live calibration ends
-_MOST_VIEWS = 60  # of a fit; more only take time
+MOST_VIEWS = 60  # of a fit; more only take time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +58,9 @@ def calibrate_from_images(
             _look_live(views, images, feed, options.views, folder)
         else:
             _look(views, images, feed)
-    kept, refused = _settled(views, images)
+    kept, refused = settled(views, images)
     size_keys = {} if options.dry_run else check_size(car_file, kept[0].width_px, kept[0].height_px)
-    found = calibrate_camera(kept[:: math.ceil(len(kept) / _MOST_VIEWS)], board)
+    found = calibrate_camera(kept[:: math.ceil(len(kept) / MOST_VIEWS)], board)
     checks = check_camera(found)
     _show(found, [*refused, *found.dropped], checks, board, options.as_json)
     write_pictures(folder, _drawn(found, images))
@@ -106,7 +106,7 @@ def _look_live(views: Views, images: dict[str, Image], feed: ImageFeed, wanted: 
             return
 
 
-def _settled(views: Views, images: dict[str, Image]) -> tuple[list[View], list[Refused]]:
+def settled(views: Views, images: dict[str, Image]) -> tuple[list[View], list[Refused]]:
     """The views to use and the images refused; names the right dictionary for a board with other markers."""
     try:
         return settle(views)

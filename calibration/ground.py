@@ -77,7 +77,7 @@ def start_pose(
         )
         for rotation, shift in zip(solutions[1], solutions[2], strict=True):
             matrix = np.asarray(cv2.Rodrigues(rotation)[0], np.float64)
-            candidates.append(_pose_of_matrix(matrix, -matrix.T @ np.asarray(shift, np.float64).ravel()))
+            candidates.append(pose_of_matrix(matrix, -matrix.T @ np.asarray(shift, np.float64).ravel()))
     least = math.inf
     for pose in candidates:
         if held:
@@ -92,7 +92,8 @@ def start_pose(
     return best
 
 
-def _pose_of_matrix(cam_from_body: FloatArray, centre_m: FloatArray) -> FloatArray:
+def pose_of_matrix(cam_from_body: FloatArray, centre_m: FloatArray) -> FloatArray:
+    """Rotation (3, 3) and optical centre (3,) [m] -> the six numbers of a pose (6,)."""
     from scipy.spatial.transform import Rotation
 
     yaw, pitch, roll = Rotation.from_matrix((_AXES.T @ cam_from_body).T).as_euler("ZYX")

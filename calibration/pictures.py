@@ -20,6 +20,7 @@ from calibration.views import CELLS, View, coverage
 
 FOLDER = "calibration_pictures"
 _WHITE, _GREY = (255, 255, 255), (90, 90, 90)
+_EPIPOLAR_LINES = 12  # of a picture; more hide the board
 _LINE, _AXIS, _SEEN, _MODEL = (110, 210, 110), (60, 170, 255), (80, 80, 255), (255, 220, 60)
 
 
@@ -135,8 +136,14 @@ def _draw(
     picture: Image, camera: GroundCamera, line_m: FloatArray, colour: tuple[int, int, int], width: int
 ) -> FloatArray | None:
     """Draw a line on the ground; returns the ends (2, 2) of its visible part."""
-    pixels = camera.ground_to_px(line_m)
-    inside = camera.camera.inside(pixels)
+    return _draw_px(picture, camera.camera, camera.ground_to_px(line_m), colour, width)
+
+
+def _draw_px(
+    picture: Image, camera: CameraModel, pixels: FloatArray, colour: tuple[int, ...], width: int = 1
+) -> FloatArray | None:
+    """Draw a line through pixels (n, 2), also outside the image; returns the ends (2, 2) of its visible part."""
+    inside = camera.inside(pixels)
     near = inside | np.append(inside[1:], False) | np.append(False, inside[:-1])  # one point beyond the border, too
     run = pixels[near & ~np.isnan(pixels[:, 0])]
     if len(run) < 2:
@@ -156,3 +163,34 @@ def _mark(picture: Image, expected: FloatArray, seen: FloatArray, scale: float) 
             cv2.drawMarker(picture, place, _MODEL, cv2.MARKER_CROSS, 2 * size, max(round(scale), 1), cv2.LINE_AA)
         if len(seen) <= 20:
             write_text(picture, str(number), (u + size + 3, v - size), scale)
+
+
+def epipolar_picture(
+    images: tuple[Image, Image],
+    cameras: tuple[GroundCamera, GroundCamera],
+    corners: tuple[FloatArray, FloatArray],
+    error_px: float,
+) -> Image:
+    """Left and right image (h, w) or (h, w, 3) side by side, with rings at `corners` (n, 2) [px] that both cameras see.
+
+    Through those of the right image go the epipolar lines of the left ones, bent by the lens.
+    """
+    left, right = (in_bgr(image) for image in images)
+    one, other = cameras
+    scale = left.shape[1] / 1000
+    chosen = np.linspace(0, len(corners[0]) - 1, min(len(corners[0]), _EPIPOLAR_LINES)).astype(int)
+    depths_m = np.geomspace(0.01, 1e4, 2000)[:, None]
+    for number, (u, v) in zip(chosen, corners[0][chosen], strict=True):
+        hue = np.array([[[(int(number) * 47) % 180, 190, 255]]], np.uint8)
+        colour = tuple(int(c) for c in cv2.cvtColor(hue, cv2.COLOR_HSV2BGR)[0, 0])
+        ray = one.cam_from_body.T @ one.camera.rays((u, v))
+        _draw_px(right, other.camera, other.body_to_px(one.centre_m + depths_m * ray), colour)
+        for picture, place in ((left, (u, v)), (right, corners[1][number])):
+            middle = round(float(place[0])), round(float(place[1]))
+            cv2.circle(picture, middle, max(round(7 * scale), 3), colour, max(round(1.5 * scale), 1), cv2.LINE_AA)
+    for picture, text in (
+        (left, "left: corners"),
+        (right, f"right: their epipolar lines; pairs left out: {error_px:.2f} px off"),
+    ):
+        write_text(picture, text, (8, round(24 * max(scale, 0.6))), scale)
+    return np.hstack((left, right))

@@ -86,7 +86,11 @@ ALLOWED: dict[str, set[str]] = {
     "automodel.manual": {"automodel.config", "automodel.signals", "automodel.runtime.run_types"},
     "firmware_link": {"automodel.types", "automodel.signals", "automodel.config", "automodel.geometry"},
     "calibration": PARTS - {"automodel.pipelines", "automodel.perception"}
-    | {"automodel.perception.markings.ridge", "automodel.perception.markings.marking_width"},
+    | {
+        "automodel.perception.markings.ridge",
+        "automodel.perception.markings.marking_width",
+        "automodel.perception.stereo.points",
+    },
     "automodel.assembly": PARTS,
     "automodel.doctor": PARTS | {"automodel.assembly"},
     "automodel.bench": PARTS | {"automodel.assembly"},

@@ -1,4 +1,4 @@
-"""Images to calibrate with: files, folders, globs, videos and recordings, or the camera itself."""
+"""Images to calibrate with: files, folders, globs, videos and recordings, the camera itself, and pairs of images."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import glob
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from automodel.assembly.parts import is_live_camera, left_alone, make_camera, open_source
+from automodel.assembly.parts import is_live_camera, left_alone, make_camera, open_pair, open_source
 from automodel.config import CarConfig, ConfigError
+from automodel.console.messages import say
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
 from automodel.signals import Frame
 from automodel.sources.cameras import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.files import SUFFIXES, natural_key
+from automodel.sources.files import SUFFIXES, is_tub, natural_key
 from automodel.sources.images import read_image
+from automodel.sources.pairs import PairSource
 from automodel.types import Image
+from calibration.stereo_dialogue import PairFeed
 from calibration.views import ImageFeed
 
 LIVE = "live"
@@ -89,6 +92,34 @@ def _frames(path: Path, car: CarConfig) -> Iterator[tuple[str, Image]]:
                 if number % every == 0:
                     yield f"{path.name}:{frame.index}", frame.image
                 number += 1
+
+
+@contextlib.contextmanager
+def open_pairs(left: Path, right: Path, car: CarConfig) -> Iterator[PairFeed]:
+    """The images of two folders or videos in pairs; raises ConfigError, SourceError."""
+    for path in (left, right):
+        if path.suffix.lower() == ".mcap" or is_tub(path):
+            raise ConfigError(f"{path}: expected two folders of images or two videos, got a recording")
+    if left.exists() and right.exists() and left.is_dir() != right.is_dir():
+        raise ConfigError(f"{left} and {right}: expected two folders of images or two videos, got one of each")
+    with contextlib.closing(open_pair(left, right, car, None)) as source:
+        yield PairFeed(pairs=_pairs_of(source, left), total=source.frame_count)
+        if source.unpaired:
+            apart_ms = 1e3 * source.tolerance_s
+            say(f"{left}, {right}: {source.unpaired} frames have no partner within {apart_ms:.3g} ms")
+
+
+def _pairs_of(source: PairSource, left: Path) -> Iterator[tuple[str, Image, Image]]:
+    """Name and images of each pair; of videos about a hundred pairs."""
+    every = 1 if left.is_dir() else max(1, source.frame_count // _FRAMES) if source.frame_count else _EVERY
+    files = named_paths([str(left)]) if left.is_dir() else []
+    with contextlib.suppress(EndOfSource):
+        number = 0
+        while (pair := source.read(_READ_S)) is not None:
+            if number % every == 0:
+                name = files[pair.index].name if files else f"{left.name}:{pair.index}"
+                yield name, pair.left, pair.right
+            number += 1
 
 
 @contextlib.contextmanager

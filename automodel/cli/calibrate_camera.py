@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,43 @@ from automodel.cli.calibrate import board_size, output_options
 from automodel.cli.options import ABOVE_ZERO, FILE, finite
 from calibration.boards import DICTIONARIES, Board
 
+BOARD = (
+    click.option("--board", "size", required=True, callback=board_size, help="Inner corners: columns x rows, as 9x6."),
+    click.option("--square-mm", type=ABOVE_ZERO, callback=finite, required=True, help="The side of a square."),
+    click.option("--charuco", is_flag=True, help="The white squares have ArUco markers."),
+    click.option("--marker-mm", type=ABOVE_ZERO, callback=finite, help="ChArUco: the side of a marker.  [3/4 square]"),
+    click.option("--dictionary", type=click.Choice(DICTIONARIES), default="4x4_50", show_default=True, help="ChArUco."),
+)
+
+
+def board_options(command: Callable[..., int]) -> Callable[..., int]:
+    """The options that say what board it is, given to the command as `board`."""
+
+    @functools.wraps(command)
+    def with_board(
+        size: tuple[int, int],
+        square_mm: float,
+        charuco: bool,
+        marker_mm: float | None,
+        dictionary: str,
+        **rest: Any,
+    ) -> int:
+        if marker_mm is not None and not charuco:
+            raise click.UsageError("--marker-mm is for --charuco")
+        try:
+            board = Board.of_mm(size, square_mm, charuco, marker_mm, dictionary)
+        except ValueError as error:
+            raise click.UsageError(str(error)) from None
+        return command(board=board, **rest)
+
+    for option in reversed(BOARD):
+        with_board = option(with_board)
+    return with_board
+
 
 @click.command("camera")
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True)
-@click.option("--board", "size", required=True, callback=board_size, help="Inner corners: columns x rows, as 9x6.")
-@click.option("--square-mm", type=ABOVE_ZERO, callback=finite, required=True, help="The side of a square.")
-@click.option("--charuco", is_flag=True, help="The white squares have ArUco markers.")
-@click.option("--marker-mm", type=ABOVE_ZERO, callback=finite, help="ChArUco: the side of a marker.  [3/4 square]")
-@click.option("--dictionary", type=click.Choice(DICTIONARIES), default="4x4_50", show_default=True, help="ChArUco.")
+@board_options
 @click.option(
     "--car", "car_file", type=FILE, default="car.toml", show_default=True, help="Where the camera is written."
 )
@@ -38,12 +68,5 @@ def command(sources: tuple[str, ...], car_file: Path, **given: Any) -> int:
     from automodel.assembly.calibration_source import open_images
     from calibration.camera_dialogue import CameraOptions, calibrate_from_images
 
-    size, square_mm, charuco, marker_mm = (given.pop(name) for name in ("size", "square_mm", "charuco", "marker_mm"))
-    if marker_mm is not None and not charuco:
-        raise click.UsageError("--marker-mm is for --charuco")
-    try:
-        board = Board.of_mm(size, square_mm, charuco, marker_mm, given.pop("dictionary"))
-    except ValueError as error:
-        raise click.UsageError(str(error)) from None
-    options = CameraOptions(board=board, car_file=car_file, **given)
+    options = CameraOptions(car_file=car_file, **given)
     return calibrate_from_images(options, functools.partial(open_images, sources, car_file, any_mode=True))

@@ -26,6 +26,7 @@ FRESH_DAYS = 180
 COMMANDS = {  # calibration record -> (the command that makes it, what is wrong without it)
     "camera": ("automodel calibrate camera", "angles and distances are wrong towards the image borders"),
     "ground": ("automodel calibrate ground", "all distances are wrong"),
+    "stereo": ("automodel calibrate stereo", "the right camera sees the lane elsewhere than the left one"),
     "servo": ("automodel calibrate servo", "the car steers at another angle than commanded"),
     "odometry": ("automodel calibrate odometry", "speed and distance are wrong"),
 }
@@ -125,7 +126,8 @@ def judge_records(car: CarConfig, today: datetime.date) -> list[Finding]:
     """One finding for each calibration: whether it was done, and when."""
     if car.camera.source == "sim":
         return [skip("calibration", "the simulated car is exactly as in car.toml")]
-    return [_record(what, getattr(car.calibration, what), today) for what in COMMANDS]
+    made = [what for what in COMMANDS if what != "stereo" or car.camera.right is not None]
+    return [_record(what, getattr(car.calibration, what), today) for what in made]
 
 
 def _record(what: str, record: CalibrationRecord | None, today: datetime.date) -> Finding:

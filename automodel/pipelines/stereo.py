@@ -386,8 +386,8 @@ class Stereo:
             )
         if car.camera.right.device is not None and car.camera.source != "sim" and not car.camera.right.measured():
             raise ValueError(
-                "[camera.right] has a device, and its lens or its place is not given: calibrate the right camera, and "
-                "write [camera.right.intrinsics] and [camera.right.extrinsics]"
+                "[camera.right] has a device, and its lens or its place is not given: calibrate the right camera "
+                "(automodel calibrate stereo)"
             )
         rig = StereoRig(*map(GroundCamera.from_config, car.camera.eyes))
         if rig.baseline_m < 1e-3:

@@ -19,6 +19,7 @@ from automodel.config import (
     SafetyConfig,
     parse_car,
 )
+from automodel.config.camera import SecondCamera
 from automodel.doctor import board as board_health
 from automodel.doctor import machine
 from automodel.doctor.board import Listened
@@ -183,6 +184,8 @@ def test_calibrations() -> None:
     assert [found(days).verdict for days in (0, 180, 181, -1)] == [OK, OK, WARN, WARN]
     assert found(3).what == "2026-05-29 by board: 0.4 px"
     assert [f.verdict for f in judge_records(CAR, today)] == [SKIP]
+    pair = dataclasses.replace(REAL, camera=dataclasses.replace(REAL.camera, right=SecondCamera(device=1)))
+    assert "automodel calibrate stereo" in [found.do for found in judge_records(pair, today)]
 
 
 @pytest.mark.parametrize(
