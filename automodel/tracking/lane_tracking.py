@@ -301,7 +301,7 @@ class LaneTracking:
         if told and not better and (own or self._sure(best)):
             self._believe(best.belief)
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
-            self._believe(self._by_lines(measured, followed))
+            self._believe(alone.all[0].belief)
         elif (
             self._sure(best)
             and (not own or self._beats(best, said, alone.all[0].news))
@@ -314,12 +314,6 @@ class LaneTracking:
         elif self._refuted(measured) if own else self._strays(measured):
             return self._reckoned
         return None
-
-    def _by_lines(self, measured: LaneBelief, followed: Followed) -> LaneBelief:
-        """The lane that an estimator follows, as certain as its lines of this frame make it: more it cannot know."""
-        anywhere = replace(self._anywhere(), state=measured.state)
-        lines = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-        return Evidence(anywhere).update(lines)
 
     def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
         """Whether one frame's lines say the same against dead reckoning alone, as surely as a bound must hold.

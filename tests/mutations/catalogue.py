@@ -556,11 +556,6 @@ BOUNDS = (
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),
         ("drawn-away-step-by-step", "return best.log_odds > -math.log(EXCEEDED) and", "return"),
         ("uncertain-is-excused", "self._apart(certain, belief) > self", "self._apart(measured, belief) > self"),
-        (
-            "estimator-is-as-sure-as-it-says",
-            "self._believe(self._by_lines(measured, followed))",
-            "self._believe(alone.all[0].belief)",
-        ),
         ("astray-in-doubt", "self._refuted(measured) if own else self._strays(measured)", "self._refuted(measured)"),
         ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
     ),

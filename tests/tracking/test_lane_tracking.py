@@ -294,23 +294,6 @@ def test_what_takes_over_must_be_seen_at_once_and_not_be_drawn_there_step_by_ste
     assert not tracking._at_once(here, sights(0.0, NONE))
 
 
-@pytest.mark.parametrize(("seen", "share"), [(BOTH, 0.01), ((LEFT,), 0.05)])
-def test_an_estimator_that_is_believed_again_knows_its_lane_no_better_than_its_lines_show(
-    seen: tuple[float, ...], share: float
-) -> None:
-    """Half a line's common error, of two lines; of one line, nearly half of what a lane's width may differ."""
-    drive, followed = driving(), said(0.3 * LANE_M, seen)
-    certain = replace(followed, pose=replace(followed.pose, covariance=1e-4 * followed.pose.covariance))
-    drive.tracking._contradict(drive.tracking._measured(said(0.0).pose))
-    while drive.doubted:
-        assert drive.follow(certain).valid
-        assert drive.t_ns < 5e9
-    believed = drive.tracking._belief
-    assert believed is not None
-    assert believed.offset_m == pytest.approx(0.3 * LANE_M, abs=0.1 * LANE_M)
-    assert believed.sigma(lane_motion.Part.OFFSET) > share * LANE_M
-
-
 def test_no_paint_is_a_witness_twice() -> None:
     tracking, lines = LaneTracking(CAR, CONFIG), sights(0.0)
     beside = lines[0].points_m + np.array((0.0, 2.0 * CAR.lane.marking_width_m))
