@@ -490,8 +490,9 @@ class LaneTracking:
         How uncertain it is does not excuse it: without a line it knows nothing that is not believed.
         """
         belief, certain = self._belief, replace(measured, covariance=np.zeros_like(measured.covariance))
-        assert belief is not None
-        return self.reckons and not self._confusable(belief) and self._apart(certain, belief) > self.config.differs
+        if belief is None or not self.reckons:  # in doubt since its first frame: nothing is remembered
+            return False
+        return not self._confusable(belief) and self._apart(certain, belief) > self.config.differs
 
     def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.

@@ -476,6 +476,15 @@ def test_an_estimator_that_sees_no_line_is_sent_back_to_the_road_that_is_remembe
     assert drive.anew.offset_m == pytest.approx(0.0, abs=0.02 * LANE_M)
 
 
+def test_an_estimator_that_sees_no_line_in_the_first_frame_of_its_lane_is_sent_nowhere() -> None:
+    drive = Drive()
+    for _ in range(2):
+        drive.predict()
+    assert drive.tracking.reckons
+    drive.tracking.begin(drive.t_ns, said(0.0).pose)
+    assert drive.tracking.judge((), said(0.0, NONE)) is None
+
+
 def test_an_estimator_that_sees_no_line_lives_on_lines_that_are_in_view() -> None:
     drive = driving()
     for _ in range(round(2.0 * CONFIG.coast_s / (1e-9 * STEP_NS))):
