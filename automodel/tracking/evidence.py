@@ -25,7 +25,6 @@ from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_
 from automodel.types import FloatArray, Ints
 
 ROUNDS = 8  # of linearisation and weighing, and halvings of a step, at most
-TRUST = 4.0  # sigmas by which a linearisation may move the belief: beyond, the road may coil up (8 does as well)
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
@@ -241,8 +240,7 @@ def settled(
     """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
 
     The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
-    the lines count by a `share`; each step is of `TRUST` at most, and halved until it is one uphill. The points are
-    weighed in each round.
+    the lines count by a `share`; each step is halved until it is one uphill. The points are weighed in each round.
     """
     count, full = len(roles), len(prior.root)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
@@ -260,7 +258,7 @@ def settled(
             best = share * misfit.sum()
         right, root = _together(equations, share)
         step = backward(root, forward(root, right)) - z
-        tried, uphill = min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300))), False
+        tried, uphill = 1.0, False
         for _ in range(ROUNDS):
             at = z + tried * step
             moved = times(prior.root, at)

@@ -547,7 +547,6 @@ BOUNDS = (
     *_of(
         "automodel/tracking/evidence.py",
         "tests/tracking/test_belief.py",
-        ("roads-coil-up", "min(1.0, TRUST / math.sqrt(max(dot(step, step), 1e-300)))", "1.0"),
         ("every-point-is-the-line's", "3.0 / (2.0 + (rest[i] - common) ** 2 / prior.point_variance)", "1.0"),
     ),
     *_of(
