@@ -10,7 +10,8 @@ every set of lines is weighed by one small factorisation (Bar-Shalom, Li, Kiruba
 
 The points' errors are Student's with two degrees of freedom, because some are of another thing, which touches the line
 or was joined to it: each point's row of R^-1 has a weight w = 3 / (2 + r^2 / variance), found in turns with z
-(expectation maximisation, Lange, Little, Taylor 1989, "Robust Statistical Modeling Using the t Distribution").
+(expectation maximisation, Lange, Little, Taylor 1989, "Robust Statistical Modeling Using the t Distribution"). With it
+the point costs w r^2 / variance + 2 w - 3 log w - 3 + 3 log 1.5 = 3 log(1 + r^2 / 2 variance) [twice nats].
 """
 
 from __future__ import annotations
@@ -151,25 +152,28 @@ def _residuals(
 
 
 @compiled
-def _misfit(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
-    """Squared residuals (n,) of a line's weighted points over their errors."""
-    squares, total, count = 0.0, 0.0, 0.0
+def _common(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
+    """The error [m] that a line's weighted points have in common, by their residuals (n,)."""
+    total, count = 0.0, 0.0
     for i in range(len(rest)):
-        squares += weights[i] * rest[i] * rest[i]
         total += weights[i] * rest[i]
         count += weights[i]
-    shared = prior.line_share / (1.0 + count * prior.line_share)
-    return (squares - shared * total * total) / prior.point_variance
+    return prior.line_share / (1.0 + count * prior.line_share) * total
+
+
+@compiled
+def _misfit(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
+    """Squared residuals (n,) of a line's weighted points over their errors."""
+    common, squares = _common(prior, rest, weights), 0.0
+    for i in range(len(rest)):
+        squares += weights[i] * rest[i] * (rest[i] - common)
+    return squares / prior.point_variance
 
 
 @compiled
 def _weigh(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
     """Weigh a line's points anew by their residuals (n,); returns what the weights themselves cost [twice nats]."""
-    total, count = 0.0, 0.0
-    for i in range(len(rest)):
-        total += weights[i] * rest[i]
-        count += weights[i]
-    common, cost = prior.line_share / (1.0 + count * prior.line_share) * total, 0.0
+    common, cost = _common(prior, rest, weights), 0.0
     for i in range(len(rest)):
         weights[i] = 3.0 / (2.0 + (rest[i] - common) ** 2 / prior.point_variance)
         cost += 2.0 * weights[i] - 3.0 * math.log(weights[i]) - 3.0 + 3.0 * math.log(1.5)
@@ -279,10 +283,11 @@ def settled(
             for i in range(count):
                 told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
             linearised = tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR
-        gain, nod = 0.0, dot(prior.root[full - 1], z)
+        gain = 0.0
         for i in range(count):
             its = slice(ends[i - 1] if i else 0, ends[i])
-            _residuals(prior, path, state, nod, points[its], roles[i], rest[its])
+            if not uphill:  # the residuals are those of a place that was tried in vain
+                _residuals(prior, path, state, dot(prior.root[full - 1], z), points[its], roles[i], rest[its])
             gain += _misfit(prior, rest[its], weights[its]) + spent[i]
             spent[i] = _weigh(prior, rest[its], weights[its])
             actual[i] = _misfit(prior, rest[its], weights[its])
@@ -290,10 +295,12 @@ def settled(
         best = share * actual.sum() + dot(z, z)
         if (linearised or not uphill) and share * gain < 2.0 * LINEAR:
             break
-    for i in range(count):
+    for i in range(count):  # by the last weights
         its = slice(ends[i - 1] if i else 0, ends[i])
+        misfit[i] = spent[i] + _equations(
+            prior, path, state, points[its], weights[its], roles[i], information[i], vector[i]
+        )
         n = ends[i] - its.start
-        misfit[i] += spent[i]
         log_volume[i] = n * math.log(8.0 * prior.point_variance) + math.log1p(weights[its].sum() * prior.line_share)
     return Equations(information, vector, misfit, log_volume), z
 

@@ -142,6 +142,18 @@ def test_the_covariance_is_about_as_large_as_the_errors_where_bends_begin_and_en
     assert np.max(errors) < 40.0
 
 
+def test_the_points_of_a_line_are_as_likely_as_students_errors() -> None:
+    """Of a lane that is known for certain, without an error that its points have in common."""
+    model = replace(ROAD_MODEL, line_sigma=0.0)
+    scale_m = model.point_markings * model.marking_width_m
+    away_m = scale_m * np.array((0.0, 0.5, -1.0, 2.0, -8.0, 30.0))
+    points = np.column_stack((np.linspace(0.5, 1.5, len(away_m)) * LANE_M, 0.5 * LANE_M + away_m))
+    certain = LaneBelief.arc(np.array((0.0, 0.0, 0.0, LANE_M)), 1e-14 * np.eye(4), replace(model, bend_walk=1e-9), 0.0)
+    _, log_likelihood = certain.update((Assigned(sighted(points), LEFT),))
+    density = (1.0 + 0.5 * (away_m / scale_m) ** 2) ** -1.5 / (math.sqrt(8.0) * scale_m)
+    assert log_likelihood == pytest.approx(float(np.log(density).sum()), abs=0.05)
+
+
 @pytest.mark.parametrize("away_m", [0.05, 0.1, 0.2])
 def test_a_point_of_another_thing_hardly_moves_the_lane(away_m: float) -> None:
     """A lamp's edge that touches a line, a zebra's bar that is joined to it."""
