@@ -15,6 +15,7 @@ import numpy as np
 from automodel.curves.base import Curve
 from automodel.types import FloatArray, Image
 
+SIDES = ("left", "right")  # the cameras of a pair, by `Frame.eye`
 FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
 
 

@@ -27,14 +27,14 @@ class PairChecks(InputChecks):
     def __init__(self, car: CarConfig, rig: StereoRig, *, noiseless: bool = False) -> None:
         super().__init__(car, noiseless=noiseless)
         self._rig = rig
-        self._pair: StereoFrame | None = None  # the last frame, if it is a pair
+        self._pair: StereoFrame | None = None  # the last frame, if it is a pair of two good images
         self._order_sigmas, self._looks = 0.0, 0  # mean over so many looks
         self._looked_ns = 0
 
-    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+    def of_frame(self, frame: Frame | StereoFrame, seen: Frame | StereoFrame) -> tuple[str, ...]:
         """As `InputChecks`."""
-        self._pair = frame if isinstance(frame, StereoFrame) else None
-        return super().of_frame(frame)
+        self._pair = seen if isinstance(seen, StereoFrame) else None
+        return super().of_frame(frame, seen)
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
         """As `InputChecks`, and that the cameras are swapped while the car is not armed."""

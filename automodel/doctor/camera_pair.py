@@ -8,9 +8,9 @@ from automodel.config import CarConfig
 from automodel.doctor.findings import Finding, bounded, fail, okay, skip, warn
 from automodel.perception.stereo.points import ORDER_SIGMAS, RigCheck, check_rig
 from automodel.pipelines.stereo import Stereo
-from automodel.signals import StereoFrame
+from automodel.signals import SIDES, StereoFrame
 from automodel.sources.images import with_channels
-from automodel.sources.pairs import SIDES, PairStatus
+from automodel.sources.pairs import PairStatus
 
 PAIRED_WARN, PAIRED_FAIL = 0.95, 0.5  # share of the frames; a car drives with half its rate, and is held for gaps
 REPEATED = 0.5  # share of a camera's frames that are the one before

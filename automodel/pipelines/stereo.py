@@ -27,7 +27,7 @@ from automodel.perception.stereo.matching import match, mirrored, witnesses
 from automodel.perception.stereo.reconstruction import log_odds, radial, reconstruct
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from automodel.pipelines.stages import SEEN, StageClock
-from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
+from automodel.signals import SIDES, Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.hypotheses import HypothesesConfig
@@ -39,7 +39,6 @@ NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 FAR_OFF = 31.8  # chi-square of three degrees of freedom that is exceeded as rarely as 5 sigma of one are: 6e-7
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
-THIN = 8  # every so many-th pixel of every so many-th row tells whether an image is the last one: noise changes all
 ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
 PIECES = 9  # of the view's length, in each of which paint is told from reflections
@@ -108,23 +107,18 @@ class Stereo:
         """A line for the user after a run, which may be empty."""
         blind = [
             f"the {eye} camera gave no image in {count} frames"
-            for eye, count in zip(("left", "right"), self._missing, strict=True)
+            for eye, count in zip(SIDES, self._missing, strict=True)
             if count
         ]
         blind += [
             f"the {eye} camera showed no marking in {count} of the {self._pairs} pairs in which the other one did"
-            for eye, count in zip(("left", "right"), self._blind, strict=True)
+            for eye, count in zip(SIDES, self._blind, strict=True)
             if count > BLIND * self._pairs
         ]
         if blind:
             blind[-1] += ": the ground plane of the last good pair was used"
-        frozen = [
-            f"the {eye} camera gave the same image again in {count} pairs in which the other one's changed: not used"
-            for eye, count in zip(("left", "right"), self._frozen, strict=True)
-            if count
-        ]
         off = f"the ground plane did not fit the cameras' calibration in {self._off} pairs: calibrate both again"
-        return "; ".join(text for text in (self._width.warning, *blind, *frozen, off * (self._off > 0)) if text)
+        return "; ".join(text for text in (self._width.warning, *blind, off * (self._off > 0)) if text)
 
     @property
     def trouble(self) -> str:
@@ -153,8 +147,6 @@ class Stereo:
         self._blind, self._pairs = [0, 0], 0  # pairs in which the left eye, the right eye, and not both saw nothing
         self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
         self._missing = [0, 0]  # frames without an image of the left camera, of the right one
-        self._frozen = [0, 0]  # pairs in which an eye's image was that of the pair before, and the other one's not
-        self._before: list[Image | None] = [None, None]
         self._off = 0  # pairs with a plane that does not fit the calibration
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
@@ -176,8 +168,7 @@ class Stereo:
         if images[0] is not None and self._width.step(images[0]):
             self._look_for(self._width.width_m)
         self.stages.lap("width")
-        frozen = self._repeats(images)
-        grey = [None if image is None or same else _grey(image) for image, same in zip(images, frozen, strict=True)]
+        grey = [None if image is None else _grey(image) for image in images]
         left, right = self._stripes(grey)  # marking extraction, stripe models
         self.stages.lap("stripes")
         lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
@@ -233,18 +224,6 @@ class Stereo:
             both = zip(self._blind, (left, right), images, strict=True)
             self._blind = [n + (image is not None and not one.count) for n, one, image in both]
         return left, right
-
-    def _repeats(self, images: Sequence[Image | None]) -> list[bool]:
-        """Which of the images are those of the pair before, while the other eye's changes: a camera hangs."""
-        thin = [None if image is None else image[::THIN, ::THIN].copy() for image in images]
-        same = [
-            now is not None and before is not None and np.array_equal(now, before)
-            for now, before in zip(thin, self._before, strict=True)
-        ]
-        self._before = thin
-        frozen = [one and not all(same) for one in same]
-        self._frozen = [count + one for count, one in zip(self._frozen, frozen, strict=True)]
-        return frozen
 
     def _on_ground(self, images: Sequence[Image | None], left: Stripes, right: Stripes) -> list[FloatArray]:
         """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""

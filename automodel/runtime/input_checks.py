@@ -146,7 +146,8 @@ class ImageCheck:
     stands or there is nothing to see; `noiseless` allows that. A lens that is covered, blinded or unplugged gives a
     image without any contrast.
 
-    One bad image is as one that was dropped: only `timeout_s` without a good one is worth a word.
+    One bad image is as one that was dropped: only `timeout_s` without a good one is worth a word. While the other
+    camera of a pair goes on alone this one's images are not asked for (`excuse`).
     """
 
     def __init__(self, width_px: int, height_px: int, timeout_s: float, *, noiseless: bool = False) -> None:
@@ -173,6 +174,10 @@ class ImageCheck:
             return wrong
         age_ns = t_ns - self._good_ns
         return None if age_ns < self._timeout_ns else f"{wrong} for {age_ns * 1e-9:.3f} s"
+
+    def excuse(self, t_ns: int) -> None:
+        """Count from `t_ns`, when the other camera of the pair gave a good image, as if this one had."""
+        self._good_ns = t_ns
 
     def _wrong(self, image: Image) -> str | None:
         before, self._before = self._before, image
@@ -272,11 +277,13 @@ class InputChecks:
         """Why nothing can be made of the frame, None where it can be looked at."""
         return next(filter(None, (check.misfit(image) for check, image in self._seen(frame))), None)
 
-    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
-        """What is wrong with a frame that fits."""
-        wrong = [check.step(image, frame.t_ns) for check, image in self._seen(frame)]
+    def of_frame(self, frame: Frame | StereoFrame, seen: Frame | StereoFrame) -> tuple[str, ...]:
+        """What is wrong with a frame that fits; of a pair of which one eye is `seen` alone, with that one's image."""
+        wrong = [check.step(image, frame.t_ns) for check, image in self._seen(seen)]
         if isinstance(frame, StereoFrame):
             wrong.append(self._pair_times.step(frame.right_late_ns, frame.t_ns))
+            if isinstance(seen, Frame):
+                self._pictures[1 - seen.eye].excuse(frame.t_ns)
         return tuple(filter(None, wrong))
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:

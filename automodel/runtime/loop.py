@@ -16,6 +16,7 @@ import numpy as np
 
 from automodel.interfaces import Controller, Driver, Pipeline, cameras_of
 from automodel.runtime.clocks import NS_PER_S
+from automodel.runtime.eye_check import EyeCheck
 from automodel.signals import (
     Command,
     DriverInput,
@@ -67,8 +68,8 @@ class Checks(Protocol):
         """Why nothing can be made of the frame, None where it can be looked at."""
         ...
 
-    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
-        """What is wrong with a frame that fits."""
+    def of_frame(self, frame: Frame | StereoFrame, seen: Frame | StereoFrame) -> tuple[str, ...]:
+        """What is wrong with a frame that fits; `seen` is what of it the pipeline is given: all, or one eye's image."""
         ...
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
@@ -108,7 +109,8 @@ class Loop:
     `validity_s` is the time after a frame's capture for which its command may be obeyed; `stopwatch` gives integer
     nanoseconds (`time.perf_counter_ns`) and is only read for the durations. `checks` look at what comes in where a car
     is driven; they change nothing but the faults of the `Tick`, and keep a frame that does not fit away from the
-    pipeline. `driver` makes commands of what a person wants, where one may drive.
+    pipeline. `driver` makes commands of what a person wants, where one may drive. A pipeline of two cameras gets the
+    good one's image alone while the other one is dark or stuck (`EyeCheck`).
     """
 
     def __init__(
@@ -126,6 +128,7 @@ class Loop:
             raise ValueError(f"validity_s: expected a positive number, got {validity_s}")
         self._pipeline = pipeline
         self._cameras = cameras_of(pipeline)
+        self._eyes = EyeCheck() if self._cameras == 2 else None
         self._controller = controller
         self._limits = limits
         self._validity_ns = round(validity_s * NS_PER_S)
@@ -137,8 +140,14 @@ class Loop:
 
     @property
     def warning(self) -> str:
-        """What the pipeline found wrong in car.toml, in one line; empty where nothing, or where it does not look."""
-        return str(getattr(self._pipeline, "warning", ""))
+        """What was wrong with a pair's images, and what the pipeline found wrong in car.toml, in one line; or empty."""
+        warnings = ("" if self._eyes is None else self._eyes.warning, str(getattr(self._pipeline, "warning", "")))
+        return "; ".join(filter(None, warnings))
+
+    @property
+    def eye_trouble(self) -> str:
+        """Why the pipeline was given one image of the last pair alone, in one line; "" where it was not."""
+        return "" if self._eyes is None else self._eyes.trouble
 
     def tick(
         self,
@@ -209,8 +218,9 @@ class Loop:
             misfit = "the left camera gives no image, and this pipeline sees through that one alone"
         if misfit is not None:
             return lost, (misfit,), ()
-        wrong = () if checks is None else checks.of_frame(frame)
-        estimate = self._look(frame, motion)
+        seen = frame if self._eyes is None else self._eyes.step(frame)
+        wrong = () if checks is None else checks.of_frame(frame, seen)
+        estimate = self._look(seen, motion)
         faults = estimate_faults(estimate)
         if faults:
             self.failed()

@@ -7,7 +7,7 @@ advances it inside `read` the same code runs in lock-step.
 
 Event kinds besides those of `automodel.runtime.safety`: fault (something not finite, or an exception of the chain),
 vehicle-fault, link-lost, link-back, source-failed, source-back, camera-missing and camera-back (of a pair, while the
-other one goes on), recorder-failed, end.
+other one goes on: its frames do not come, or are dark or stuck), recorder-failed, end.
 """
 
 from __future__ import annotations
@@ -281,6 +281,8 @@ class Runner:
             self._loop.failed()
             if self._traceback is None:
                 self._traceback = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+        if record.frame is not None and record.tick is not None:
+            self._source.report_eyes(record.frame, self._loop.eye_trouble)
         if record.decision.action is not Action.PASS or (record.tick is not None and record.sent is None):
             self._loop.overruled(self._on_wire)
         if record.tick is not None and record.tick.driver is None:

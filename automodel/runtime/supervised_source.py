@@ -60,13 +60,14 @@ class SupervisedSource:
             text = "frames come again; arm to drive on" if at_rest else "frames come again"
             event = Event(t_ns=self._clock.now_ns(), kind="source-back", text=text)
             self._run_log.note(event)
-        if frame is not None:
-            self._report_pair(frame)
         return frame
 
-    def _report_pair(self, frame: Frame | StereoFrame) -> None:
-        """Say that one camera of a pair is missing while the other one goes on, and that pairs come again."""
-        trouble = "" if isinstance(frame, StereoFrame) else str(getattr(self._source, "trouble", ""))
+    def report_eyes(self, frame: Frame | StereoFrame, unseen: str) -> None:
+        """Say that one camera of a pair is missing while the other one goes on, and that pairs are seen again.
+
+        `unseen` is why a pair was looked at through one eye alone, "" where it was not.
+        """
+        trouble = unseen if isinstance(frame, StereoFrame) else str(getattr(self._source, "trouble", ""))
         if trouble == self._trouble:
             return
         kind, text = "camera-missing", f"{trouble}; the other one goes on alone"

@@ -88,7 +88,7 @@ class CameraWatch:
         self._opened_ns = 0
         self._arrived_ns: int | None = None
         self._new_ns = 0  # when the newest image arrived that was not the one before
-        self._image: Image | None = None
+        self._images: tuple[Image, ...] = ()  # the newest frame's
         self._long_waits = 0  # in a row
         self._slow_reported = False
         self._frames = self._dropped = self._lost = self._opened = 0
@@ -120,7 +120,7 @@ class CameraWatch:
     def opened(self, now_ns: int) -> None:
         """The camera was opened, or opened again."""
         self._opened += 1
-        self._opened_ns, self._arrived_ns, self._image = now_ns, None, None
+        self._opened_ns, self._arrived_ns, self._images = now_ns, None, ()
         self._times_ns.clear()
         self._long_waits = 0
 
@@ -129,11 +129,12 @@ class CameraWatch:
         self._dropped += 1
 
     def arrived(self, frame: Frame | StereoFrame, now_ns: int) -> None:
-        """A frame arrived."""
-        image = frame.left if isinstance(frame, StereoFrame) else frame.image
-        if self._image is None or not same_image(self._image, image) or image.min() == image.max():
+        """A frame arrived; a pair is new where one of its images is: which eye is stuck, the loop finds out."""
+        images = (frame.left, frame.right) if isinstance(frame, StereoFrame) else (frame.image,)
+        again = len(images) == len(self._images) and all(map(_repeats, self._images, images))
+        if not again:
             self._new_ns = now_ns
-        self._image, self._arrived_ns = image, now_ns
+        self._images, self._arrived_ns = images, now_ns
         self._frames += 1
         if self._times_ns:
             waited_ns = frame.t_ns - self._times_ns[-1]
@@ -156,6 +157,10 @@ class CameraWatch:
             rate_hz = _NS / self._period_ns
             return SourceStalled(f"less than half of its {rate_hz:g} frames/s; more light, or another USB port?", True)
         return None
+
+
+def _repeats(before: Image, image: Image) -> bool:
+    return same_image(before, image) and image.min() != image.max()
 
 
 class CaptureThread:

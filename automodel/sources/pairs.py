@@ -11,11 +11,9 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
 from automodel.interfaces import Source
-from automodel.signals import Frame, StereoFrame
+from automodel.signals import SIDES, Frame, StereoFrame
 from automodel.sources.cameras import CameraStatus, CameraWatch
 from automodel.sources.errors import EndOfSource, SourceError
-
-SIDES = ("left", "right")
 
 _NS = 1_000_000_000
 MISSING_PERIODS = 2.5  # without a new image a camera is missing: one lost frame is no failure, and at 60 Hz the other

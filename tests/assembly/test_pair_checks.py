@@ -36,7 +36,8 @@ def checks_of_pairs() -> PairChecks:
 
 def said(checks: InputChecks, index: int, images: tuple[Image, Image], state: VehicleState | None) -> tuple[str, ...]:
     """What is wrong with the estimate of a pair."""
-    checks.of_frame(StereoFrame(t_ns=index * PERIOD_NS, index=index, left=images[0], right=images[1]))
+    pair = StereoFrame(t_ns=index * PERIOD_NS, index=index, left=images[0], right=images[1])
+    checks.of_frame(pair, pair)
     return checks.of_estimate(LOST, STILL, state)
 
 
@@ -91,7 +92,8 @@ def test_a_pair_that_is_the_right_one_is_not_looked_at_again(monkeypatch: pytest
 def test_a_car_that_is_armed_is_not_looked_at_nor_is_a_single_image(monkeypatch: pytest.MonkeyPatch) -> None:
     looks, checks = Looks(monkeypatch, -9.0), checks_of_pairs()
     assert all(said(checks, index, (BLANK, BLANK), ARMED) == () for index in range(30))
-    checks.of_frame(Frame(t_ns=30 * PERIOD_NS, index=30, image=BLANK))
+    alone = Frame(t_ns=30 * PERIOD_NS, index=30, image=BLANK)
+    checks.of_frame(StereoFrame(t_ns=alone.t_ns, index=30, left=BLANK, right=BLANK), alone)
     assert checks.of_estimate(LOST, STILL, UNARMED) == ()
     assert looks.left == [-9.0]
 

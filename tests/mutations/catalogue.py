@@ -634,11 +634,30 @@ PAIRS = (
     *_of(
         "automodel/runtime/loop.py",
         "tests/runtime/test_loop.py",
+        ("bad-eye-seen", "estimate = self._look(seen, motion)", "estimate = self._look(frame, motion)"),
         (
             "trouble-untold",
             "return estimate, wrong, (*unfit, trouble) if trouble else unfit",
             "return estimate, wrong, unfit",
         ),
+    ),
+    *_of(
+        "automodel/runtime/eye_check.py",
+        "tests/runtime/test_eye_check.py",
+        ("dark-eye-passes", "if contrast(image) < FLAT_LEVELS:", "if False:"),
+        ("stuck-eye-passes", "before is not None and same_image(before, image)", "False"),
+        ("good-eye-left-out", "good = 1 if wrong[0] else 0", "good = 0 if wrong[0] else 1"),
+    ),
+    *_of(
+        "automodel/runtime/input_checks.py",
+        "tests/runtime/test_input_checks.py",
+        ("eye-left-out-is-late", "self._pictures[1 - seen.eye].excuse(frame.t_ns)", "pass"),
+        ("one-eye-of-any-times-passes", "self._pair_times.step(frame.right_late_ns, frame.t_ns)", "None"),
+    ),
+    *_of(
+        "automodel/runtime/supervised_source.py",
+        "tests/runtime/test_supervised_source.py",
+        ("bad-eye-untold", "trouble = unseen if isinstance", 'trouble = "" if isinstance'),
     ),
     *_of(
         "automodel/bench/faults/judge.py",

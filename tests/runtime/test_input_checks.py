@@ -88,13 +88,39 @@ def test_both_pictures_of_a_pair_are_looked_at() -> None:
     checks = InputChecks(CAR)
 
     def of_pair(index: int, left: np.ndarray, right: np.ndarray) -> tuple[str, ...]:
-        return checks.of_frame(StereoFrame(t_ns=index * 16 * MS, index=index, left=left, right=right))
+        pair = StereoFrame(t_ns=index * 16 * MS, index=index, left=left, right=right)
+        return checks.of_frame(pair, pair)
 
     found = [of_pair(index, ROAD[index], ROAD[0]) for index in range(6)]
     assert [len(texts) for texts in found] == [0, 0, 0, 0, 1, 1]
     pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[0][::2])
     assert checks.misfit(pair) is not None
     assert checks.misfit(Frame(t_ns=0, index=0, image=ROAD[0][::2], eye=1)) is not None
+
+
+@pytest.mark.parametrize("bad", [0, 1])
+def test_while_one_eye_is_seen_alone_the_other_one_s_images_are_not_asked_for(bad: int) -> None:
+    """And once neither is good, as many bad pairs as of a single camera are as many that were dropped."""
+    checks = InputChecks(CAR)
+    dark = np.zeros((90, 160), np.uint8)
+
+    def of_pair(index: int, good: np.ndarray, alone: bool) -> tuple[str, ...]:
+        images = (good, dark) if bad else (dark, good)
+        pair = StereoFrame(t_ns=index * 16 * MS, index=index, left=images[0], right=images[1])
+        seen = Frame(t_ns=pair.t_ns, index=index, image=good, eye=1 - bad) if alone else pair
+        return checks.of_frame(pair, seen)
+
+    assert [of_pair(index, ROAD[index], True) for index in range(20)] == [()] * 20
+    found = [of_pair(index, ROAD[19], False) for index in range(20, 26)]
+    assert [len(texts) for texts in found] == [0, 0, 0, 2, 2, 2]
+    assert set(found[3]) == {"the image is blank for 0.064 s", "the camera repeats the same image for 0.064 s"}
+
+
+def test_images_that_were_not_taken_together_are_a_fault_also_where_one_is_seen_alone() -> None:
+    camera = dataclasses.replace(CAR.camera, right=SecondCamera(pair_tolerance_s=0.004))
+    checks = InputChecks(dataclasses.replace(CAR, camera=camera))
+    pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[1], right_late_ns=-17 * MS)
+    assert len(checks.of_frame(pair, Frame(t_ns=0, index=0, image=ROAD[1], eye=1))) == 1
 
 
 def test_images_of_a_pair_that_were_not_taken_together_are_a_fault_where_that_lasts() -> None:
@@ -105,7 +131,7 @@ def test_images_of_a_pair_that_were_not_taken_together_are_a_fault_where_that_la
     def of_pair(index: int, late_ms: int) -> tuple[str, ...]:
         left, right = ROAD[index], ROAD[19 - index]
         pair = StereoFrame(t_ns=index * 16 * MS, index=index, left=left, right=right, right_late_ns=late_ms * MS)
-        return checks.of_frame(pair)
+        return checks.of_frame(pair, pair)
 
     assert [of_pair(index, (4, -4, 0)[index]) for index in range(3)] == [()] * 3
     found = [of_pair(index, (-5, 17)[index % 2]) for index in range(3, 8)]
@@ -118,14 +144,15 @@ def test_a_pair_s_tolerance_follows_the_rate_and_without_a_second_camera_any_tim
     two = dataclasses.replace(CAR, camera=dataclasses.replace(CAR.camera, rate_hz=50.0, right=SecondCamera()))
     for late_ms, car, faults in ((5, two, 0), (6, two, 1), (6, CAR, 0)):
         pair = StereoFrame(t_ns=0, index=0, left=ROAD[0], right=ROAD[1], right_late_ns=late_ms * MS)
-        assert len(InputChecks(car).of_frame(pair)) == faults
+        assert len(InputChecks(car).of_frame(pair, pair)) == faults
 
 
 def test_an_image_of_the_right_camera_alone_is_compared_with_its_own() -> None:
     checks, found = InputChecks(CAR), []
     for index in range(12):  # the left camera's images change, and between them the right one repeats its own
         image = ROAD[0] if index % 2 else ROAD[index // 2]
-        found.append(checks.of_frame(Frame(t_ns=index * 16 * MS, index=index, image=image, eye=index % 2)))
+        frame = Frame(t_ns=index * 16 * MS, index=index, image=image, eye=index % 2)
+        found.append(checks.of_frame(frame, frame))
     assert found[:5] == [()] * 5
     assert found[-1] == ("the camera repeats the same image for 0.160 s",)
 

@@ -82,6 +82,46 @@ def test_a_pipeline_of_one_camera_is_not_given_what_the_right_one_sees_alone() -
     assert tick.faults == ("the left camera gives no image, and this pipeline sees through that one alone",)
 
 
+class Looked:
+    """Checks that keep what they are asked about."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[object, object]] = []
+
+    def misfit(self, frame: Frame | StereoFrame) -> None:
+        pass
+
+    def of_frame(self, frame: Frame | StereoFrame, seen: Frame | StereoFrame) -> tuple[str, ...]:
+        self.asked.append((frame, seen))
+        return ()
+
+    def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:
+        return ()
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_only_a_pipeline_of_two_cameras_is_given_the_good_eye_alone(cameras: int) -> None:
+    pipeline, checks = FakePipeline(), Looked()
+    pipeline.cameras = cameras  # type: ignore[attr-defined]
+    loop, *_ = make(pipeline, checks=checks)
+    road = np.arange(64, dtype=np.uint8).reshape(8, 8) * 4
+    pair = StereoFrame(t_ns=5, index=3, left=np.zeros((8, 8), np.uint8), right=road)
+    loop.tick(pair, MOTION, None, 6)
+    ((frame, seen),) = checks.asked
+    assert frame is pair
+    if cameras == 1:
+        assert seen is pair
+        assert not pipeline.seen[0].image.any()
+        assert (loop.eye_trouble, loop.warning) == ("", "")
+        return
+    assert seen is pipeline.seen[0]
+    assert (seen.eye, seen.t_ns, seen.index) == (1, 5, 3)
+    assert (seen.image == road).all()
+    assert loop.eye_trouble == "left camera: the image is blank"
+    pipeline.warning = "too wide"  # type: ignore[attr-defined]
+    assert loop.warning == "1 images of the left camera were left out: the image is blank; too wide"
+
+
 def test_an_exception_of_a_stage_goes_up() -> None:
     loop, *_ = make(FakePipeline({0: KeyError("x")}))
     with pytest.raises(KeyError):
@@ -94,7 +134,7 @@ class Misfit:
     def misfit(self, frame: Frame | StereoFrame) -> str:
         return "too small"
 
-    def of_frame(self, frame: Frame | StereoFrame) -> tuple[str, ...]:
+    def of_frame(self, frame: Frame | StereoFrame, seen: Frame | StereoFrame) -> tuple[str, ...]:
         raise AssertionError("not looked at any more")
 
     def of_estimate(self, estimate: LaneEstimate, motion: Motion, state: VehicleState | None) -> tuple[str, ...]:

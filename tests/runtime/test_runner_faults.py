@@ -4,11 +4,12 @@ import itertools
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from automodel.runtime.runner import RunEnd
 from automodel.runtime.safety import Action, SafetyMode
-from automodel.signals import Frame, LaneStatus, MotionSource
+from automodel.signals import Frame, LaneStatus, MotionSource, StereoFrame
 from tests.support.runner_car import (
     ARMING,
     DISARMED,
@@ -214,3 +215,25 @@ def test_a_source_is_opened_again_only_when_the_car_stands_and_it_stays_disarmed
     assert all(b - a >= 200.0 for (a, _), (b, _) in itertools.pairwise(tries))
     assert car.modes() == [DISARMED, ARMING, DRIVING, HOLD, STOPPED]  # healthy for over a second, and still stopped
     assert "source-back" in car.kinds()
+
+
+def test_a_dark_eye_of_a_pair_is_reported_with_its_reason_and_that_it_is_back() -> None:
+    rng = np.random.default_rng(0)
+    images = rng.integers(0, 256, (240, 8, 8), dtype=np.uint8)
+    items = []
+    for due_ns, plain in frames(120):
+        assert isinstance(plain, Frame)
+        k = plain.index
+        left = np.zeros((8, 8), np.uint8) if 50 <= k < 90 else images[2 * k]
+        items.append((due_ns, StereoFrame(t_ns=plain.t_ns, index=k, left=left, right=images[2 * k + 1])))
+    car = Car(items=items)
+    car.pipeline.cameras = 2  # type: ignore[attr-defined]
+    car.run()
+    assert car.modes() == [DISARMED, ARMING, DRIVING]
+    assert [(e.kind, e.text) for e in car.recorder.of("event") if e.kind.startswith("camera")] == [
+        ("camera-missing", "left camera: the image is blank; the other one goes on alone"),
+        ("camera-back", "pairs of frames come again"),
+    ]
+    alone = {frame.index for frame in car.pipeline.seen if isinstance(frame, Frame)}
+    assert alone == set(range(50, 90))
+    assert all(isinstance(frame, StereoFrame) for frame in car.recorder.of("frame"))  # recorded as it came

@@ -107,23 +107,33 @@ class PairOfCameras:
 def test_a_camera_of_a_pair_that_is_missing_is_reported_once_with_the_reason_and_that_it_is_back() -> None:
     clock, log, pair = VirtualClock(), RunLog(None, None), PairOfCameras()
     source = SupervisedSource(pair, clock, log, None)
-    for trouble in ("", "right camera: no frame comes", ""):
+
+    def seen(trouble: str, unseen: str = "") -> None:
         pair.trouble = trouble
         for _ in range(5):
-            assert source.read(0.02, at_rest=False) is not None
+            frame = source.read(0.02, at_rest=False)
+            assert frame is not None
+            source.report_eyes(frame, unseen)
         clock.sleep(0.1)
+
+    for trouble in ("", "right camera: no frame comes", ""):
+        seen(trouble)
     assert [(event.kind, event.text) for event in log.events] == [
         ("camera-missing", "right camera: no frame comes; the other one goes on alone"),
         ("camera-back", "pairs of frames come again"),
     ]
     assert not source.dead
-    pair.trouble = "left camera: no frame comes"  # too soon after the last report of its kind: it is told later
-    for _ in range(5):
-        source.read(0.02, at_rest=False)
+    seen("left camera: no frame comes")  # too soon after the last report of its kind: it is told later
     assert len(log.events) == 2
     clock.sleep(1.0)
-    source.read(0.02, at_rest=False)
+    seen("left camera: no frame comes")
     assert log.events[-1].text == "left camera: no frame comes; the other one goes on alone"
+    clock.sleep(1.0)
+    seen("", "right camera: the image is blank")  # of a pair that came
+    assert log.events[-1].text == "right camera: the image is blank; the other one goes on alone"
+    seen("")
+    kinds = [event.kind for event in log.events]
+    assert kinds[2:] == ["camera-missing", "camera-missing", "camera-back"]
 
 
 def test_a_stall_while_the_car_drives_opens_nothing() -> None:

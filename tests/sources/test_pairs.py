@@ -335,3 +335,16 @@ def test_a_camera_that_gives_pairs_is_told_so(rig: Rig) -> None:
     image = np.zeros((2, 2), np.uint8)
     rig.left.inbox.put(StereoFrame(t_ns=0, index=0, left=image, right=image))  # type: ignore[arg-type]
     eventually(lambda: "gives pairs by itself; remove [camera.right] device" in rig.pair.trouble)
+
+
+def test_a_source_of_pairs_is_frozen_where_both_images_are() -> None:
+    rng = np.random.default_rng(1)
+    images = rng.integers(0, 256, (60, 4, 4), dtype=np.uint8)
+    for stuck, found in (((0,), False), ((1,), False), ((0, 1), True)):
+        watch = CameraWatch(50.0)
+        watch.opened(0)
+        for index in range(30):
+            left, right = (images[0 if eye in stuck else 1 + index] + np.uint8(eye) for eye in (0, 1))
+            watch.arrived(StereoFrame(t_ns=index * 20 * MS, index=index, left=left, right=right), index * 20 * MS)
+        fault = watch.fault(29 * 20 * MS)
+        assert (fault is not None) is found

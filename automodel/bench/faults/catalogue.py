@@ -89,15 +89,15 @@ CAMERA = (
     Fault(name="camera-flaps", kind=Kind.INTERMITTENT, must=Must.STOP, duration_s=(3.5, 3.5), within_s=FLAPS_S,
           holds_first=True, text="six frames in a row are lost, again and again: a stop with the 13th hold in 10 s",
           hooks=lambda random, end_ns: _frames(hooks.in_bursts(6, random.randint(4, 6), hooks.drop))),
-    Fault(name="camera-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S,
+    Fault(name="camera-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S, both_eyes=True,
           text="the same image again and again, with new times",
           hooks=lambda random, end_ns: _frames(hooks.frozen())),
-    Fault(name="camera-black", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
+    Fault(name="camera-black", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, both_eyes=True,
           text="black images with sensor noise",
           hooks=lambda random, end_ns: _frames(hooks.blank(2.0, 2.0, random))),
-    Fault(name="camera-white", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, text="white images",
-          hooks=lambda random, end_ns: _frames(hooks.blank(255.0, 2.0, random))),
-    Fault(name="camera-flat", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S,
+    Fault(name="camera-white", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, both_eyes=True,
+          text="white images", hooks=lambda random, end_ns: _frames(hooks.blank(255.0, 2.0, random))),
+    Fault(name="camera-flat", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, both_eyes=True,
           text="images of one grey level with sensor noise",
           hooks=lambda random, end_ns: _frames(
               hooks.blank(random.uniform(20.0, 230.0), random.uniform(0.0, 4.0), random))),
@@ -140,19 +140,19 @@ def _rig_turned(random: Random) -> Hooks:
     return Hooks(rig=hooks.eye_turned(random.randrange(2), angle, random.choice((-1, 1)) * math.radians(by_deg)))
 
 
-# One eye that gives no image leaves the other one alone. Pairs whose images cannot be a pair are another matter: a
-# source that says that both eyes work, and gives what they cannot have seen, is not believed. A pair that is not the
-# calibrated one is refused before the car is armed, where it shows (`rig-`); while it drives only the ground plane
-# tells, not always: what comes of that is reported.
+# One eye that gives no image, or one that is dark or stuck, leaves the other one alone. Pairs whose images cannot be a
+# pair are another matter: a source that says that both eyes work, and gives what they cannot have seen together, is not
+# believed. A pair that is not the calibrated one is refused before the car is armed, where it shows (`rig-`); while it
+# drives only the ground plane tells, not always: what comes of that is reported.
 PAIR = (
     Fault(name="pair-off", kind=Kind.OFF, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True, event="camera-missing",
           text="no image of one of two cameras comes: those of the other one come alone",
           hooks=lambda random, end_ns: Hooks(pair=hooks.alone(random.randrange(2), FRAME_NS, LATENCY_NS))),
-    Fault(name="pair-stuck", kind=Kind.STUCK, must=Must.STOP, duration_s=HELD_S, pairs=True,
-          text="the same image of one of two cameras again and again, in pairs with new ones of the other",
+    Fault(name="pair-stuck", kind=Kind.STUCK, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True,
+          event="camera-missing", text="the same image of one of two cameras again and again, beside new ones",
           hooks=lambda random, end_ns: _of_one_eye(random, hooks.frozen())),
-    Fault(name="pair-dark", kind=Kind.GARBAGE, must=Must.STOP, duration_s=HELD_S, pairs=True,
-          text="black images with sensor noise of one of two cameras",
+    Fault(name="pair-dark", kind=Kind.GARBAGE, must=Must.NOTHING, duration_s=(0.5, 4.0), pairs=True,
+          event="camera-missing", text="black images with sensor noise of one of two cameras",
           hooks=lambda random, end_ns: _of_one_eye(random, hooks.blank(2.0, 2.0, random))),
     Fault(name="pair-times", kind=Kind.WRONG, must=Must.STOP, duration_s=HELD_S, pairs=True,
           text="the right image of each pair is one to six frames older than the left one",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from random import Random
 
 from automodel.config import CameraConfig
@@ -77,12 +77,14 @@ class Grip:
 class Hooks:
     """A fault as it is built into one run; None or empty where a part works.
 
+    Of a pair of cameras `camera` spoils the left one's images, `right_camera` those of the right one.
     Hooks are called from the fault's start to its end only. `to_board` gets what the host writes at once (a frame),
     `from_board` what the board has sent since it was last read. `moments` are in seconds after the start. `rig` takes
     the two cameras of car.toml, left first, and gives those that the car really has, for the whole run.
     """
 
     camera: CameraHook | None = None
+    right_camera: CameraHook | None = None
     pair: PairHook | None = None
     rig: RigHook | None = None
     lane: LaneHook | None = None
@@ -137,7 +139,8 @@ class Fault:
     stopped; the bound counts to the stop. `images`: it needs a pipeline that looks at images. `outside_m`: where it
     must stay in its lane, its body may leave it by so much (infinite: by how much is only reported). `anywhere`: on any
     track, with a random look. `pairs`: it needs a pipeline of two cameras. `from_start`: it is there before the car is
-    armed, and the pipeline sees the road from the first frame on.
+    armed, and the pipeline sees the road from the first frame on. `both_eyes`: both cameras of a pair have it alike,
+    as one that works would go on alone.
 
     `hooks` makes the faulty parts for a fault that ends at `end_ns`; the generator gives whatever is random in them.
     """
@@ -162,3 +165,9 @@ class Fault:
     images: bool = False
     pairs: bool = False
     from_start: bool = False
+    both_eyes: bool = False
+
+    def built(self, random: Callable[[], Random], end_ns: int) -> Hooks:
+        """The faulty parts of a fault that ends at `end_ns`; each generator of `random` gives the same numbers."""
+        hooks = self.hooks(random(), end_ns)
+        return replace(hooks, right_camera=self.hooks(random(), end_ns).camera) if self.both_eyes else hooks

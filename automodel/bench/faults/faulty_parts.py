@@ -26,9 +26,8 @@ from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import VirtualClock
 from automodel.runtime.os_signals import Interrupted
 from automodel.runtime.runner import Runner
-from automodel.signals import BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
+from automodel.signals import SIDES, BoardSensors, Event, Frame, LaneEstimate, Motion, StereoFrame
 from automodel.sim.world import Scene
-from automodel.sources.pairs import SIDES
 from automodel.types import Image
 from firmware_link.emulator.board import Peripherals
 
@@ -99,7 +98,7 @@ class FaultySource:
             self._late.append((max(due_ns, before_ns), out))
 
     def _spoilt(self, frame: Frame | StereoFrame) -> tuple[int, Frame | StereoFrame] | None:
-        """Of a pair the left camera fails, where the pair itself has no hook."""
+        """Of a pair the left camera fails, and the right one where it has a hook, unless the pair itself has one."""
         hook, pair = self._hooks.camera, self._hooks.pair
         if isinstance(frame, StereoFrame) and pair is not None:
             return pair(frame)
@@ -111,7 +110,11 @@ class FaultySource:
         if left is None:
             return None
         due_ns, out = left
-        return due_ns, replace(frame, t_ns=out.t_ns, left=out.image)
+        spoilt = replace(frame, t_ns=out.t_ns, left=out.image)
+        if self._hooks.right_camera is None:
+            return due_ns, spoilt
+        right = self._hooks.right_camera(Frame(t_ns=frame.t_ns, index=frame.index, image=frame.right, eye=1))
+        return None if right is None else (max(due_ns, right[0]), replace(spoilt, right=right[1].image))
 
     def close(self) -> None:
         """As the source's."""

@@ -371,7 +371,7 @@ def run_fault(
     car = dataclasses.replace(car, control=dataclasses.replace(car.control, speed_mps=drawn.speed_mps))
     for attempt in range(PLACES):
         plan = at_another_place(drawn, attempt)
-        seen = FaultRig(car, pipeline, plan, fault.hooks(plan.hooks_random(), plan.end_ns), program).run()
+        seen = FaultRig(car, pipeline, plan, fault.built(plan.hooks_random, plan.end_ns), program).run()
         if seen.knows:
             without = FaultRig(car, pipeline, plan, Hooks(), program).run() if fault.same_pulses else None
             return dataclasses.replace(judge(fault, plan, seen, without), moved=attempt)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from automodel.bench.faults import hooks
+from automodel.bench.faults.catalogue import chosen
 from automodel.bench.faults.fault import At, CameraHook, Hooks, PairHook, Stall
 from automodel.bench.faults.faulty_parts import FaultyPeripherals, FaultyPipeline, FaultySource, Staller
 from automodel.bench.faults.judge import Plan
@@ -289,17 +290,45 @@ class TickingPair(Ticking):
         return StereoFrame(t_ns=frame.t_ns, index=frame.index, left=frame.image, right=frame.image)
 
 
-def test_of_a_pair_the_left_image_is_spoilt() -> None:
+@pytest.mark.parametrize("both", [False, True])
+def test_of_a_pair_the_left_image_is_spoilt_and_the_right_one_where_it_has_a_hook(both: bool) -> None:
     clock = VirtualClock(1900 * MS)
     hook = hooks.at_once(hooks.blank(255.0, 0.0, Random(1)))
-    source = FaultySource(TickingPair(clock), Hooks(camera=hook), PLAN, clock, Staller(None, PLAN, clock))
+    spoilt = Hooks(camera=hook, right_camera=hook if both else None)
+    source = FaultySource(TickingPair(clock), spoilt, PLAN, clock, Staller(None, PLAN, clock))
     white = {}
     while clock.now_ns() < 2300 * MS:
         frame = source.read(0.015)
         if isinstance(frame, StereoFrame):
             white[frame.t_ns // MS] = (bool((frame.left == 255).all()), bool((frame.right == 255).all()))
     assert {t for t, (left, _) in white.items() if left} == set(range(2000, 2200, PERIOD_MS))
-    assert not any(right for _, right in white.values())
+    assert {t for t, (_, right) in white.items() if right} == (set(range(2000, 2200, PERIOD_MS)) if both else set())
+
+
+def test_a_frame_of_a_pair_is_lost_where_either_camera_loses_its_own() -> None:
+    for camera, right in ((hooks.drop, hooks.frozen()), (hooks.frozen(), hooks.drop)):
+        clock = VirtualClock(1900 * MS)
+        spoilt = Hooks(camera=hooks.at_once(camera), right_camera=hooks.at_once(right))
+        source = FaultySource(TickingPair(clock), spoilt, PLAN, clock, Staller(None, PLAN, clock))
+        came = set()
+        while clock.now_ns() < 2300 * MS:
+            frame = source.read(0.015)
+            came |= {frame.t_ns} if frame is not None else set()
+        assert not any(2000 * MS <= t_ns < 2200 * MS for t_ns in came)
+        assert came
+
+
+def test_a_fault_of_both_eyes_is_built_twice_alike() -> None:
+    gone, white = chosen(("camera-gone", "camera-white"))
+    both = white.built(lambda: Random(3), 0)
+    assert both.camera is not None
+    assert both.right_camera is not None
+    frame = Frame(t_ns=0, index=0, image=np.zeros((8, 8), np.uint8))
+    one, other = both.camera(frame), both.right_camera(frame)
+    assert one is not None
+    assert other is not None
+    assert np.array_equal(one[1].image, other[1].image)
+    assert gone.built(lambda: Random(3), 0).right_camera is None
 
 
 def delivered_pairs(pair: PairHook) -> tuple[FaultySource, list[tuple[int, Frame | StereoFrame, str]]]:
