@@ -46,7 +46,7 @@ def write_values(car_file: Path, values: Values, *, residual: str, method: str, 
 def update_car_file(path: Path, values: Values, *, residual: str, date: datetime.date, method: str) -> Path | None:
     """Set keys of car.toml: `values` maps a section ("camera.intrinsics") to its keys. Returns the backup's path.
 
-    Also writes the record `[calibration.<what>]` (date, method, residual; the lens's also the camera's mode) of every
+    Also writes the record `[calibration.<what>]` (date, method, residual; a lens's also its camera's mode) of every
     section in `RECORD_OF_SECTION`.
     Comments and order are kept; missing sections and a missing file are created. The new text must load as a car; it
     then replaces the file in one step, and the old file is kept beside it (`car.toml.bak`, then `car.toml.bak.2`, ...).
@@ -65,8 +65,10 @@ def update_car_file(path: Path, values: Values, *, residual: str, date: datetime
     new = _edited(text, {name: {k: _plain(v) for k, v in keys.items()} for name, keys in wanted.items()}, str(path))
     try:
         car = parse_car(new, str(path))
-        if "camera" in records:  # the lens's figures hold for this mode alone
-            new = _edited(new, {"calibration.camera": {"mode": car.camera.mode}}, str(path))
+        eyes = {"camera": car.camera, "stereo": car.camera.eyes[-1]}
+        modes = {f"calibration.{what}": {"mode": eye.mode} for what, eye in eyes.items() if what in records}
+        if modes:  # a lens's figures hold for its camera's mode alone
+            new = _edited(new, modes, str(path))
     except ConfigError as error:
         raise ConfigError(f"{error} (with the new values; {path} is unchanged)") from None
     try:

@@ -118,6 +118,11 @@ def make_camera(car: CarConfig, *, any_mode: bool = False) -> Source:
             f"[camera] is set to {car.camera.mode}, and its lens was calibrated for {car.other_mode}: another "
             "field of view; set [camera] back, or run automodel calibrate camera"
         )
+    if car.other_right_mode is not None and not any_mode:
+        raise ConfigError(
+            f"[camera.right] is set to {car.camera.eyes[1].mode}, and it was calibrated for {car.other_right_mode}: "
+            "set it back, or run automodel calibrate stereo"
+        )
     if not any_mode and lacks_device(car):
         raise ConfigError(
             f'[camera.right] device is missing: [camera] source "{car.camera.source}" is one camera, and the pipeline '

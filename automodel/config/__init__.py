@@ -233,8 +233,16 @@ class CarConfig:
     @property
     def other_mode(self) -> str | None:
         """The camera mode that the intrinsics were calibrated for, where the camera is set to another one."""
-        record = self.calibration.camera
-        return record.mode if record is not None and record.mode not in ("", self.camera.mode) else None
+        return _other_mode(self.calibration.camera, self.camera)
+
+    @property
+    def other_right_mode(self) -> str | None:
+        """As `other_mode`, of the right one of two cameras."""
+        return None if self.camera.right is None else _other_mode(self.calibration.stereo, self.camera.eyes[1])
+
+
+def _other_mode(record: CalibrationRecord | None, camera: CameraConfig) -> str | None:
+    return record.mode if record is not None and record.mode not in ("", camera.mode) else None
 
 
 def load_car(path: str | Path) -> CarConfig:

@@ -52,19 +52,23 @@ class SecondCamera:
     """The right camera of a stereo pair.
 
     `device` is its own as `[camera] device` is the left one's; None where it has none: in recordings, in the simulator,
-    or where one driver gives pairs. All else that is set of a camera counts for both. `pair_tolerance_s` is the
-    greatest time between the two images of a pair; 0: a quarter of the time between two frames.
+    or where one driver gives pairs. `flip` and `latency_s` [s] are as in `[camera]`; None: the left one's. All else
+    that is set of a camera counts for both. `pair_tolerance_s` is the greatest time between the two images of a pair;
+    0: a quarter of the time between two frames.
     """
 
     device: int | None = None
+    flip: str | None = None
+    latency_s: float | None = None
     pair_tolerance_s: float = 0.0
     intrinsics: Intrinsics = field(default_factory=Intrinsics)
     extrinsics: Extrinsics = field(default_factory=Extrinsics)
 
     def __post_init__(self) -> None:
         not_negative(self, "pair_tolerance_s")
-        if self.device is not None:
-            not_negative(self, "device")
+        not_negative(self, *(name for name in ("device", "latency_s") if getattr(self, name) is not None))
+        if self.flip is not None:
+            one_of("flip", self.flip, FLIPS)
 
     def tolerance_s(self, rate_hz: float) -> float:
         """The greatest time [s] between the two images of a pair, of cameras of this rate."""
@@ -137,5 +141,6 @@ class CameraConfig:
         if self.right is None:
             return (left,)
         right = self.right
-        device = self.device if right.device is None else right.device
-        return left, replace(left, device=device, intrinsics=right.intrinsics, extrinsics=right.extrinsics)
+        own = {name: getattr(right, name) for name in ("device", "flip", "latency_s")}
+        own = {name: value for name, value in own.items() if value is not None}
+        return left, replace(left, **own, intrinsics=right.intrinsics, extrinsics=right.extrinsics)

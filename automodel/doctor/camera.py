@@ -266,7 +266,7 @@ def camera_findings(car: CarConfig, open_camera: Callable[[], Source], frames: l
         return
     frames += capture.pairs or capture.frames
     yield judge_resolution(capture, car)
-    yield judge_stamps(capture, car.camera.latency_s)
+    yield judge_stamps(capture, min(eye.latency_s for eye in car.camera.eyes))
     yield judge_rate(capture, car)
     grey = with_channels(capture.frames[-1].image, False)
     yield judge_exposure(grey)

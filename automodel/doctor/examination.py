@@ -172,6 +172,10 @@ def judge_mode(car: CarConfig) -> Finding:
     if car.other_mode is not None:
         do = f"set [camera] back, or {COMMANDS['camera'][0]}: the car does not drive like this"
         return fail(name, f"{camera.mode}, and the lens was calibrated for {car.other_mode}", do)
+    if car.other_right_mode is not None:
+        do = f"set [camera.right] back, or {COMMANDS['stereo'][0]}: the car does not drive like this"
+        what = f"{camera.eyes[1].mode}, and the right camera was calibrated for {car.other_right_mode}"
+        return fail(name, what, do)
     what = camera.mode + ("" if record is None or record.mode else "; the calibration does not say for which")
     if camera.source == "csi" and camera.sensor_mode < 0:
         do = "set [camera] sensor_mode: which part of the sensor is read would follow from size and rate"

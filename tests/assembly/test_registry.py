@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from automodel import Command, Frame, LaneEstimate, LaneStatus, Motion, MotionSource
-from automodel.assembly.parts import is_live_camera, make_camera, make_controller, make_link, make_pipeline
+from automodel.assembly.parts import (
+    is_live_camera,
+    left_alone,
+    make_camera,
+    make_controller,
+    make_link,
+    make_pipeline,
+)
 from automodel.assembly.registry import find_part
 from automodel.config import CarConfig, ConfigError, parse_car
 from automodel.config.parts import CAMERAS, CONTROLLERS, LINKS, PIPELINES, PartKind
@@ -146,3 +153,14 @@ def test_a_camera_in_another_mode_than_its_lens_was_calibrated_in_is_not_made(te
     ):
         make_camera(car)
     assert make_camera(car, any_mode=True).size == (640, 360)  # type: ignore[attr-defined]
+
+
+def test_a_right_camera_in_another_mode_than_it_was_calibrated_in_is_not_made(team: str) -> None:
+    text = f'[camera]\nsource = "{team}:Webcam"\n[camera.right]\nflip = "vertical"\n[calibration.stereo]\n'
+    car = parse_car(f'{text}date = 2026-01-01\nmethod = "board"\nresidual = "0.3 px"\nmode = "csi"\n', "car.toml")
+    with pytest.raises(
+        ConfigError, match=r"\[camera.right\] is set to .*flip vertical, and it was calibrated for csi: "
+    ):
+        make_camera(car)
+    assert make_camera(car, any_mode=True) is not None
+    assert make_camera(left_alone(car)) is not None

@@ -77,6 +77,15 @@ def test_only_the_lens_belongs_to_a_mode(car: Path) -> None:
     assert servo.mode == ""
 
 
+def test_the_right_camera_s_record_says_its_own_mode(car: Path) -> None:
+    update(car, {"camera.right": {"flip": "rotate-180"}, "camera.right.intrinsics": {"fx_px": 500.0}})
+    found = load_car(car)
+    assert found.calibration.stereo is not None
+    assert found.calibration.stereo.mode == "usb 640x360, the driver's sensor mode, flip rotate-180"
+    assert found.calibration.camera is None
+    assert found.other_right_mode is None
+
+
 def test_a_new_section_stands_with_its_relatives(car: Path) -> None:
     update(car, {"link.servo": {"pulse_us": (1000.0, 1500.0), "steering_rad": np.array([0.3, 0.0])}})
     update(car, {"link.motor": {"pulse_us": [1400.0, 1500.0], "speed_mps": [-1.0, 0.0]}})

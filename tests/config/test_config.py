@@ -298,6 +298,37 @@ def test_each_eye_of_a_pair_has_its_own_device() -> None:
     assert (right.intrinsics, right.measured(), right.tolerance_s(50.0)) == (Intrinsics(), False, 0.005)
 
 
+def test_each_eye_of_a_pair_is_mounted_and_late_in_its_own_way_or_as_the_left_one() -> None:
+    def eyes(right: str) -> list[tuple[str, float]]:
+        text = f'[camera]\nflip = "vertical"\nlatency_s = 0.05\n[camera.right]\ndevice = 1\n{right}'
+        return [(eye.flip, eye.latency_s) for eye in parse_car(text, "car.toml").camera.eyes]
+
+    assert eyes("") == [("vertical", 0.05)] * 2
+    assert eyes('flip = "none"\nlatency_s = 0.0') == [("vertical", 0.05), ("none", 0.0)]
+    assert eyes('flip = "rotate-180"') == [("vertical", 0.05), ("rotate-180", 0.05)]
+    for line, wrong in (
+        ('flip = "up"', "flip: expected one of none, rotate-180, horizontal, vertical, got 'up'"),
+        ("latency_s = -0.1", "latency_s: expected a number >= 0, got -0.1"),
+        ("latency_s = 0.6", "latency_s: expected at most 0.5, got 0.6"),
+    ):
+        with pytest.raises(ConfigError) as raised:
+            parse_car(f"[camera.right]\n{line}\n", "car.toml")
+        assert str(raised.value).startswith(f"car.toml:2: [camera.right] {wrong}")
+
+
+def test_the_right_camera_s_mode_is_what_it_was_calibrated_for() -> None:
+    def other(right: str, mode: str) -> str | None:
+        text = f'[camera]\nsource = "usb"\n{right}\n[calibration.stereo]\ndate = 2026-01-01\nmethod = "x"\n'
+        return parse_car(f'{text}residual = "y"\n{mode}', "car.toml").other_right_mode
+
+    turned = '[camera.right]\nflip = "rotate-180"'
+    mode = "usb 640x360, the driver's sensor mode"
+    assert other(turned, f'mode = "{mode}, flip rotate-180"') is None
+    assert other(turned, f'mode = "{mode}"') == mode
+    assert other(turned, "") is None  # of before modes were noted down
+    assert other("", f'mode = "{mode}"') is None  # it has no right camera
+
+
 def test_the_mode_of_a_camera_is_what_its_lens_was_calibrated_for() -> None:
     def other(camera: str, record: str) -> str | None:
         text = f'[camera]\n{camera}\n[calibration.camera]\ndate = 2026-01-01\nmethod = "x"\nresidual = "y"\n{record}'

@@ -346,3 +346,13 @@ def test_camera_mode(camera: str, mode: str | None, verdict: Verdict, said: str)
         text += f'[calibration.camera]\ndate = 2026-01-01\nmethod = "x"\nresidual = "y"\nmode = "{mode}"\n'
     found = judge_mode(parse_car(text, "car.toml"))
     assert (found.verdict, said in found.what) == (verdict, True), found
+
+
+def test_the_right_camera_s_mode_is_the_one_that_it_was_calibrated_for() -> None:
+    text = '[camera]\nsource = "usb"\n[camera.right]\nflip = "vertical"\n[calibration.stereo]\ndate = 2026-01-01\n'
+    text += 'method = "x"\nresidual = "y"\nmode = "usb 640x360, the driver\'s sensor mode'
+    assert judge_mode(parse_car(f'{text}, flip vertical"\n', "car.toml")).verdict is OK
+    found = judge_mode(parse_car(f'{text}"\n', "car.toml"))
+    assert found.verdict is FAIL
+    assert "flip vertical, and the right camera was calibrated for usb 640x360" in found.what
+    assert "automodel calibrate stereo" in found.do

@@ -504,6 +504,7 @@ CAMERAS = (
         "automodel/assembly/parts.py",
         "tests/assembly/test_registry.py",
         ("lens-of-another-mode", "if car.other_mode is not None and not any_mode:", "if False:"),
+        ("right-lens-of-another-mode", "if car.other_right_mode is not None and not any_mode:", "if False:"),
     ),
 )
 
