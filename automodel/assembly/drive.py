@@ -323,6 +323,7 @@ def _row(result: RunResult, camera: CameraStatus) -> dict[str, object]:
         "camera_dropped": camera.dropped,
         "camera_lost": camera.lost,
         "camera_restarts": camera.restarts,
+        "unpaired": result.unpaired,
     }
     return {**dict.fromkeys(_TRUTH_ONLY), **measured}
 

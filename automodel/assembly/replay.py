@@ -245,7 +245,7 @@ def _replay(
         say(f"{path}: a line was followed in {seen} of {frames} frames: {why_lost(sample.images, car)}")
     if options.guessed and not trustworthy(widths_m, frames, car):
         say(DOUBTFUL)
-    return _row(path, car, statuses, times_ms)
+    return _row(path, car, statuses, times_ms, source.unpaired if isinstance(source, PairSource) else None)
 
 
 def check_frame_size(path: Path, frame: AnyFrame, car: CarConfig, car_file: Path | None) -> None:
@@ -281,7 +281,8 @@ def _painter(
     return paint
 
 
-def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: list[float]) -> Row:
+def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: list[float], unpaired: int | None) -> Row:
+    """`unpaired` counts the frames of two sources without a partner, None where there is one source."""
     frames = sum(statuses.values())
     if frames == 0:
         say(f"{path}: no frames")
@@ -291,4 +292,5 @@ def _row(path: Path, car: CarConfig, statuses: Counter[LaneStatus], times_ms: li
     row["availability_pct"] = 100.0 * valid / frames if frames else 0.0
     row["p50_ms"] = float(np.median(times_ms)) if times_ms else None
     row["p99_ms"] = float(np.quantile(times_ms, 0.99)) if times_ms else None
+    row["unpaired"] = unpaired
     return row

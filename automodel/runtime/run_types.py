@@ -62,7 +62,8 @@ class TickRecord:
 
     `frame` is None in a cycle without one; `tick` also where the frame's time was wrong, so that it was not looked at.
     `sent` is the command that went out, None where none did. `latency_ns` is the time from the frame's capture until
-    its own command had been handed to the link; None for any other command.
+    its own command had been handed to the link; None for any other command. `unpaired` counts the frames of two cameras
+    that had no partner, since the run began; None where the source is no pair.
     """
 
     t_ns: int
@@ -72,6 +73,7 @@ class TickRecord:
     decision: SafetyDecision
     sent: Command | None
     latency_ns: int | None
+    unpaired: int | None = None
 
 
 class RunObserver(Protocol):
@@ -97,9 +99,9 @@ class RunResult:
     """What came of a run.
 
     `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts cycles that worked longer
-    than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`. `traceback` is
-    that of the first exception of the chain. `interrupted`: a signal came, if only while everything was closed: the
-    caller must not go on as if there was none.
+    than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`, `unpaired` is as
+    there. `traceback` is that of the first exception of the chain. `interrupted`: a signal came, if only while
+    everything was closed: the caller must not go on as if there was none.
     """
 
     end: RunEnd
@@ -111,6 +113,7 @@ class RunResult:
     events: tuple[Event, ...]
     traceback: str | None
     interrupted: bool = False
+    unpaired: int | None = None
 
     def latency_ms(self, percentile: float) -> float | None:
         """A percentile (0 .. 100) of the latency [ms], None where nothing was driven."""

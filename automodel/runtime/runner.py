@@ -140,6 +140,7 @@ class Runner:
             events=self._run_log.events,
             traceback=self._traceback,
             interrupted=signalled() is not None,
+            unpaired=self._source.unpaired,
         )
 
     def _drive(
@@ -200,6 +201,7 @@ class Runner:
             decision=decision,
             sent=sent,
             latency_ns=sent_ns - frame.t_ns if own and frame is not None else None,
+            unpaired=self._source.unpaired,
         )
         self._settle(record, faults)
         self._count(record, taken_ns)

@@ -33,12 +33,19 @@ class SupervisedSource:
         self._stalled = False  # it gives nothing for now, and may go on by itself
         self._awaited = False  # opened again, and no frame has come yet
         self._tried_ns: int | None = None  # when it was opened again last
+        self._unpaired = 0  # of the sources that were replaced
         self._trouble = ""  # of one camera of a pair, as was last reported
 
     @property
     def dead(self) -> bool:
         """Whether no frame will ever come again."""
         return self._failed and self._reopen is None
+
+    @property
+    def unpaired(self) -> int | None:
+        """Frames of a pair's cameras so far without a partner, of all sources; None where there is no pair."""
+        count = getattr(self._source, "unpaired", None)
+        return None if count is None else self._unpaired + int(count)
 
     def read(self, timeout_s: float, at_rest: bool) -> Frame | StereoFrame | None:
         """A frame, or None after `timeout_s` on the clock, also where the source has failed.
@@ -92,5 +99,6 @@ class SupervisedSource:
         self._tried_ns = now_ns
         self.close()
         with contextlib.suppress(OSError):  # the fault has been reported already
-            self._source = self._reopen()
+            anew = self._reopen()
+            self._source, self._unpaired = anew, self.unpaired or 0
             self._failed, self._stalled, self._awaited = False, False, True

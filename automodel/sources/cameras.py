@@ -193,6 +193,11 @@ class CaptureThread:
         """What the cameras of a pair have done since they were opened (`LivePair.status`); None for a single one."""
         return getattr(self._source, "pair_status", None)
 
+    @property
+    def unpaired(self) -> int | None:
+        """Frames of a pair's cameras so far without a partner (`LivePair.unpaired`); None of a single one."""
+        return getattr(self._source, "unpaired", None)
+
     def read(self, timeout_s: float) -> Frame | StereoFrame | None:
         """The newest frame that was not delivered yet, or None if none came within `timeout_s`."""
         with self._changed:

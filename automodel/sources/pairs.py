@@ -220,6 +220,11 @@ class LivePair:
             return self._trouble(time.monotonic_ns())
 
     @property
+    def unpaired(self) -> int:
+        """Frames so far without a partner."""
+        return self._pairing.unpaired
+
+    @property
     def pair_status(self) -> PairStatus:
         """What both have done so far."""
         with self._changed:

@@ -233,6 +233,7 @@ def status_of(snapshot: Snapshot, start_ns: int, battery_low_v: float) -> dict[s
         "battery_low": battery_v is not None and battery_v < battery_low_v,
         "rate_hz": round(snapshot.rate_hz, 1) if snapshot.rate_hz is not None else None,
         "skipped": snapshot.skipped,
+        "unpaired": snapshot.unpaired,
         "yaw_rad": round(wrap_angle(snapshot.place.yaw_rad), 4),
         "events": [[round((event.t_ns - start_ns) * 1e-9, 2), event.kind, event.text] for event in snapshot.events],
     }

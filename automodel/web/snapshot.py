@@ -15,8 +15,8 @@ class Snapshot:
     """A frame's cycle: `image` is the left one of a stereo frame; `place` is that of the car by dead reckoning.
 
     `rate_hz` is the rate of the frames as measured, None before the second; `skipped` frames came and were not taken
-    up. `driver` is what the person wanted who drove, None where the pipeline did. `events` are the newest ones, the
-    oldest first.
+    up, and `unpaired` ones, of two cameras, had no partner (None of a single one). `driver` is what the person wanted
+    who drove, None where the pipeline did. `events` are the newest ones, the oldest first.
     """
 
     t_ns: int
@@ -33,6 +33,7 @@ class Snapshot:
     skipped: int
     events: tuple[Event, ...]
     driver: DriverInput | None = None
+    unpaired: int | None = None
 
 
 _RATE_SHARE = 0.05  # of the newest period in the mean: settled after about 20 frames
@@ -83,4 +84,5 @@ class Trip:
             skipped=self._skipped,
             events=events,
             driver=tick.driver if tick is not None else None,
+            unpaired=record.unpaired,
         )

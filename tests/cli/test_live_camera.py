@@ -201,8 +201,10 @@ def test_one_camera_of_a_pair_dies_and_the_run_goes_on_with_the_other_until_it_i
     assert any(isinstance(frame, StereoFrame) for frame in frames[-20:])
     late = [frame.right_late_ns for frame in frames if isinstance(frame, StereoFrame)]
     assert set(late) == {3_000_000}
-    assert "images of a pair 3.0 ms apart, 3.0 at most" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "images of a pair 3.0 ms apart, 3.0 at most" in said
     assert row["frames"] == len(frames)
+    assert f" pairs, {row['unpaired']} frames without a partner" in said
 
 
 def test_a_pair_that_cannot_be_is_one_line(tmp_path: Path, cli) -> None:

@@ -114,7 +114,7 @@ def test_frames_without_a_partner_are_reported(cli, folders: tuple[Path, Path], 
             writer.write(read_image(folder / f"{index}.png", colour=True))
         writer.release()
     said = cli("replay", *videos, "--car", kit_path("sim-stereo"), "--json")
-    assert (said.code, said.rows[0]["frames"]) == (0, 7)
+    assert (said.code, said.rows[0]["frames"], said.rows[0]["unpaired"]) == (0, 7, 3)
     assert said.line() == f"{videos[0]}, {videos[1]}: 3 frames have no partner within 5 ms"
 
 

@@ -228,7 +228,9 @@ def test_a_dark_eye_of_a_pair_is_reported_with_its_reason_and_that_it_is_back() 
         items.append((due_ns, StereoFrame(t_ns=plain.t_ns, index=k, left=left, right=images[2 * k + 1])))
     car = Car(items=items)
     car.pipeline.cameras = 2  # type: ignore[attr-defined]
-    car.run()
+    car.source.unpaired = 7  # type: ignore[attr-defined]
+    assert car.run().unpaired == 7
+    assert {record.unpaired for record in car.watcher.records} == {7}
     assert car.modes() == [DISARMED, ARMING, DRIVING]
     assert [(e.kind, e.text) for e in car.recorder.of("event") if e.kind.startswith("camera")] == [
         ("camera-missing", "left camera: the image is blank; the other one goes on alone"),

@@ -136,6 +136,30 @@ def test_a_camera_of_a_pair_that_is_missing_is_reported_once_with_the_reason_and
     assert kinds[2:] == ["camera-missing", "camera-missing", "camera-back"]
 
 
+def test_frames_without_a_partner_are_counted_over_all_sources() -> None:
+    class Pair(PairOfCameras):
+        unpaired = 3
+        gone = False
+
+        def read(self, timeout_s: float) -> Frame | StereoFrame:
+            if self.gone:
+                raise SourceError("gone")
+            return super().read(timeout_s)
+
+    clock, first, second = VirtualClock(), Pair(), Pair()
+    source = SupervisedSource(first, clock, RunLog(None, None), lambda: second)
+    source.read(0.02, at_rest=True)
+    first.unpaired = 5
+    assert source.unpaired == 5
+    first.gone = True
+    source.read(0.02, at_rest=True)
+    clock.sleep(1.0)
+    source.read(0.02, at_rest=True)
+    assert source.unpaired == 8
+    single = SupervisedSource(Stalling(clock, 0), clock, RunLog(None, None), None)
+    assert single.unpaired is None
+
+
 def test_a_stall_while_the_car_drives_opens_nothing() -> None:
     clock = VirtualClock()
 

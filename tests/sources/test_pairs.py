@@ -337,6 +337,15 @@ def test_a_camera_that_gives_pairs_is_told_so(rig: Rig) -> None:
     eventually(lambda: "gives pairs by itself; remove [camera.right] device" in rig.pair.trouble)
 
 
+def test_what_has_no_partner_is_counted_through_the_capture_thread(rig: Rig) -> None:
+    rig.start()
+    rig.pair._pairing.unpaired = 4
+    paired, single = CaptureThread(rig.pair), CaptureThread(Timed([]))
+    assert (rig.pair.unpaired, rig.pair.pair_status.unpaired, paired.unpaired, single.unpaired) == (4, 4, 4, None)
+    paired.close()
+    single.close()
+
+
 def test_a_source_of_pairs_is_frozen_where_both_images_are() -> None:
     rng = np.random.default_rng(1)
     images = rng.integers(0, 256, (60, 4, 4), dtype=np.uint8)

@@ -88,6 +88,7 @@ class Browsed:
             place=SE2(0.05 * number, 0.0, 0.0),
             rate_hz=59.9,
             skipped=3,
+            unpaired=4,
             events=self.events,
         )
 
@@ -128,7 +129,7 @@ def test_what_is_on_the_page(browser: Chromium) -> None:
             await shown(tab)
             names = ("mode", "lane", "driver", "armed", "battery", "camera")
             assert [await tab.text(name) for name in names] == [
-                "DRIVING", "LOST", "pipeline", "armed", "6.00 V, low", "59.9 Hz, 3 skipped",
+                "DRIVING", "LOST", "pipeline", "armed", "6.00 V, low", "59.9 Hz, 3 skipped, 4 unpaired",
             ]  # fmt: skip
             await tab.until("document.getElementById('picture').naturalWidth === 640")
             await tab.until(f"{DRAWN} === 4")  # steering, speed, latency and the map: no lane is seen

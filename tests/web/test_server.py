@@ -92,6 +92,7 @@ def snapshot(t_ns: int = 5_000_000_000) -> Snapshot:
         place=SE2(1.0, 2.0, 0.5),
         rate_hz=59.9,
         skipped=3,
+        unpaired=4,
         events=(Event(t_ns=t_ns, kind="hold", text="<b>the lane is lost</b>"),),
     )
 
@@ -115,6 +116,7 @@ def test_a_page_is_told_of_a_cycle_in_words_and_a_picture() -> None:
         news = await socket.receive_json(timeout=WAIT_S)
         assert news["row"] == [0.0, None, None, None, None, 0.5, 12.0, 1.0, 2.0]
         assert (news["mode"], news["lane"], news["battery_v"], news["skipped"]) == ("DRIVING", "LOST", 6.0, 3)
+        assert news["unpaired"] == 4
         assert news["events"] == [[0.0, "hold", "<b>the lane is lost</b>"]]
         assert (await socket.receive_bytes(timeout=WAIT_S)).startswith(b"\xff\xd8")
         late = await made.socket()

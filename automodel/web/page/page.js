@@ -94,7 +94,8 @@ function told(news) {
   at("armed").textContent = [news.armed === null ? "silent" : news.armed ? "armed" : "disarmed", ...news.vehicle_faults].join(", ");
   at("battery").textContent = news.battery_v === null ? "-" : news.battery_v.toFixed(2) + " V" + (news.battery_low ? ", low" : "");
   at("battery").className = news.battery_low ? "bad" : "";
-  at("camera").textContent = (news.rate_hz === null ? "-" : news.rate_hz.toFixed(1) + " Hz") + ", " + news.skipped + " skipped";
+  at("camera").textContent = (news.rate_hz === null ? "-" : news.rate_hz.toFixed(1) + " Hz") + ", " + news.skipped + " skipped" +
+    (news.unpaired === null ? "" : ", " + news.unpaired + " unpaired");
   listEvents(news.events);
 }
 

@@ -24,7 +24,8 @@ POSES = (
     "crossing_distance_m,crossing_angle_rad,steering_rad,latency_ms,offset_bound_m,heading_bound_rad,lane_change"
 )
 REPLAY_KEYS = [
-    "pipeline", "source", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms"
+    "pipeline", "source", "frames", "tracking", "one_line", "coasting", "lost", "availability_pct", "p50_ms", "p99_ms",
+    "unpaired",
 ]  # fmt: skip
 
 
