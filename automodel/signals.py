@@ -204,6 +204,36 @@ class LaneEstimate:
         return self.status is not LaneStatus.LOST
 
 
+class Role(enum.Enum):
+    """What a mark in an image is to a pipeline's stage."""
+
+    EXPECTED = "expected"  # calibrated, or predicted before the image was looked at
+    FOUND = "found"
+    USED = "used"
+    LEFT_OUT = "left out"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StageMark:
+    """Points, or a polyline where `joined`, at `pixels` (n, 2); NaN where there is none, which parts a polyline."""
+
+    role: Role
+    pixels: FloatArray
+    joined: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "pixels", _read_only(self.pixels, (None, 2), "StageMark.pixels"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StageView:
+    """What one stage of a pipeline found in the image of one camera (`Frame.eye`), to be drawn in this order."""
+
+    stage: str
+    eye: int
+    marks: tuple[StageMark, ...]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Command:
     """A command until `valid_until_ns`: road-wheel angle [rad], left positive, and speed [m/s]."""

@@ -27,13 +27,14 @@ from automodel.geometry import GroundCamera
 from automodel.interfaces import Source
 from automodel.recording.export import PosesCsv, image_of
 from automodel.recording.reader import RecordingSource
-from automodel.runtime.loop import Tick
+from automodel.runtime.loop import Loop, Tick
 from automodel.signals import Frame, LaneStatus, Motion, MotionSource, StereoFrame, VehicleState
 from automodel.sources.errors import EndOfSource, SourceError
 from automodel.sources.files import MotionTable, natural_key, read_motion_csv
 from automodel.sources.images import check_size
 from automodel.sources.pairs import PairSource
 from automodel.viewer.overlay import draw
+from automodel.viewer.stage_tiles import draw_stages
 from automodel.viewer.video import film_writer
 
 AnyFrame = Frame | StereoFrame
@@ -52,7 +53,7 @@ class ReplayOptions:
 
     With `right` the sources are the left and the right camera of a pair. `from_s` and `to_s` count from the first
     frame. With `guessed` the car file was guessed from the same source, and is
-    judged by what is seen with it.
+    judged by what is seen with it. With `stages` the video shows what each stage of the pipeline found.
     """
 
     source: Path
@@ -64,6 +65,7 @@ class ReplayOptions:
     video_file: Path | None = None
     rate_hz: float | None = None
     guessed: bool = False
+    stages: bool = False
     from_s: float = 0.0
     to_s: float = math.inf
 
@@ -208,13 +210,16 @@ def _replay(
         source = open_pair(path, options.right, car, options.rate_hz)
     rate_hz = options.rate_hz or getattr(source, "rate_hz", 0.0) or car.camera.rate_hz
     loop = make_loop(car)
+    if options.stages and loop.stage_views is None:
+        source.close()
+        raise ConfigError(f"--stages: the pipeline {car.pipeline.name} does not show its stages; stereo does")
     statuses: Counter[LaneStatus] = Counter()
     times_ms: list[float] = []
     sample, widths_m = EvenSample(), []
     with contextlib.ExitStack() as files:
         files.callback(source.close)
         csv = files.enter_context(PosesCsv(csv_file)) if csv_file else None
-        paint = _painter(files, video_file, car, rate_hz)
+        paint = _painter(files, video_file, car, rate_hz, loop if options.stages else None)
         count = getattr(source, "frame_count", None)
         if advance is None:
             bar = files.enter_context(progress(f"replay {car.pipeline.name}", count))
@@ -264,8 +269,9 @@ def check_frame_size(path: Path, frame: AnyFrame, car: CarConfig, car_file: Path
 
 
 def _painter(
-    files: contextlib.ExitStack, path: Path | None, car: CarConfig, rate_hz: float
+    files: contextlib.ExitStack, path: Path | None, car: CarConfig, rate_hz: float, stages_of: Loop | None
 ) -> Callable[[AnyFrame, Tick], None]:
+    """Draws frames into a video, with the stages of a loop's pipeline where it is given."""
     if path is None:
         return lambda frame, tick: None
     video = film_writer(path, rate_hz)
@@ -274,6 +280,10 @@ def _painter(
 
     def paint(frame: AnyFrame, tick: Tick) -> None:
         note, vehicle = f"{frame.t_ns * 1e-9:.2f} s  frame {frame.index}", car.vehicle
+        if stages_of is not None:
+            views = stages_of.stage_views or ()
+            video.write(draw_stages(frame, views, stages_of.cameras, tick.estimate, tick.command, note))
+            return
         video.write(
             draw(image_of(frame), tick.estimate, camera, tick.command, vehicle.reference_x_m, note, vehicle.wheelbase_m)
         )

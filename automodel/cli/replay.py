@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 @click.option("--pipeline", "pipelines", multiple=True, type=PIPELINE, help="May be given several times.")
 @click.option("--csv", "csv_file", type=FILE, help="Write poses.csv here (per pipeline).")
 @click.option("--video", "video_file", type=FILE, help="Write the overlay here: .mp4, or .webp to animate a page.")
+@click.option("--stages", is_flag=True, help="--video: what each stage of the pipeline found (stereo).")
 @RATE
 @click.option("--guess", is_flag=True, help="Guess the car.toml from the images, write NAME.car.toml and the overlay.")
 @click.option("--lane-width-m", type=ABOVE_ZERO, callback=finite, help="--guess: the lane's width, which scales all.")
@@ -78,6 +79,8 @@ def command(
         options = _guessed(options)
     elif lane_width_m is not None or view_deg is not None:
         raise click.UsageError("--lane-width-m and --view-deg are for --guess; otherwise car.toml says both")
+    if options.stages and options.video_file is None:
+        raise click.UsageError("--stages is drawn into a video; give --video as well")
     inputs: dict[str, Path | None] = {
         " ".join(["SOURCE", str(number)][: len(found)]): path for number, path in enumerate(found, 1)
     }

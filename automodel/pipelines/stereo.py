@@ -25,15 +25,16 @@ from automodel.perception.markings.reflections import Reflections
 from automodel.perception.stereo.ground_plane import fit_plane
 from automodel.perception.stereo.matching import match, mirrored, witnesses
 from automodel.perception.stereo.reconstruction import log_odds, radial, reconstruct
+from automodel.perception.stereo.stage_views import PairStages, stage_views
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from automodel.pipelines.stages import SEEN, StageClock
-from automodel.signals import SIDES, Frame, LaneEstimate, LaneLine, LanePose, Motion, StereoFrame
+from automodel.signals import SIDES, Frame, LaneEstimate, LaneLine, LanePose, Motion, StageView, StereoFrame
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.hypotheses import HypothesesConfig
 from automodel.tracking.lane_change import LaneChanges
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
-from automodel.types import Bools, FloatArray, Image, Ints
+from automodel.types import Bools, Complexes, FloatArray, Image, Ints
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
 FAR_OFF = 31.8  # chi-square of three degrees of freedom that is exceeded as rarely as 5 sigma of one are: 6e-7
@@ -138,6 +139,14 @@ class Stereo:
         """The cameras' height, pitch and roll over the ground, beyond the calibrated ones."""
         return self._plane.plane
 
+    @property
+    def stage_views(self) -> tuple[StageView, ...]:
+        """What the stages found in the last frame, to be drawn; nothing of one that they were not given."""
+        if self._found is None:
+            return ()
+        lane = () if self._tracking.lost else tuple(map(self._pair.curve, (0.5, 0.0, -0.5)))
+        return stage_views(self._found, self._rig, self.plane, lane)
+
     def reset(self) -> None:
         """Forget the lane, the plane and the markings' measured width."""
         self._width.reset()
@@ -148,6 +157,7 @@ class Stereo:
         self.plane_reach_m = 0.0  # how far ahead this pair measured the ground; 0 where it did not
         self._missing = [0, 0]  # frames without an image of the left camera, of the right one
         self._off = 0  # pairs with a plane that does not fit the calibration
+        self._found: PairStages | None = None  # what the stages made of the last frame
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._changes.reset()
@@ -159,6 +169,7 @@ class Stereo:
         A single image is that of the camera that its `eye` says; the other one is missing.
         """
         self.stages.start()
+        self._found = None
         single, images = _images(frame)
         self._missing = [count + (image is None) for count, image in zip(self._missing, images, strict=True)]
         self._predict(single, motion)  # speed and yaw rate
@@ -169,9 +180,10 @@ class Stereo:
             self._look_for(self._width.width_m)
         self.stages.lap("width")
         grey = [None if image is None else _grey(image) for image in images]
-        left, right = self._stripes(grey)  # marking extraction, stripe models
+        place = self._pair.ahead(self._rows_m)
+        stripes = self._stripes(grey, place)  # marking extraction, stripe models
         self.stages.lap("stripes")
-        lines = self._on_ground(grey, left, right)  # epipolar matching, ground plane, re-projection onto it
+        lines = self._on_ground(grey, stripes, place)  # epipolar matching, ground plane, re-projection onto it
         if self.trouble:
             self._off += 1
             return self._tracking.lost_estimate(single)
@@ -207,9 +219,8 @@ class Stereo:
             self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
         self._plane.predict(self._plane.config.settles_s if moved is None else moved.dt_s, self._one_eyed)
 
-    def _stripes(self, images: Sequence[Image | None]) -> tuple[Stripes, Stripes]:
-        """The stripes of both images, of that polarity that shows more of them."""
-        place = self._pair.ahead(self._rows_m)
+    def _stripes(self, images: Sequence[Image | None], place: Complexes) -> tuple[Stripes, Stripes]:
+        """The stripes of both images about the predicted centerline, of that polarity that shows more of them."""
         eyes = self._rig.over(self._plane.plane)
         pairs = [
             tuple(
@@ -225,9 +236,11 @@ class Stereo:
             self._blind = [n + (image is not None and not one.count) for n, one, image in both]
         return left, right
 
-    def _on_ground(self, images: Sequence[Image | None], left: Stripes, right: Stripes) -> list[FloatArray]:
+    def _on_ground(
+        self, images: Sequence[Image | None], stripes: tuple[Stripes, Stripes], place: Complexes
+    ) -> list[FloatArray]:
         """The lines on the ground (k, 2) [m], on the plane that the matches of this pair and of those before tell."""
-        middle = self._rig.middle_m
+        (left, right), middle, predicted = stripes, self._rig.middle_m, self._plane.plane
         known_m = self._plane.height_sigma_m(on_ground(left.eye, left.directions) - middle[:2])
         matches = match(left, right, known_m, NOISE_PX)
         self.stages.lap("matching")
@@ -235,14 +248,23 @@ class Stereo:
         fit = fit_plane(matches, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0))
         self._one_eyed = not fit.inliers.any()
         self.plane_reach_m = float(matches.points_m[fit.inliers, 0].max(initial=0.0))
-        before = self._plane.plane.level_from_body
         self._plane.update(fit.step, fit.covariance)
-        turn = self._plane.plane.level_from_body @ before.T
-        for stripes, camera in zip((left, right), self._rig.over(self._plane.plane), strict=True):
-            stripes.directions, stripes.eye = stripes.directions @ turn.T, Eye.of(camera)
+        turn = self._plane.plane.level_from_body @ predicted.level_from_body.T
+        for one, camera in zip(stripes, self._rig.over(self._plane.plane), strict=True):
+            one.directions, one.eye = one.directions @ turn.T, Eye.of(camera)
         self.stages.lap("plane")
-        odds = np.concatenate([self._odds(eye, (left, right), images) for eye in (0, 1)])
+        odds = np.concatenate([self._odds(eye, stripes, images) for eye in (0, 1)])
         lines = reconstruct(left, right, matches, fit.inliers, odds, self._spacing_m)
+        self._found = PairStages(
+            seen=(images[0] is not None, images[1] is not None),
+            stripes=stripes,
+            predicted=predicted,
+            place=place,
+            matches=matches,
+            inliers=fit.inliers,
+            odds=odds,
+            lines=lines,
+        )
         self.stages.lap("lines")
         return lines
 

@@ -25,6 +25,7 @@ from automodel.signals import (
     LaneStatus,
     Motion,
     MotionSource,
+    StageView,
     StereoFrame,
     VehicleState,
 )
@@ -148,6 +149,17 @@ class Loop:
     def eye_trouble(self) -> str:
         """Why the pipeline was given one image of the last pair alone, in one line; "" where it was not."""
         return "" if self._eyes is None else self._eyes.trouble
+
+    @property
+    def cameras(self) -> int:
+        """How many cameras the pipeline looks through."""
+        return self._cameras
+
+    @property
+    def stage_views(self) -> tuple[StageView, ...] | None:
+        """What the pipeline's stages found in the last frame, to be drawn; None of a pipeline that does not show it."""
+        views: tuple[StageView, ...] | None = getattr(self._pipeline, "stage_views", None)
+        return views
 
     def tick(
         self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import cv2
@@ -65,7 +65,7 @@ def draw(
     strip.
     """
     scale = scale_of(image.shape[1])
-    canvas = _canvas(image, scale)
+    canvas = in_colour(image, scale)
     if estimate is not None:
         steered = _steered(estimate, command, wheelbase_m)
         _draw_estimate(_Ground(canvas, partial(_seen_from, camera, scale)), estimate, steered, reference_x_m)
@@ -73,8 +73,8 @@ def draw(
             inset = _inset(canvas, estimate.pose.width_m)
             _draw_estimate(inset, estimate, steered, reference_x_m)
     colour = GREY if estimate is None else STATUS_COLOURS[estimate.status]
-    strip = _strip(canvas.shape[1], status_lines(estimate, command, note), colour)
-    return _even(np.vstack((canvas, strip)))
+    strip = status_strip(canvas.shape[1], status_lines(estimate, command, note), colour, LEGEND)
+    return even(np.vstack((canvas, strip)))
 
 
 def scale_of(width_px: int) -> int:
@@ -234,14 +234,15 @@ class _Ground:
         return np.where(near[:, None], pixels, np.nan)
 
 
-def _canvas(image: Image, scale: int) -> Image:
+def in_colour(image: Image, scale: int) -> Image:
+    """A copy in BGR, enlarged by a whole factor."""
     colour = image if image.ndim == 3 else cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
     if scale > 1:
         colour = cv2.resize(colour, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
     return np.array(colour, dtype=np.uint8)
 
 
-def _strip(width_px: int, lines: tuple[str, str], colour: Colour) -> Image:
+def status_strip(width_px: int, lines: tuple[str, str], colour: Colour, legend: Sequence[tuple[str, Colour]]) -> Image:
     """A dark strip: two lines of text, the first in the colour of the status, as large as fits, and the legend."""
     size = 0.58 * width_px / _LEGIBLE_WIDTH_PX
     margin = max(4, width_px // 80)
@@ -252,21 +253,21 @@ def _strip(width_px: int, lines: tuple[str, str], colour: Colour) -> Image:
     strip = np.full((3 * row + margin, width_px, 3), 24, np.uint8)
     for number, (text, ink) in enumerate(zip(lines, (colour, WHITE), strict=True), 1):
         cv2.putText(strip, text, (margin, number * row - row // 5), _FONT, size, ink, thick, cv2.LINE_AA)
-    _write_legend(strip, (margin, 3 * row - row // 5), row // 2)
+    _write_legend(strip, (margin, 3 * row - row // 5), row // 2, legend)
     return strip
 
 
-def _write_legend(strip: Image, place: tuple[int, int], swatch_px: int) -> None:
+def _write_legend(strip: Image, place: tuple[int, int], swatch_px: int, legend: Sequence[tuple[str, Colour]]) -> None:
     """What the colours stand for, from `place` (u, v) on."""
     size, (u, v) = 0.45 * strip.shape[1] / _LEGIBLE_WIDTH_PX, place
-    for text, colour in LEGEND:
+    for text, colour in legend:
         strip[v - swatch_px : v, u : u + swatch_px] = colour
         u += swatch_px + swatch_px // 2
         cv2.putText(strip, text, (u, v), _FONT, size, WHITE, 1, cv2.LINE_AA)
         u += cv2.getTextSize(text, _FONT, size, 1)[0][0] + swatch_px
 
 
-def _even(image: Image) -> Image:
+def even(image: Image) -> Image:
     """Padded to an even size: video encoders halve the resolution of the colour channels."""
     height, width = image.shape[:2]
     return np.pad(image, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

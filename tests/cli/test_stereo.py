@@ -73,6 +73,25 @@ def test_two_folders_are_a_pair(cli, folders: tuple[Path, Path], tmp_path: Path)
     assert video.stat().st_size > 1000
 
 
+def test_a_video_shows_what_each_stage_found(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
+    video, kit = tmp_path / "stages.mp4", kit_path("sim-stereo")
+    said = cli("replay", *folders, "--car", kit, "--video", video, "--stages", "--json")
+    assert said.code == 0
+    reader = cv2.VideoCapture(str(video))
+    size = int(reader.get(cv2.CAP_PROP_FRAME_WIDTH)), int(reader.get(cv2.CAP_PROP_FRAME_COUNT))
+    reader.release()
+    assert size == (1920, said.rows[0]["frames"])
+    said = cli("replay", *folders, "--car", kit, "--stages")
+    assert (said.code, said.line()) == (
+        2, "automodel replay: --stages is drawn into a video; give --video as well (see automodel replay --help)"
+    )  # fmt: skip
+    other = tmp_path / "other.mp4"
+    said = cli("replay", *folders, "--car", kit, "--pipeline", "contour", "--video", other, "--stages")
+    assert (said.code, said.out) == (2, "")
+    assert said.line() == "automodel: --stages: the pipeline contour does not show its stages; stereo does"
+    assert not other.exists()
+
+
 def test_cameras_that_are_swapped_show_no_such_lane(cli, folders: tuple[Path, Path], tmp_path: Path) -> None:
     left, right = folders
     said = cli("replay", right, left, "--car", kit_path("sim-stereo"), "--json")
