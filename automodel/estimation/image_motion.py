@@ -146,8 +146,9 @@ class ImageMotion:
         return False if np.count_nonzero(with_it) < config.agree * count else None
 
     def _fits(self, frame: Frame) -> bool:
+        """Whether the frame is one of this camera, which is the left one of a pair."""
         camera = self._camera.camera
-        return frame.image.shape[:2] == (camera.height_px, camera.width_px)
+        return frame.eye == 0 and frame.image.shape[:2] == (camera.height_px, camera.width_px)
 
     def _nothing(self) -> FloatArray:
         return np.diag(np.square((LOST_PACE * self._unit, self.config.most_yaw_rate_radps)))

@@ -122,6 +122,19 @@ def test_a_gap_and_an_image_of_another_size_tell_nothing() -> None:
         assert not told[3].known
 
 
+def test_what_the_right_camera_of_a_pair_sees_alone_is_not_compared_with_what_the_left_one_saw() -> None:
+    seen = frames(0.6, 0.3, 16, floor())
+    alone = [*seen[:8], *(dataclasses.replace(frame, eye=1) for frame in seen[8:10]), *seen[10:]]
+    found = watched(alone)
+    assert found[7].source is MotionSource.IMAGES
+    assert {one.source for one in found[8:11]} == {MotionSource.NONE}
+    assert found[-1].source is MotionSource.IMAGES
+    motions = ImageMotion(CAMERA, 0.4)
+    told = Motion(t_ns=0, speed_mps=0.6, yaw_rate_radps=0.3)
+    motions.step(seen[7], told)
+    assert motions.agrees(alone[8], told) is None
+
+
 def test_colours_and_large_images_are_seen_alike() -> None:
     large = dataclasses.replace(
         CAR.camera,
