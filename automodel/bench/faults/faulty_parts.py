@@ -127,7 +127,8 @@ class FaultyPipeline:
     Without `seen` it always gives the truth. Estimates of frames that were taken while the fault lasts go through its
     hook. It needs as many cameras as `seen`: a loop gives the left image alone to a pipeline that needs one.
     `knows` is whether the last estimate before the fault was sure of its lane: its offset's bound was within the
-    free space beside the car. Where it states no bound (the truth), it is.
+    free space beside the car. Where it states no bound (the truth), it is. `offsets_m`: the car's offset [m] in each
+    frame, by its time [ns]; NaN where there was none.
     """
 
     name = "faulty"
@@ -142,6 +143,7 @@ class FaultyPipeline:
         vehicle: VehicleConfig,
     ) -> None:
         self.knows = True
+        self.offsets_m: list[tuple[int, float]] = []
         self.cameras = cameras_of(seen)
         self._vehicle = vehicle
         self._truth, self._seen, self._hook, self._plan = truth, seen, hook, plan
@@ -157,6 +159,7 @@ class FaultyPipeline:
             self.knows = pose is not None and (math.isinf(pose.offset_bound_m) or pose.offset_bound_m <= limit_m)
         elif self._hook is not None and frame.t_ns < self._plan.end_ns:
             estimate = self._hook(estimate)
+        self.offsets_m.append((frame.t_ns, math.nan if estimate.pose is None else estimate.pose.offset_m))
         return estimate
 
     def _estimate(self, frame: Frame, motion: Motion) -> LaneEstimate:

@@ -129,8 +129,10 @@ class Observed:
     there to be armed. `knows` is whether the pipeline was sure of its lane when the fault started.
     `shown_ns` is when the car's motion, or its bus, began to show
     the fault (None: never), `error` an exception that left the run. `neutral_us` and `straight_us` are the motor's and
-    the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest. `actuator` and `rest` name
-    what is watched, and its state at rest; `also` are violations that were found while the run was observed.
+    the servo's pulses at rest, `limits_us` the servo's and the motor's least and greatest. `errors_m` are the
+    times of the frames [ns] and by how much the pipeline's offset was wrong [m], infinite where it had none. `actuator`
+    and `rest` name what is watched, and its state at rest; `also` are violations that were found while the run was
+    observed.
     """
 
     pins: Sequence[Pin]
@@ -144,6 +146,7 @@ class Observed:
     neutral_us: float
     straight_us: float
     limits_us: tuple[float, float, float, float]
+    errors_m: Sequence[tuple[int, float]] = ()
     actuator: str = "the motor's pin"
     rest: str = "neutral"
     also: tuple[str, ...] = ()
@@ -253,7 +256,9 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
     for kind in ("stop", "hold") if fault.must is Must.NOTHING else ("stop",):
         for event in seen.events:
             if event.kind == kind and event.t_ns >= plan.start_ns:
-                found.append(f"{kind} after {(event.t_ns - plan.start_ns) * 1e-9:.2f} s: {event.text}")
+                found.append(
+                    f"{kind} after {(event.t_ns - plan.start_ns) * 1e-9:.2f} s: {event.text}{_wrong(seen, event.t_ns)}"
+                )
                 break
     if fault.must is Must.NOTHING and neutral_ns is not None and not found:
         found.append(f"{seen.rest} after {(neutral_ns - plan.start_ns) * 1e-9:.2f} s")
@@ -266,6 +271,17 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
     if seen.left_m > 0:
         found.append("it left its lane")
     return found
+
+
+def _wrong(seen: Observed, t_ns: int) -> str:
+    """By how much the lane was wrong in the last frame before a time; "" where that was not observed.
+
+    It tells a stop that was right, since the car was not where it believed, from a false one.
+    """
+    error_m = next((error_m for frame_ns, error_m in reversed(seen.errors_m) if frame_ns <= t_ns), None)
+    if error_m is None:
+        return ""
+    return f" (offset wrong by {error_m:.3f} m)" if math.isfinite(error_m) else " (no lane)"
 
 
 def drives_from(pins: Sequence[Pin], t_ns: int, neutral_us: float) -> bool:

@@ -196,8 +196,15 @@ class FaultRig:
             could_start=self._could_start(pins, motor.zero_us),
             neutral_us=motor.zero_us,
             straight_us=servo.zero_us,
+            errors_m=self._errors_m(),
             limits_us=(servo.min_us, servo.max_us, motor.min_us, motor.max_us),
         )
+
+    def _errors_m(self) -> list[tuple[int, float]]:
+        """By how much [m] the offset that the car drove by was wrong, by the frame's time [ns]."""
+        true_m = {scene.t_ns: scene.truth.offset_m for scene in self._scenes}
+        found = [(t_ns, abs(offset_m - true_m[t_ns])) for t_ns, offset_m in self._pipeline.offsets_m if t_ns in true_m]
+        return [(t_ns, error_m if math.isfinite(error_m) else math.inf) for t_ns, error_m in found]
 
     def on_tick(self, record: TickRecord) -> None:
         """Called after each turn of the runner, which this observes."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -160,6 +161,21 @@ def test_no_pulse_goes_beyond_the_cars_limits(wrong: tuple[float, float]) -> Non
     made = pins()
     made[150] = (made[150][0], *wrong)
     assert judge(NOTHING, PLAN, seen(made)).violations == ("a pulse beyond the car's limits was at a pin",)
+
+
+def test_a_stop_says_whether_the_lane_was_wrong() -> None:
+    """A false stop is one of a car that knew where it was."""
+    errors = [(2080 * MS, 0.3), (2090 * MS, 0.004), (2110 * MS, math.inf)]
+    for t_ms, text in (
+        (2085, " (offset wrong by 0.300 m)"),
+        (2100, " (offset wrong by 0.004 m)"),
+        (2120, " (no lane)"),
+    ):
+        found = judge(NOTHING, PLAN, seen(pins(), events=[event(t_ms, "stop")], errors_m=errors)).violations
+        assert found == (f"stop after {(t_ms - 2003) * 1e-3:.2f} s: why{text}",)
+    assert (
+        judge(NOTHING, PLAN, seen(pins(), events=[event(2050, "stop")], errors_m=errors)).violations[0].endswith("why")
+    )
 
 
 def test_an_event_is_reported_after_the_fault_started() -> None:
