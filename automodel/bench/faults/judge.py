@@ -274,7 +274,7 @@ def _drove_on(fault: Fault, plan: Plan, seen: Observed, neutral_ns: int | None) 
 
 
 def _wrong(seen: Observed, t_ns: int) -> str:
-    """By how much the lane was wrong in the last frame before a time; "" where that was not observed.
+    """By how much the offset was wrong in the last frame before a time; "" where that was not observed.
 
     It tells a stop that was right, since the car was not where it believed, from a false one.
     """

@@ -29,8 +29,8 @@ Of two cameras the left one fails, but in the faults of `pair-`: those are of a 
 needs one (`--pipeline stereo`). The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text
 says why it is longer. A stop that leaves the lane is no violation but a figure (`left_lane`, `left_max_m`). Only when
 asked for: `nominal`, a minute without a fault, on any of the tracks, with random light and floor. An hour of them is
-`automodel bench faults --only nominal --runs 60`. Each hold and stop is reported with its cause, and with how wrong the
-offset was: a stop is false where it was not.
+`automodel bench faults --only nominal --runs 60`. Of a car that must drive on, the first hold and the first stop of a
+run are reported with their cause, and with how wrong the offset was: a stop is false where it was not.
 
 A car that was stopped may be refused to be armed where its lane cannot be found by a pipeline that is started there:
 the judge tries that with one of its own.
