@@ -81,7 +81,9 @@ class Contour:
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
         self._look_for(marking, car.lane.markings == "dark")
         self._tracking = LaneTracking(
-            car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, look=math.inf)
+            car,
+            TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, look=math.inf),
+            float(self._nodes_m[-1]),
         )
         self.stages = StageClock()
         self.reset()

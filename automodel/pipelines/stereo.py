@@ -71,7 +71,9 @@ class Stereo:
         self._look_for(car.lane.marking_width_m)
         anyhow = HypothesesConfig(line=1.0, other=1.0)  # what both eyes match are pieces of any length
         self._tracking = LaneTracking(
-            car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, hypotheses=anyhow)
+            car,
+            TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, hypotheses=anyhow),
+            self._far_m,
         )
         self._changes = LaneChanges()
         if options.lane_changes and not car.lane.left == car.lane.right == "any":

@@ -62,7 +62,8 @@ class Windows:
             near_x_m,
         )
         self._look_for(lane.marking_width_m)
-        self._tracking = LaneTracking(car, TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes))
+        coasting = TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes)
+        self._tracking = LaneTracking(car, coasting, ahead_m)
         self.stages = StageClock()
         self.reset()
 

@@ -34,8 +34,9 @@ class Prior(NamedTuple):
     """A belief as lines are weighed against it; the last coordinate is the camera's nod, its pitch in this frame alone.
 
     `root` (n + 1, n + 1): square root of the covariance, in the order of the state and the nod. `point_variance` [m^2]:
-    squared scale of a point's error; `line_share`: variance of the error that a line's points have in common, in units
-    of it. `eye_m`: the camera's place ahead and above; `pitch_rad`: sigma of its pitch.
+    squared scale of a point's error; `pixel_share`: by how much more it is at a distance, in units of it and of that
+    squared [1 / m^2]. `line_share`: variance of the error that a line's points have in common, in units of it. `eye_m`:
+    the camera's place ahead and above; `pitch_rad`: sigma of its pitch.
     """
 
     state: FloatArray
@@ -44,6 +45,7 @@ class Prior(NamedTuple):
     reference_x_m: float
     root: FloatArray
     point_variance: float
+    pixel_share: float
     line_share: float
     eye_m: tuple[float, float]
     pitch_rad: float
@@ -171,12 +173,16 @@ def _misfit(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
 
 
 @compiled
-def _weigh(prior: Prior, rest: FloatArray, weights: FloatArray) -> float:
-    """Weigh a line's points anew by their residuals (n,); returns what the weights themselves cost [twice nats]."""
+def _weigh(prior: Prior, rest: FloatArray, noise: FloatArray, weights: FloatArray) -> float:
+    """Weigh a line's points anew by their residuals (n,); returns what the weights themselves cost [twice nats].
+
+    `noise` (n,) is the variance of each one's error, in units of `prior.point_variance`.
+    """
     common, cost = _common(prior, rest, weights), 0.0
     for i in range(len(rest)):
-        weights[i] = 3.0 / (2.0 + (rest[i] - common) ** 2 / prior.point_variance)
-        cost += 2.0 * weights[i] - 3.0 * math.log(weights[i]) - 3.0 + 3.0 * math.log(1.5)
+        weight = 3.0 / (2.0 + (rest[i] - common) ** 2 / (noise[i] * prior.point_variance))
+        cost += 2.0 * weight - 3.0 * math.log(weight) - 3.0 + 3.0 * math.log(1.5)
+        weights[i] = weight / noise[i]
     return cost
 
 
@@ -226,12 +232,12 @@ def _equations(
 
 
 @compiled
-def _together(equations: Equations, share: float) -> tuple[FloatArray, FloatArray]:
-    """The lines' vector, and the square root of their information with the belief's own."""
-    information, vector = share * equations.information[0], share * equations.vector[0]
+def _together(equations: Equations, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The lines' vector, and the square root of their information with the belief's own; each counts by its share."""
+    information, vector = shares[0] * equations.information[0], shares[0] * equations.vector[0]
     for i in range(1, len(equations.vector)):
-        information += share * equations.information[i]
-        vector += share * equations.vector[i]
+        information += shares[i] * equations.information[i]
+        vector += shares[i] * equations.vector[i]
     for i in range(len(vector)):
         information[i, i] += 1.0
     return vector, factor(information)
@@ -239,17 +245,20 @@ def _together(equations: Equations, share: float) -> tuple[FloatArray, FloatArra
 
 @compiled
 def settled(
-    prior: Prior, points: FloatArray, ends: Ints, roles: FloatArray, share: float
+    prior: Prior, points: FloatArray, ends: Ints, roles: FloatArray, shares: FloatArray
 ) -> tuple[Equations, FloatArray]:
     """Lines' equations, linearised where they and the belief together put the lane, and that place, whitened (n + 1,).
 
     The points (k, 2) of line i, which plays `roles[i]`, end at `ends[i]`. Newton's method on the posterior, in which
-    the lines count by a `share`; each step is halved until it is one uphill. The points are weighed in each round.
+    line i counts by `shares[i]`; each step is halved until it is one uphill. The points are weighed in each round.
     """
     count, full = len(roles), len(prior.root)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
     misfit, log_volume, actual, spent = np.empty(count), np.empty(count), np.empty(count), np.zeros(count)
-    weights, rest = np.ones(len(points)), np.empty(len(points))
+    noise, rest = np.empty(len(points)), np.empty(len(points))
+    for k in range(len(points)):
+        noise[k] = 1.0 + prior.pixel_share * ((points[k, 0] - prior.eye_m[0]) ** 2 + points[k, 1] ** 2)
+    weights = 1.0 / noise
     z, state = np.zeros(full), prior.state.copy()
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
     best, linearised = np.inf, False
@@ -259,8 +268,8 @@ def settled(
             misfit[i] = _equations(prior, path, state, points[its], weights[its], roles[i], information[i], vector[i])
         equations = Equations(information, vector, misfit, log_volume)
         if best == np.inf:
-            best = share * misfit.sum()
-        right, root = _together(equations, share)
+            best = dot(shares, misfit)
+        right, root = _together(equations, shares)
         step = backward(root, forward(root, right)) - z
         tried, uphill = 1.0, False
         for _ in range(ROUNDS):
@@ -272,43 +281,44 @@ def settled(
                 its = slice(ends[i - 1] if i else 0, ends[i])
                 _residuals(prior, trial, there, moved[full - 1], points[its], roles[i], rest[its])
                 actual[i] = _misfit(prior, rest[its], weights[its])
-            cost = share * actual.sum() + dot(at, at)
+            cost = dot(shares, actual) + dot(at, at)
             if cost < best:
                 uphill = True
                 break
             tried *= 0.5
         if uphill:
             z, state, path, best = at, there, trial, cost
-            told = misfit.sum()
+            told = 0.0
             for i in range(count):
-                told += dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z)
-            linearised = tried == 1.0 and share * abs(actual.sum() - told) < 2.0 * LINEAR
+                told += shares[i] * (misfit[i] + dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z))
+            linearised = tried == 1.0 and abs(dot(shares, actual) - told) < 2.0 * LINEAR
         gain = 0.0
         for i in range(count):
             its = slice(ends[i - 1] if i else 0, ends[i])
             if not uphill:  # the residuals are those of a place that was tried in vain
                 _residuals(prior, path, state, dot(prior.root[full - 1], z), points[its], roles[i], rest[its])
-            gain += _misfit(prior, rest[its], weights[its]) + spent[i]
-            spent[i] = _weigh(prior, rest[its], weights[its])
+            before = _misfit(prior, rest[its], weights[its]) + spent[i]
+            spent[i] = _weigh(prior, rest[its], noise[its], weights[its])
             actual[i] = _misfit(prior, rest[its], weights[its])
-            gain -= actual[i] + spent[i]
-        best = share * actual.sum() + dot(z, z)
-        if (linearised or not uphill) and share * gain < 2.0 * LINEAR:
+            gain += shares[i] * (before - actual[i] - spent[i])
+        best = dot(shares, actual) + dot(z, z)
+        if (linearised or not uphill) and gain < 2.0 * LINEAR:
             break
     for i in range(count):  # by the last weights
         its = slice(ends[i - 1] if i else 0, ends[i])
         misfit[i] = spent[i] + _equations(
             prior, path, state, points[its], weights[its], roles[i], information[i], vector[i]
         )
-        n = ends[i] - its.start
-        log_volume[i] = n * math.log(8.0 * prior.point_variance) + math.log1p(weights[its].sum() * prior.line_share)
+        log_volume[i] = math.log1p(weights[its].sum() * prior.line_share)
+        for k in range(its.start, its.stop):
+            log_volume[i] += math.log(8.0 * prior.point_variance * noise[k])
     return Equations(information, vector, misfit, log_volume), z
 
 
 @compiled
 def innovation(equations: Equations) -> tuple[float, float]:
     """Squared innovation of lines over its covariance S, which the belief and their errors give, and log |2 pi S|."""
-    vector, root = _together(equations, 1.0)
+    vector, root = _together(equations, np.ones(len(equations.vector)))
     white = forward(root, vector)
     volume = equations.log_volume.sum()
     for i in range(len(root)):
@@ -319,7 +329,7 @@ def innovation(equations: Equations) -> tuple[float, float]:
 @compiled
 def fit(prior: Prior, points: FloatArray, role: float) -> tuple[float, float]:
     """The `innovation` of one line, whose points (k, 2) play a role."""
-    equations, _ = settled(prior, points, np.array((len(points),)), np.array((role,)), 1.0)
+    equations, _ = settled(prior, points, np.array((len(points),)), np.array((role,)), np.ones(1))
     return innovation(equations)
 
 
@@ -345,9 +355,9 @@ def log_likelihood(equations: Equations) -> float:
 
 
 @compiled
-def posterior(prior: Prior, equations: Equations, z: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
-    """State (n,) and covariance (n, n) after lines that count by a `share` and put it at z."""
-    root = _together(equations, share)[1]
+def posterior(prior: Prior, equations: Equations, z: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """State (n,) and covariance (n, n) after lines that count by their `shares` (m,) and put it at z."""
+    root = _together(equations, shares)[1]
     size = len(root) - 1
     half, covariance = np.empty((size, size + 1)), np.empty((size, size))
     for i in range(size):

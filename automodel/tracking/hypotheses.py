@@ -11,10 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
 
 from automodel.geometry.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
+from automodel.tracking.seen_places import SeenPlaces
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
 STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new
@@ -37,24 +41,26 @@ class LineKinds:
 class Hypothesis:
     """A belief, its log-likelihood ratio against clutter [nats], and the last frame's lines with their roles.
 
-    `news`: by how much the last frame spoke for it [nats], as if all of it were new.
+    `news`: by how much the last frame spoke for it [nats], as if all of it were new; `counted`: by how much the odds
+    rose, because what was seen before is no new witness.
     """
 
     belief: LaneBelief
     log_odds: float = 0.0
     assigned: tuple[Assigned, ...] = ()
     news: float = 0.0
+    counted: float = 0.0
 
     def line(self, role: float) -> tuple[SightedLine, ...]:
         """The lines of the last frame that play a role."""
         return tuple(line for line, its in self.assigned if its == role)
 
-    def merged(self, other: Hypothesis, share: float) -> Hypothesis:
+    def merged(self, other: Hypothesis) -> Hypothesis:
         """This hypothesis with the doubt that a less likely one casts on it: the moments of both beliefs by their odds.
 
-        The odds stay: both explain the same lines. `share`: how much of the last frame is counted in them.
+        The odds stay: both explain the same lines.
         """
-        ahead = self.log_odds - other.log_odds + (1.0 - share) * (self.news - other.news)
+        ahead = self.log_odds - other.log_odds + (self.news - self.counted) - (other.news - other.counted)
         others = 1.0 / (1.0 + math.exp(min(ahead, 50.0)))
         return replace(self, belief=self.belief.merged(other.belief, others))
 
@@ -64,9 +70,9 @@ class HypothesesConfig:
     """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies.
 
     `lines`: lines of a frame that are looked at, the longest first. `same` [lane widths, and radians]: hypotheses
-    closer than this are one. `neighbour_price` [nats]: a road may have no lane there. `line`, `other`: mean painted
-    length of lines, and of other things that look like some [lane widths]; both are exponential, as 6,075 lines and 954
-    other things on seven drives with worn paint, lamps and zebras.
+    closer than this are one, and so are places on the ground. `neighbour_price` [nats]: a road may have no lane there.
+    `line`, `other`: mean painted length of lines, and of other things that look like some [lane widths]; both are
+    exponential, as 6,075 lines and 954 other things on seven drives with worn paint, lamps and zebras.
     """
 
     most: int = 4
@@ -82,19 +88,40 @@ class HypothesesConfig:
         return math.log(self.other / self.line) + lanes * (1.0 / self.other - 1.0 / self.line)
 
 
+class _Sighting(NamedTuple):
+    """A line of a frame, the logarithm of how likely it is as clutter, and the share of it that is news."""
+
+    line: SightedLine
+    clutter: float
+    news: float
+
+
+class _Story(NamedTuple):
+    """Lines in roles, the share of each that is news, their odds, those that count, and how likely they are as clutter.
+
+    All as logarithms [nats].
+    """
+
+    looks: tuple[Look, ...]
+    news: tuple[float, ...]
+    odds: float
+    counted: float
+    others: float
+
+
 class Hypotheses:
     """The hypotheses, the likeliest first; empty while nothing is believed."""
 
     def __init__(self, config: HypothesesConfig | None = None) -> None:
         self.config = config or HypothesesConfig()
         self.all: tuple[Hypothesis, ...] = ()
-        self._since_lanes = math.inf  # driven since the last frame that was a witness
+        self._places = SeenPlaces(self.config.same)
         self.driven_lanes = 0.0  # since the start
 
     def start(self, beliefs: Sequence[tuple[LaneBelief, float]]) -> None:
         """Start with beliefs and their log-odds; their first frame is news as a whole."""
         self.all = tuple(Hypothesis(belief, odds) for belief, odds in beliefs)
-        self._since_lanes = math.inf
+        self._places = SeenPlaces(self.config.same)
         self.driven_lanes = 0.0
 
     def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
@@ -106,30 +133,28 @@ class Hypotheses:
             road = self.all[0].belief.road
             driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
             self.driven_lanes += driven
-            self._since_lanes += max(driven, STILL_LANES * dt_s)
+            self._places.move(distance_m, turn_rad, max(driven, STILL_LANES * dt_s), known)
 
     def update(
         self, lines: Sequence[SightedLine], kinds: LineKinds, way: float | None = None, *, picked: bool = True
     ) -> float:
         """Assign a frame's lines, branch, and weigh; returns how much of the frame was news, 0 .. 1.
 
-        `way`: lane widths since the last frame, where it was not driven by these hypotheses. `picked`: the lines that
-        play a role are picked out of all; False for a story whose lines were known before the frame.
+        `way`: lane widths since the beliefs learnt last, where they were not driven by these hypotheses. `picked`: the
+        lines that play a role are picked out of all; False for a story whose lines were known before the frame.
         """
         if not self.all:
             return 0.0
-        config = self.config
-        belief = self.all[0].belief  # as clutter, lines are as likely for every hypothesis
-        way = self._since_lanes if way is None else way
-        share = min(way / belief.road.news, 1.0)
-        self._since_lanes = 0.0
+        config, road = self.config, self.all[0].belief.road
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
-        anything = belief.anything()
-        priced = [(line, anything.of_line(line)) for line in longest]
+        anything = self.all[0].belief.anything()  # as clutter, lines are as likely for every hypothesis
+        news = self._places.see(longest, road)
+        seen = [_Sighting(line, anything.of_line(line), share) for line, share in zip(longest, news, strict=True)]
         things = len(lines) if picked else None
-        grown = [child for one in self.all for child in self._children(one, priced, things, kinds, way)]
-        self._keep(grown, share)
-        return share
+        grown = [child for one in self.all for child in self._children(one, seen, things, kinds, way)]
+        self._keep(grown)
+        counts = [len(each.line.points_m) for each in seen]
+        return float(np.average([each.news for each in seen], weights=counts)) if seen else 1.0
 
     def posterior(self) -> list[float]:
         """Probabilities of the hypotheses, in their order."""
@@ -141,48 +166,51 @@ class Hypotheses:
     def _children(
         self,
         parent: Hypothesis,
-        lines: Sequence[tuple[SightedLine, float]],
+        lines: Sequence[_Sighting],
         things: int | None,
         kinds: LineKinds,
-        way: float,
+        way: float | None,
     ) -> list[Hypothesis]:
         """The parent with each plausible assignment of the lines; with none of them it stays as it was.
 
-        Each line comes with the logarithm of how likely it is as clutter. `things`: how many are in view, out of which
-        the lines that play a role are picked; None where they are not.
+        `things`: how many are in view, out of which the lines that play a role are picked; None where they are not.
         """
-        config, evidence, unit = self.config, Evidence(parent.belief), parent.belief.road.lane_width_m
-        beam: list[tuple[tuple[Look, ...], float, float]] = [((), 0.0, 0.0)]
-        for line, clutter in lines:
+        config, evidence, road = self.config, Evidence(parent.belief), parent.belief.road
+        unit = road.lane_width_m
+        beam: list[_Story] = [_Story((), (), 0.0, 0.0, 0.0)]
+        for line, clutter, news in lines:
             grown = list(beam)
             roles = [role for role in ROLES if _possible(parent.belief, line, role)]
             for look in evidence.looks(line, roles):
-                for looks, log_odds, others in beam:
-                    if any(_beside(look, other) for other in looks):
+                for story in beam:
+                    if any(_beside(look, other) for other in story.looks):
                         continue
-                    both = (*looks, look)
-                    odds = evidence.log_likelihood(both) - others - clutter - self._price(both)
+                    both = (*story.looks, look)
+                    odds = evidence.log_likelihood(both) - story.others - clutter - self._price(both)
                     odds += sum(config.length(each.line.painted_m / unit) for each in both)
                     odds += sum(_kind(each.line, kinds.of(each.role), unit) for each in both)
-                    if odds - config.length(line.painted_m / unit) > log_odds - 1.0:  # however long, it must fit
-                        grown.append((both, odds, others + clutter))
-            grown.sort(key=lambda each: -each[1])
+                    if odds - config.length(line.painted_m / unit) > story.odds - 1.0:  # however long, it must fit
+                        counted = story.counted + news * (odds - story.odds)
+                        grown.append(_Story(both, (*story.news, news), odds, counted, story.others + clutter))
+            grown.sort(key=lambda each: -each.odds)
             beam = grown[: config.most]
-        children, share = [], min(way / parent.belief.road.news, 1.0)
-        if all(looks for looks, _, _ in beam):
-            beam.append(((), 0.0, 0.0))
-        for looks, odds, _ in beam:
-            odds -= 0.0 if things is None else _picked(things, len(looks))
-            assigned = tuple(Assigned(look.line, look.role) for look in looks)
-            belief = evidence.update(assigned, way) if assigned else parent.belief
-            children.append(Hypothesis(belief, parent.log_odds + share * odds, assigned, odds))
+        children = []
+        if all(story.looks for story in beam):
+            beam.append(_Story((), (), 0.0, 0.0, 0.0))
+        for looks, shares, odds, counted, _ in beam:
+            picked = 0.0 if things is None or not looks else _picked(things, len(looks))
+            odds, counted = odds - picked, counted - picked * (sum(shares) / len(looks) if looks else 0.0)
+            assigned, belief = tuple(Assigned(look.line, look.role) for look in looks), parent.belief
+            if assigned:
+                belief = evidence.update(assigned, np.array(shares) if way is None else road.news_of(len(looks), way))
+            children.append(Hypothesis(belief, parent.log_odds + counted, assigned, odds, counted))
         return children
 
     def _price(self, looks: Sequence[Look]) -> float:
         """What it costs [nats] to believe in neighbouring lanes."""
         return self.config.neighbour_price * sum(abs(look.role) > 1.0 for look in looks)
 
-    def _keep(self, grown: list[Hypothesis], share: float) -> None:
+    def _keep(self, grown: list[Hypothesis]) -> None:
         grown.sort(key=lambda each: -each.log_odds)
         kept: list[Hypothesis] = []
         for one in grown:
@@ -190,7 +218,7 @@ class Hypotheses:
             if like is None:
                 kept.append(one)
             else:
-                kept[like] = kept[like].merged(one, share)
+                kept[like] = kept[like].merged(one)
         kept.sort(key=lambda each: -each.log_odds)
         best = kept[0].log_odds
         self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)

@@ -4,6 +4,10 @@ A pipeline's own estimator follows the lane. Where it may take another line for 
 while, or what it says contradicts the odometry) its word is one story among others: the whole view is searched for
 lines, and hypotheses compete until one is left. If that is what the estimator says, the doubt is over; if not, the
 estimator starts anew from it. The kinds of the lines beside the lane tell whether it is still the same one.
+
+What is told of the lane is what the estimator says, as long as it sees lines that reach to the car. Where it only
+extrapolates, what is believed is told, which has learnt from the same lines and forgets nothing, and the estimator is
+put there.
 """
 
 from __future__ import annotations
@@ -48,6 +52,7 @@ from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
+RIDGE_PX = 0.33  # to which the middle of a line is measured
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
 STILL = 0.01  # lane widths that a car drives that stands: a tick of its encoder
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
@@ -66,9 +71,10 @@ class TrackingConfig:
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
-    pipeline that reads few pixels, which learns the lines' kinds where it looks anyway. `another`: probability by the
-    lines' kinds from which on a lane is another one than it was, and below which it may be. `next_lane`: probability
-    that a lane that is found after one was lost is another. `hypotheses`: how lines in view are weighed.
+    pipeline that reads few pixels, which learns the lines' kinds where it looks anyway. `glance`: where they are not.
+    `another`: probability by the lines' kinds from which on a lane is another one than it was, and below which it may
+    be. `next_lane`: probability that a lane that is found after one was lost is another. `hypotheses`: how lines in
+    view are weighed.
     """
 
     coast_s: float
@@ -82,6 +88,7 @@ class TrackingConfig:
     exists: float = 5.0
     start: float = 0.25
     look: float = 1.0
+    glance: float = 0.25
     another: float = 0.9
     next_lane: float = 0.3
     hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
@@ -108,8 +115,9 @@ class LaneTracking:
 
     MISTRUSTED_S = 0.3  # for which the motion may have been wrong when that is noticed
 
-    def __init__(self, car: CarConfig, config: TrackingConfig) -> None:
+    def __init__(self, car: CarConfig, config: TrackingConfig, ahead_m: float) -> None:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
+        self._ahead_m = ahead_m
         camera = self._camera = GroundCamera.from_config(car.camera)
         self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
         self._bends = Bends(
@@ -118,6 +126,7 @@ class LaneTracking:
                 marking_width_m=car.lane.marking_width_m,
                 eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
                 pitch_rad=ANGLE_RAD,
+                pixel_rad=RIDGE_PX / car.camera.intrinsics.fx_px,
             )
         )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
@@ -153,6 +162,8 @@ class LaneTracking:
         self._innovations.reset()
         self.in_doubt = False
         self.reckons = False  # whether the last frame's motion is the odometry's
+        self._better_story = False  # whether, in doubt, a hypothesis is likelier than what the estimator says
+        self._outvoted = False  # whether the estimator's pose differs from what is believed
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
@@ -280,6 +291,9 @@ class LaneTracking:
         if not self._possible(followed.pose):
             return None
         if self._reckoned is None:
+            outvoted, self._outvoted = self._outvoted, False
+            if outvoted and self._strays(followed):
+                return self._belief
             plain = followed.left.seen and followed.right.seen
             return self._recognise(lines) if plain else self._watch(lines, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
@@ -291,6 +305,7 @@ class LaneTracking:
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
+        self._better_story = best.log_odds > said
         apart = self._apart(measured, best.belief)
         agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
@@ -311,7 +326,7 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
-        elif self._refuted(measured) if own else self._strays(measured):
+        elif self._refuted(measured) if own else self._strays(followed):
             return self._reckoned
         return None
 
@@ -368,7 +383,7 @@ class LaneTracking:
         if self.lost or self.in_doubt:
             return self.in_doubt
         plain = followed.left.seen and followed.right.seen and not self._may_be_another
-        return self._around_m > (self.config.look if plain else self._bends.road.news) * self._unit
+        return self._outvoted or self._around_m > (self.config.look if plain else self.config.glance) * self._unit
 
     @property
     def _may_be_another(self) -> bool:
@@ -399,15 +414,15 @@ class LaneTracking:
         """Learn from the estimator's lines, and doubt it where it contradicts them or they are too few."""
         belief = self._belief
         assert belief is not None
-        if self._news_m > self._bends.road.news * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
+        if self._news_m > self.config.glance * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
             evidence = Evidence(belief.on(self._bends.road))
             assigned = evidence.explained(own, self.config.fits)
             if len(assigned) < len(own):
                 self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
-                belief = evidence.update(assigned, self._news_m / self._unit)
-                self._learn(belief, self._measured(followed.pose), True)
+                belief = evidence.update(assigned, belief.road.news_of(len(assigned), self._news_m / self._unit))
+                self._learn(belief, followed, True)
         if not self.in_doubt and self._confusable(belief):
             self._doubt(belief)
 
@@ -427,7 +442,7 @@ class LaneTracking:
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
             self._contradict(belief)
         elif best.assigned and best.news > self.config.exists:
-            self._learn(best.belief, measured, self._is_pair(belief, best))
+            self._learn(best.belief, followed, self._is_pair(belief, best))
             if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)
                 return best.belief
@@ -436,7 +451,7 @@ class LaneTracking:
                 anew = self._which_lane(best, plain=False)
                 if anew is not None:
                     return anew
-        if not own and not self.in_doubt and self._strays(measured):
+        if not self.in_doubt and self._strays(followed):
             return self._belief
         return None
 
@@ -484,15 +499,43 @@ class LaneTracking:
                 lines = (*lines, _sighted(points[alone]))
         return lines
 
-    def _strays(self, measured: LaneBelief) -> bool:
-        """Whether an estimator that sees no line has left the road that is remembered.
+    def _strays(self, followed: Followed) -> bool:
+        """Whether an estimator has left the road that is believed, which explains the lines that it sees.
 
-        How uncertain it is does not excuse it: without a line it knows nothing that is not believed.
+        How uncertain it is does not excuse it: all that it knows was learnt. One that only extrapolates knows nothing.
         """
-        belief, certain = self._belief, replace(measured, covariance=np.zeros_like(measured.covariance))
-        if belief is None or not self.reckons:  # in doubt since its first frame: nothing is remembered
+        belief, measured = self._belief, self._measured(followed.pose)
+        if belief is None or not self.reckons or self._confusable(belief):  # in doubt since its first frame: no belief
             return False
-        return not self._confusable(belief) and self._apart(certain, belief) > self.config.differs
+        own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
+        explained = Evidence(belief.on(self._bends.road)).explained(own, self.config.fits) if own else own
+        if len(explained) < len(own):
+            return False
+        if not self.in_doubt and not any(self._reaching(followed)):
+            return True
+        return self._is_outside(followed, measured, belief)
+
+    def _is_outside(self, followed: Followed, measured: LaneBelief, belief: LaneBelief) -> bool:
+        """Whether an estimator's offset, heading or width is beyond what is believed.
+
+        Who sees both lines from the car on knows better than that.
+        """
+        away = (measured.state - belief.state)[:3]
+        squares = float(away @ np.linalg.solve(belief.covariance[:3, :3], away))
+        return not self._is_plain(followed) and squares > self.config.differs
+
+    def _reaching(self, followed: Followed) -> list[bool]:
+        """Of each line that is seen, whether it is longer than it is from the car to its first point.
+
+        The error of a line that is drawn on beyond its points grows by how much farther that is than they reach.
+        """
+        near_m = self._near_m + self._reference_x_m
+        seen = [line.points_m for line, _ in _sides(followed) if line.seen]
+        return [_length_m(points) > float(points[0, 0]) - near_m for points in seen]
+
+    def _is_plain(self, followed: Followed) -> bool:
+        """Whether both lines are seen, and reach to the car."""
+        return self._reaching(followed) == [True, True]
 
     def _misses(self, followed: Followed, belief: LaneBelief, measured: LaneBelief, best: Hypothesis) -> bool:
         """Whether the estimator misses a line of its lane that is in view.
@@ -532,13 +575,15 @@ class LaneTracking:
         row = np.array((-1.0, self._near_m))
         return float(row @ belief.covariance[:2, :2] @ row)
 
-    def _learn(self, belief: LaneBelief, measured: LaneBelief, pair: bool) -> None:
+    def _learn(self, belief: LaneBelief, followed: Followed, pair: bool) -> None:
         """Take a belief that has learnt from a frame, and doubt the estimator where it contradicts that."""
         if pair:
-            self._pair_m += min(self._news_m, self._bends.road.news * self._unit)
+            self._pair_m += min(self._news_m, self.config.glance * self._unit)
         self._news_m, self._belief = 0.0, belief
+        measured = self._measured(followed.pose)
         normalised = self._apart(measured, belief)
         self._innovations.add(0.5 * normalised)
+        self._outvoted = self._is_outside(followed, measured, belief)
         if normalised > self.config.gate:
             self._contradict(belief)
 
@@ -551,7 +596,7 @@ class LaneTracking:
         """From now on the estimator is not believed without a look at everything else."""
         self._hypotheses.start(((belief, 0.0),))
         self._reckoned, self._said = belief, 0.0
-        self.in_doubt = True
+        self.in_doubt, self._better_story = True, True
 
     def _believe(self, belief: LaneBelief) -> None:
         """The doubt is over; where dead reckoning could not tell the lane from the next one, it may be that one."""
@@ -609,6 +654,7 @@ class LaneTracking:
         return blind_s > self.config.coast_s or self._blind_m > self.config.coast_lanes * self._unit
 
     def _estimate(self, frame: Frame, status: LaneStatus, followed: Followed) -> LaneEstimate:
+        followed = self._told(followed)
         offset_bound, heading_bound = self._bounds(followed.pose)
         return LaneEstimate(
             t_ns=frame.t_ns,
@@ -620,6 +666,26 @@ class LaneTracking:
             crossing=followed.crossing,
             frame_age_ns=max(frame.t_ns - self._seen_ns, 0),
         )
+
+    def _told(self, followed: Followed) -> Followed:
+        """What is told of the lane: by the estimator, where its lines reach to the car, else what is believed.
+
+        In doubt it is the best hypothesis, if that is likelier than the estimator's. Without odometry nothing is known
+        that the estimator does not see.
+        """
+        belief, reaching = self._belief, self._reaching(followed)
+        if belief is None or not self.reckons or (reaching and all(reaching)):
+            return followed
+        if self.in_doubt:
+            if not self._better_story:
+                return followed
+            belief = self._hypotheses.all[0].belief
+        left, right = (
+            line if line.seen else replace(line, curve=belief.curve(role, self._ahead_m))
+            for line, role in _sides(followed)
+        )
+        centerline = belief.curve(0.0, self._ahead_m)
+        return replace(followed, pose=belief.pose, left=left, right=right, centerline=centerline)
 
     def _bounds(self, pose: LanePose) -> tuple[float, float]:
         """Bounds of offset [m] and heading [rad]: those of every hypothesis that may be true, seen from the pose."""

@@ -397,7 +397,7 @@ def test_good_frames_among_bad_ones_are_taken(both: list[Shown], seed: int) -> N
     assert last.status is LaneStatus.TRACKING
     assert last.pose is not None
     assert last.pose.offset_m == pytest.approx(both[-1].truth.offset_m, abs=0.015)
-    assert last.pose.heading_rad == pytest.approx(both[-1].truth.heading_rad, abs=0.04)  # seen only from afar
+    assert last.pose.heading_rad == pytest.approx(both[-1].truth.heading_rad, abs=0.06)  # seen only from afar
 
 
 def test_a_bend_is_coasted_through() -> None:

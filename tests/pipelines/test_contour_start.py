@@ -48,7 +48,7 @@ direction = "forward"
 s_m = 0.0
 """
 AGAIN_NS = 110_000_000  # long enough for a lane of one line to be told
-SURE_FRAMES = 10  # a third of a second, until a lane that is far from as wide as configured is sure
+SURE_FRAMES = 24  # 0.8 s, until a lane that is far from as wide as configured is sure
 
 
 class Anew:

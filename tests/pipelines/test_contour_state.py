@@ -123,8 +123,8 @@ def test_while_coasting_the_lane_moves_with_the_car_and_is_less_sure(seen: list[
     replayed(standing, seen)
     still = shown(standing, BLACK, seen, 8, 0.0)[-1].pose
     assert still is not None
-    assert still.offset_m == pytest.approx(last.offset_m, abs=1e-4)
-    assert still.heading_rad == pytest.approx(last.heading_rad, abs=1e-3)
+    assert still.offset_m == pytest.approx(last.offset_m, abs=2e-3)  # what was believed is told now
+    assert still.heading_rad == pytest.approx(last.heading_rad, abs=1e-2)
     moved = reported[-1].pose
     assert moved is not None
     assert moved.offset_m != still.offset_m

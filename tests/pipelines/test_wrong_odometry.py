@@ -51,7 +51,7 @@ def wrong(motion: Motion, speed: float, yaw_rate: float) -> Motion:
 def test_a_wrong_speed_misleads_contour_in_no_frame(place: tuple[str, str, float, float], factor: float) -> None:
     false_s, misled, reported = driven(Contour(CAR), drive(*place), speed=factor)
     assert misled == 0
-    assert false_s <= 0.5
+    assert false_s <= 0.6
     assert reported > 0.85
 
 

@@ -91,7 +91,8 @@ def test_the_covariance_is_as_large_as_the_errors_along_winding_roads() -> None:
                 ((math.cos(headings[i]), -math.sin(headings[i])), (math.sin(headings[i]), math.cos(headings[i])))
             )
             ahead = slice(i, i + 220)
-            lines = seen(random, headings[ahead] - headings[i], (points[ahead] - points[i]) @ turn, model)
+            errors_of = np.random.default_rng((seed, int(i * STEP_M / LANE_M / model.news)))  # the same for that way
+            lines = seen(errors_of, headings[ahead] - headings[i], (points[ahead] - points[i]) @ turn, model)
             believed, _ = replace(believed, road=bends.road).update(lines, 10 * STEP_M / LANE_M)
             bends.see(curvatures[i])
             error, order = believed.mean[:2], np.ix_((0, 1), (0, 1))  # the car drives on the centre
@@ -142,15 +143,19 @@ def test_the_covariance_is_about_as_large_as_the_errors_where_bends_begin_and_en
     assert np.max(errors) < 40.0
 
 
-def test_the_points_of_a_line_are_as_likely_as_students_errors() -> None:
-    """Of a lane that is known for certain, without an error that its points have in common."""
-    model = replace(ROAD_MODEL, line_sigma=0.0)
+@pytest.mark.parametrize("pixel_rad", [0.0, 0.01])
+def test_the_points_of_a_line_are_as_likely_as_students_errors(pixel_rad: float) -> None:
+    """Of a lane that is known for certain, without an error that its points have in common; of pixels, the larger the
+    farther away.
+    """
+    model = replace(ROAD_MODEL, line_sigma=0.0, pixel_rad=pixel_rad)
     scale_m = model.point_markings * model.marking_width_m
     away_m = scale_m * np.array((0.0, 0.5, -1.0, 2.0, -8.0, 30.0))
     points = np.column_stack((np.linspace(0.5, 1.5, len(away_m)) * LANE_M, 0.5 * LANE_M + away_m))
     certain = LaneBelief.arc(np.array((0.0, 0.0, 0.0, LANE_M)), 1e-14 * np.eye(4), replace(model, bend_walk=1e-9), 0.0)
     _, log_likelihood = certain.update((Assigned(sighted(points), LEFT),))
-    density = (1.0 + 0.5 * (away_m / scale_m) ** 2) ** -1.5 / (math.sqrt(8.0) * scale_m)
+    scales_m = np.hypot(scale_m, pixel_rad * np.hypot(*(points - np.array((model.eye_m[0], 0.0))).T))
+    density = (1.0 + 0.5 * (away_m / scales_m) ** 2) ** -1.5 / (math.sqrt(8.0) * scales_m)
     assert log_likelihood == pytest.approx(float(np.log(density).sum()), abs=0.05)
 
 
@@ -170,7 +175,7 @@ def test_a_point_of_another_thing_hardly_moves_the_lane(away_m: float) -> None:
         errors.append(float(error @ np.linalg.solve(found.spread[order], error)))
     assert len(errors) > 0.85 * 300
     assert 1.6 < np.mean(errors) < 2.6
-    assert np.max(errors) < 40.0
+    assert np.quantile(errors, 0.99) < 27.6
 
 
 MOTIONS = [(0.0, 0.0), (0.3, 0.0), (0.25, 0.3), (-0.1, -0.1), (0.0, 0.4)]

@@ -15,6 +15,7 @@ from automodel.tracking.hypotheses import (
     LEFT_FAR,
     RIGHT,
     RIGHT_FAR,
+    STILL_LANES,
     Hypotheses,
     HypothesesConfig,
     Hypothesis,
@@ -130,7 +131,7 @@ def test_the_same_frame_again_is_no_news() -> None:
     odds = hypotheses.all[0].log_odds
     assert hypotheses.update(lines, LineKinds()) == 0.0
     assert hypotheses.all[0].log_odds == pytest.approx(odds)
-    hypotheses.move(0.125 * LANE_M, 0.0, 0.05, True)
+    hypotheses.move(0.0, 0.0, 0.5 * ROAD_MODEL.news / STILL_LANES, True)
     assert hypotheses.update(lines, LineKinds()) == pytest.approx(0.5)
     assert hypotheses.all[0].log_odds > odds
 
@@ -189,7 +190,7 @@ def test_of_two_that_say_about_the_same_the_moments_remain(ahead: float, others:
     state = first.belief.state.copy()
     state[OFFSET] += 0.02
     second = Hypothesis(replace(first.belief, state=state, covariance=4.0 * first.belief.covariance), 0.0)
-    merged = first.merged(second, 1.0)
+    merged = first.merged(second)
     assert merged.log_odds == ahead
     assert merged.belief.offset_m - first.belief.offset_m == pytest.approx(0.02 * others)
     variance = 0.01**2 * (1.0 + 3.0 * others) + others * (1.0 - others) * 0.02**2
