@@ -162,7 +162,7 @@ class LaneTracking:
         self._innovations.reset()
         self.in_doubt = False
         self.reckons = False  # whether the last frame's motion is the odometry's
-        self._better_story = False  # whether, in doubt, a hypothesis is likelier than what the estimator says
+        self._story: LaneBelief | None = None  # in doubt, what is likelier than what the estimator says
         self._outvoted = False  # whether the estimator's pose differs from what is believed
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
@@ -305,7 +305,9 @@ class LaneTracking:
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
-        self._better_story = best.log_odds > said
+        likelier = best.log_odds > max(said, self.config.exists)
+        blind = not own and not self._confusable(self._reckoned, 1.0)
+        self._story = best.belief if likelier else self._reckoned if blind else None
         apart = self._apart(measured, best.belief)
         agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
@@ -596,7 +598,7 @@ class LaneTracking:
         """From now on the estimator is not believed without a look at everything else."""
         self._hypotheses.start(((belief, 0.0),))
         self._reckoned, self._said = belief, 0.0
-        self.in_doubt, self._better_story = True, True
+        self.in_doubt, self._story = True, belief
 
     def _believe(self, belief: LaneBelief) -> None:
         """The doubt is over; where dead reckoning could not tell the lane from the next one, it may be that one."""
@@ -670,16 +672,16 @@ class LaneTracking:
     def _told(self, followed: Followed) -> Followed:
         """What is told of the lane: by the estimator, where its lines reach to the car, else what is believed.
 
-        In doubt it is the best hypothesis, if that is likelier than the estimator's. Without odometry nothing is known
-        that the estimator does not see.
+        In doubt it is the best hypothesis, if that is likelier than the estimator's, or dead reckoning, if that sees no
+        line. Without odometry nothing is known that the estimator does not see.
         """
         belief, reaching = self._belief, self._reaching(followed)
         if belief is None or not self.reckons or (reaching and all(reaching)):
             return followed
         if self.in_doubt:
-            if not self._better_story:
+            if self._story is None:
                 return followed
-            belief = self._hypotheses.all[0].belief
+            belief = self._story
         left, right = (
             line if line.seen else replace(line, curve=belief.curve(role, self._ahead_m))
             for line, role in _sides(followed)
