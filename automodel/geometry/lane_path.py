@@ -8,10 +8,12 @@ state (4 + stations,) is that of `belief.LaneBelief`.
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from automodel.compiled import compiled
+from automodel.curves.sampled import DeferredCurve, Table, beside
 from automodel.types import FloatArray
 
 OFFSET, THETA, WIDTH, PITCH, ROAD = range(5)  # indices of the state; from the last one on, the stations
@@ -146,3 +148,38 @@ def next_lane(
     own = np.zeros(len(state))  # of its width, half of which lies this side of its middle
     own[OFFSET], own[WIDTH] = -0.5 * side, 1.0
     return away @ state, away @ covariance @ away.T + width_sigma_m**2 * np.outer(own, own)
+
+
+def line_of_path(
+    state: FloatArray,
+    start_m: float,
+    spacing_m: float,
+    reference_x_m: float,
+    lateral_m: float,
+    span: tuple[int, int],
+    step_m: float,
+) -> DeferredCurve:
+    """The line `lateral_m` to the left of a state's `lane_path`, sampled every `step_m`, body frame.
+
+    `span`: how many steps before the reference point's foot it begins, and how many beyond it ends. `state`
+    must not be written to any more.
+    """
+    return DeferredCurve(partial(_path_table, state, start_m, spacing_m, reference_x_m, lateral_m, span, step_m))
+
+
+def _path_table(
+    state: FloatArray,
+    start_m: float,
+    spacing_m: float,
+    reference_x_m: float,
+    lateral_m: float,
+    span: tuple[int, int],
+    step_m: float,
+) -> Table:
+    behind, ahead = span
+    s_m = step_m * np.arange(-behind, ahead + 1, dtype=np.float64)
+    path = lane_path(state, start_m, spacing_m, reference_x_m)
+    places = np.array([place_on(path, one) for one in s_m.tolist()])
+    kappa = np.interp(s_m + start_m, spacing_m * np.arange(len(state) - ROAD), state[ROAD:])
+    table = s_m - s_m[0], places[:, :2], places[:, 2], kappa
+    return beside(table, lateral_m) if lateral_m else table

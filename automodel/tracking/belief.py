@@ -14,15 +14,13 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from automodel.curves import DeferredCurve
-from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, ROAD, THETA, WIDTH, curvature, lane_path, next_lane, place_on
+from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose
 from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
@@ -233,17 +231,10 @@ class LaneBelief:
 
     def curve(self, role: float, ahead_m: float) -> DeferredCurve:
         """The curve so many lane widths to the left of the centerline, from behind the car."""
-        return DeferredCurve(partial(self._table, role, ahead_m))
-
-    def _table(self, role: float, ahead_m: float) -> Table:
-        unit = self.road.lane_width_m
-        step = 0.5 * STATION * unit
-        s = np.arange(-math.ceil(BEHIND / STATION / 0.5), math.ceil(ahead_m / step) + 1) * step
-        path = lane_path(self.state, self.start_m, STATION * unit, self.reference_x_m)
-        places = np.array([place_on(path, one) for one in s.tolist()])
-        kappa = np.interp(s + self.start_m, STATION * unit * np.arange(STATIONS), self.state[ROAD:])
-        table = s - s[0], places[:, :2], places[:, 2], kappa
-        return beside(table, role * self.width_m) if role else table
+        spacing_m = STATION * self.road.lane_width_m
+        step_m = 0.5 * spacing_m
+        span, place = (math.ceil(2.0 * BEHIND / STATION), math.ceil(ahead_m / step_m)), (self.start_m, spacing_m)
+        return line_of_path(self.state, *place, self.reference_x_m, role * self.width_m, span, step_m)
 
     def beside_it(self, side: int) -> LaneBelief:
         """The lane on a side, +1 left or -1 right, of which no more is known than of any: its width is its own."""

@@ -16,17 +16,24 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from functools import partial
 
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves import DeferredCurve
-from automodel.curves.sampled import Table, beside
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
-from automodel.geometry.lane_path import curvature, foot_on, lane_path, next_lane, path_row, place_on, station
+from automodel.geometry.lane_path import (
+    curvature,
+    foot_on,
+    lane_path,
+    line_of_path,
+    next_lane,
+    path_row,
+    place_on,
+    station,
+)
 from automodel.types import Bools, Complexes, FloatArray, Floats
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
@@ -303,15 +310,7 @@ class ParabolaPair:
 
     def curve(self, lanes: float) -> DeferredCurve:
         """The curve so many `lanes` widths left of the centerline, from behind the car to the farthest points."""
-        return DeferredCurve(partial(self._table, self.state, self.start_m, lanes))
-
-    def _table(self, state: FloatArray, start_m: float, lanes: float) -> Table:
-        behind, section = BEHIND * self._unit, self._section_m
-        zero = math.ceil(BEHIND / NODE) * 2
-        step = behind / zero
-        s = np.arange(-zero, math.ceil(self._far_m / step) + 1) * step
-        path = lane_path(state, start_m, section, self._reference_x_m)
-        places = np.array([place_on(path, one) for one in s.tolist()])
-        kappa = np.interp(s + start_m, section * np.arange(STATIONS), state[ROAD:])
-        table = s - s[0], places[:, :2], places[:, 2], kappa
-        return beside(table, lanes * float(state[WIDTH])) if lanes else table
+        behind = math.ceil(BEHIND / NODE) * 2
+        step_m, lateral_m = BEHIND * self._unit / behind, lanes * float(self.state[WIDTH])
+        span, place = (behind, math.ceil(self._far_m / step_m)), (self.start_m, self._section_m, self._reference_x_m)
+        return line_of_path(self.state, *place, lateral_m, span, step_m)
