@@ -52,7 +52,7 @@ from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
-RIDGE_PX = 0.33  # to which the middle of a line is measured
+RIDGE_PX = 0.33  # to which the middle of a line is measured: assumed
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
 STILL = 0.01  # lane widths that a car drives that stands: a tick of its encoder
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
@@ -66,8 +66,9 @@ class TrackingConfig:
     nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next; twice
     as much, and the next lane may be taken for this one.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
-    freedom); `differs`: once in a hundred. `fits`: misfit of a line's points that happens once in a thousand true lines
-    of nine points, the most (as of Student's errors). `sure`: posterior of the one hypothesis that is followed.
+    freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
+    happens once in a thousand true lines of nine points, the most (as of Student's errors). `sure`: posterior of the
+    one hypothesis that is followed.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
@@ -110,7 +111,7 @@ class LaneTracking:
 
     In each frame: `predict`; while `lost`, `start` with the lines of the whole view, or `begin` with what another
     search found; while `in_doubt`, `judge`, which may say where the estimator must start anew; then
-    `follow`.
+    `follow`. `ahead_m`: how far ahead of the reference point the curves reach that the belief gives.
     """
 
     MISTRUSTED_S = 0.3  # for which the motion may have been wrong when that is noticed
@@ -522,9 +523,10 @@ class LaneTracking:
 
         Who sees both lines from the car on knows better than that.
         """
+        if self._is_plain(followed):
+            return False
         away = (measured.state - belief.state)[:3]
-        squares = float(away @ np.linalg.solve(belief.covariance[:3, :3], away))
-        return not self._is_plain(followed) and squares > self.config.differs
+        return float(away @ np.linalg.solve(belief.covariance[:3, :3], away)) > self.config.differs
 
     def _reaching(self, followed: Followed) -> list[bool]:
         """Of each line that is seen, whether it is longer than it is from the car to its first point.
