@@ -194,3 +194,28 @@ def epipolar_picture(
     ):
         write_text(picture, text, (8, round(24 * max(scale, 0.6))), scale)
     return np.hstack((left, right))
+
+
+def lanes_picture(
+    images: tuple[Image, Image], cameras: tuple[GroundCamera, GroundCamera], lines_px: FloatArray, ends_px: FloatArray
+) -> Image:
+    """Left and right image (h, w) or (h, w, 3) side by side: what the left camera sees of the road, and where that is
+    in the right one.
+
+    `lines_px` (n, 2) are points of lines in the left image, `ends_px` (m, 2) ends of dashes, which get rings.
+    """
+    left, right = (in_bgr(image) for image in images)
+    one, other = cameras
+    scale = left.shape[1] / 1000
+    for marks, ends in ((lines_px, False), (ends_px, True)):
+        there = other.ground_to_px(one.px_to_ground(marks))
+        for picture, camera, pixels in ((left, one, marks), (right, other, there)):
+            for u, v in np.rint(pixels[camera.camera.inside(pixels)]).astype(int).tolist():
+                size = max(round(7 * scale), 3) if ends else max(round(2 * scale), 1)
+                cv2.circle(picture, (u, v), size, _SEEN if ends else _LINE, 1 if ends else -1, cv2.LINE_AA)
+    for picture, text in (
+        (left, "left: lines, and ends of dashes (rings)"),
+        (right, "right: the same points of the ground by the calibration"),
+    ):
+        write_text(picture, text, (8, round(24 * max(scale, 0.6))), scale)
+    return np.hstack((left, right))

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 
-from automodel.config import Extrinsics, Intrinsics
+from automodel.config import CarConfig, ConfigError, Extrinsics, Intrinsics
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.perception.stereo.points import epipolar
 from automodel.types import FloatArray
@@ -276,11 +277,16 @@ def _intrinsics(rig: Rig) -> Intrinsics:
 
 
 def check_direction(found: StereoCalibration, left: Extrinsics, before: Extrinsics | None) -> None:
+    """As `check_sides`, of a calibration with a board."""
+    check_sides(found.extrinsics, left, before)
+
+
+def check_sides(right: Extrinsics, left: Extrinsics, before: Extrinsics | None) -> None:
     """Raise CalibrationError where the cameras were swapped: the right one lies opposite to where it was `before`.
 
     Without that it should lie to the right of the left one.
     """
-    baseline = _centre(found.extrinsics) - _centre(left)
+    baseline = _centre(right) - _centre(left)
     expected = np.array([0.0, -1.0, 0.0]) if before is None else _centre(before) - _centre(left)
     if float(baseline @ expected) > _WRONG_WAY * float(np.linalg.norm(baseline) * np.linalg.norm(expected)):
         return
@@ -290,6 +296,17 @@ def check_direction(found: StereoCalibration, left: Extrinsics, before: Extrinsi
         f"LEFT and RIGHT seem to be swapped: RIGHT would be ({x}, {y}, {z}) mm ahead, left and above of LEFT, and not "
         f"{where}"
     )
+
+
+def check_left(car: CarConfig, car_file: Path) -> None:
+    """Raise ConfigError where the left camera, from which the right one is measured, was never calibrated."""
+    records = (("camera", "intrinsics", car.calibration.camera), ("ground", "extrinsics", car.calibration.ground))
+    for command, section, record in records:
+        if record is None:
+            raise ConfigError(
+                f"{car_file}: the left camera's [camera.{section}] were never calibrated, and the right camera is "
+                f"measured from it; run automodel calibrate {command} with the left camera first"
+            )
 
 
 def _centre(camera: Extrinsics) -> FloatArray:

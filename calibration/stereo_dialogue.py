@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from automodel.config import CarConfig, ConfigError, Extrinsics, Intrinsics, load_car
+from automodel.config import CarConfig, Extrinsics, Intrinsics, load_car
 from automodel.console.progress import progress
 from automodel.console.tables import show, terminal_width, wrapped
 from automodel.geometry import CameraModel, GroundCamera
@@ -30,6 +30,7 @@ from calibration.stereo import (
     calibrate_stereo,
     check_count,
     check_direction,
+    check_left,
     check_stereo,
     corners_of_both,
     pair_views,
@@ -68,7 +69,7 @@ def calibrate_from_pairs(
     if not options.dry_run:
         check_car_file(car_file)
     car = load_car(car_file)
-    _check_left(car, car_file)
+    check_left(car, car_file)
     images: dict[str, tuple[Image, Image]] = {}
     with open_pairs(car) as feed:
         kept, refused = _looked(feed, board, car, images)
@@ -89,17 +90,6 @@ def calibrate_from_pairs(
         raise CalibrationError(f"{car_file} is unchanged, the right camera found is implausible: {'; '.join(failed)}")
     _write(found, fit_lens, options)
     return 0
-
-
-def _check_left(car: CarConfig, car_file: Path) -> None:
-    """Raise ConfigError where the left camera, from which the right one is measured, was never calibrated."""
-    records = (("camera", "intrinsics", car.calibration.camera), ("ground", "extrinsics", car.calibration.ground))
-    for command, section, record in records:
-        if record is None:
-            raise ConfigError(
-                f"{car_file}: the left camera's [camera.{section}] were never calibrated, and the right camera is "
-                f"measured from it; run automodel calibrate {command} with the left camera first"
-            )
 
 
 def _looked(

@@ -96,6 +96,7 @@ ALLOWED: dict[str, set[str]] = {
         "automodel.perception.markings.ridge",
         "automodel.perception.markings.marking_width",
         "automodel.perception.stereo.points",
+        "automodel.perception.stereo.stripes",
     },
     "automodel.assembly": PARTS,
     "automodel.doctor": PARTS | {"automodel.assembly"},

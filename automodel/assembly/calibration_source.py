@@ -8,18 +8,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from automodel.assembly.parts import is_live_camera, left_alone, make_camera, open_pair, open_source
+from automodel.assembly.replay import frames_of
 from automodel.config import CarConfig, ConfigError
 from automodel.console.messages import say
 from automodel.interfaces import Source
 from automodel.recording.reader import RecordingSource
-from automodel.signals import Frame
+from automodel.signals import Frame, Motion, StereoFrame
 from automodel.sources.cameras import CaptureThread
 from automodel.sources.errors import EndOfSource, SourceError
-from automodel.sources.files import SUFFIXES, is_tub, natural_key
+from automodel.sources.files import SUFFIXES, MotionTable, is_tub, natural_key, read_motion_csv
 from automodel.sources.images import read_image
 from automodel.sources.pairs import PairSource
 from automodel.types import Image
 from calibration.stereo_dialogue import PairFeed
+from calibration.stereo_lanes_dialogue import DriveFeed
 from calibration.views import ImageFeed
 
 LIVE = "live"
@@ -120,6 +122,33 @@ def _pairs_of(source: PairSource, left: Path) -> Iterator[tuple[str, Image, Imag
                 name = files[pair.index].name if files else f"{left.name}:{pair.index}"
                 yield name, pair.left, pair.right
             number += 1
+
+
+@contextlib.contextmanager
+def open_drive(
+    left: Path, right: Path | None, motion_file: Path | None, rate_hz: float | None, car: CarConfig
+) -> Iterator[DriveFeed]:
+    """A drive in pairs: a recording that has both cameras, or two videos or folders with a table of motion.
+
+    `rate_hz` is as that of `open_source`. Raises ConfigError, SourceError.
+    """
+    if right is None and left.suffix.lower() != ".mcap":
+        raise ConfigError(f"{left}: expected a recording of both cameras, or two videos or folders, LEFT and RIGHT")
+    motion = None if motion_file is None else read_motion_csv(motion_file)
+    source = open_source(left, car, rate_hz) if right is None else open_pair(left, right, car, rate_hz)
+    with contextlib.closing(source):
+        yield DriveFeed(pairs=_driven(source, motion, left), total=getattr(source, "frame_count", None))
+
+
+def _driven(source: Source, motion: MotionTable | None, left: Path) -> Iterator[tuple[str, StereoFrame, Motion]]:
+    """Name, pair and motion of each frame that is one; raises ConfigError where none is."""
+    pairs = 0
+    for frame, moved, _ in frames_of(source, motion):
+        if isinstance(frame, StereoFrame):
+            pairs += 1
+            yield f"{left.name}:{frame.index}", frame, moved
+    if not pairs:
+        raise ConfigError(f"{left}: holds no pairs of images; record it with both cameras, by a pipeline of two")
 
 
 @contextlib.contextmanager

@@ -401,6 +401,40 @@ def stereo_paper(
     return 0
 
 
+@command.command("stereo-calibration")
+@click.option("--seeds", type=click.IntRange(1), default=10, show_default=True, help="How many rigs and drives.")
+@FIRST_SEED
+@click.option("--road", type=click.Choice(["highway", "straight"]), default="highway", show_default=True)
+@click.option("--bounce", "bounce_deg", type=click.FloatRange(0.0, 2.0), callback=finite, default=0.0,
+              show_default=True, help="Pitch of the car on its springs, in degrees either way.")  # fmt: skip
+@SWEEP
+@CSV
+@JSON
+def stereo_calibration(
+    seeds: int,
+    first_seed: int,
+    road: str,
+    bounce_deg: float,
+    sweep: Sweep,
+    csv_file: Path | None,
+    as_json: bool,
+) -> int:
+    """What calibrate stereo --from-lanes finds of random cameras in mirrors: errors beside those that it states.
+
+    Example:
+
+    automodel bench stereo-calibration --seeds 10 --bounce 1
+    """
+    from automodel.bench.stereo_calibration import COLUMNS, SUMMARY, RigDrive, measure
+
+    check_outputs({"--csv": csv_file}, {})
+    seeds_of = range(first_seed, first_seed + seeds)
+    tables = measure([RigDrive(seed=seed, road=road, bounce_deg=bounce_deg) for seed in seeds_of], sweep)
+    _write(csv_file, tables["drives"], first_seed)
+    show_tables("bench stereo-calibration", tables, as_json, {"drives": COLUMNS, "all": SUMMARY})
+    return 0
+
+
 @command.command("cluster")
 @click.option("--cases", type=click.IntRange(4), default=200, show_default=True, help="Drives, of a seed each.")
 @click.option("--frames", type=click.IntRange(2), default=10, show_default=True, help="Of each drive.")

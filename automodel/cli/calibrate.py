@@ -14,7 +14,7 @@ from automodel.cli.options import FILE
 COMMANDS = {  # each in automodel/cli/calibrate_<name>.py
     "camera": "The lens: focal lengths, centre and distortion, from images of a board.",
     "ground": "Where the camera looks: its height, pitch, roll and yaw over the ground.",
-    "stereo": "The right one of two cameras: its lens, and where it sits, from images of a board in pairs.",
+    "stereo": "The right one of two cameras: lens and place, from pairs of images of a board or of a drive.",
     "servo": "The steering: which pulse makes which angle of the front wheels.",
     "odometry": "The wheels: ticks a metre, and which motor pulse makes which speed.",
 }

@@ -14,28 +14,40 @@ from automodel.cli.options import ABOVE_ZERO, FILE, finite
 from calibration.boards import DICTIONARIES, Board
 
 BOARD = (
-    click.option("--board", "size", required=True, callback=board_size, help="Inner corners: columns x rows, as 9x6."),
-    click.option("--square-mm", type=ABOVE_ZERO, callback=finite, required=True, help="The side of a square."),
+    click.option("--board", "size", callback=board_size, help="Inner corners: columns x rows, as 9x6."),
+    click.option("--square-mm", type=ABOVE_ZERO, callback=finite, help="The side of a square."),
     click.option("--charuco", is_flag=True, help="The white squares have ArUco markers."),
     click.option("--marker-mm", type=ABOVE_ZERO, callback=finite, help="ChArUco: the side of a marker.  [3/4 square]"),
     click.option("--dictionary", type=click.Choice(DICTIONARIES), default="4x4_50", show_default=True, help="ChArUco."),
 )
 
 
-def board_options(command: Callable[..., int]) -> Callable[..., int]:
-    """The options that say what board it is, given to the command as `board`."""
+def board_options(command: Callable[..., int], *, without: str = "") -> Callable[..., int]:
+    """The options that say what board it is, given to the command as `board`.
+
+    `without`: the name of a flag of the command with which there is none, and `board` is None.
+    """
 
     @functools.wraps(command)
     def with_board(
-        size: tuple[int, int],
-        square_mm: float,
+        size: tuple[int, int] | None,
+        square_mm: float | None,
         charuco: bool,
         marker_mm: float | None,
         dictionary: str,
         **rest: Any,
     ) -> int:
+        if without and rest[without]:
+            if size is not None or square_mm is not None or charuco or marker_mm is not None:
+                raise click.UsageError(f"--{without.replace('_', '-')} needs no board; leave --board and the like away")
+            return command(board=None, **rest)
+        for name, value in (("--board", size), ("--square-mm", square_mm)):
+            if value is None:
+                raise click.UsageError(f"Missing option '{name}'.")
         if marker_mm is not None and not charuco:
             raise click.UsageError("--marker-mm is for --charuco")
+        assert size is not None
+        assert square_mm is not None
         try:
             board = Board.of_mm(size, square_mm, charuco, marker_mm, dictionary)
         except ValueError as error:

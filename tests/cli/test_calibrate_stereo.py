@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.bench.stereo_calibration import RigDrive, pairs_of, random_rig
 from automodel.config import load_car
 from automodel.doctor.camera_pair import rig_findings
 from automodel.doctor.examination import judge_records
@@ -197,3 +198,69 @@ def test_a_pair_that_does_not_go_together_is_drawn_but_not_written(there: Path, 
     last = said.err.splitlines()[-1]
     assert last.startswith("automodel: car.toml is unchanged, the right camera found is implausible: residual: ")
     assert Path("car.toml").read_text() == before
+
+
+DRIVE_REFUSED = {
+    "left right --from-lanes --board 9x6": "--from-lanes needs no board; leave --board and the like away",
+    "left right --from-lanes --fit-lens": "--fit-lens needs a board: lanes do not show a lens",
+    "left right --motion motion.csv --board 9x6 --square-mm 50": "--motion and --rate are for --from-lanes",
+    "left --board 9x6 --square-mm 50": "Missing argument 'RIGHT'.",
+    "left right": "Missing option '--board'.",
+    "left --from-lanes": "left: expected a recording of both cameras, or two videos or folders, LEFT and RIGHT",
+    "left right --from-lanes": "0: the car's motion is not known; give a recording with odometry, or a table with "
+    "--motion",
+    "left right --from-lanes --motion none.csv": "none.csv: no such file",
+    "left right --from-lanes --motion still.csv": "the drive is 0.0 m long by its odometry; expected at least 8 m",
+    "left right --from-lanes --motion still.csv --car lens.toml": "lens.toml: [camera.right.intrinsics] are missing, "
+    "and lanes do not show a lens;",
+    "left right --from-lanes --motion still.csv --car place.toml": "place.toml: [camera.right.extrinsics] are missing, "
+    "and the search starts from them; measure them with a ruler",
+}
+
+
+@pytest.mark.parametrize("arguments", DRIVE_REFUSED)
+def test_a_drive_that_cannot_be_used_is_refused_in_one_line(arguments: str, there: Path, cli) -> None:
+    write_car(Path("lens.toml"))
+    write_car(Path("place.toml"), intrinsics=RIGHT_LENS)
+    write_car(Path("car.toml"), intrinsics=RIGHT_LENS, extrinsics=mounts(0.25)[1])
+    Path("still.csv").write_text("t_s,speed_mps,yaw_rate_radps\n0,0,0\n1,0,0\n")
+    said = cli("calibrate", "stereo", *arguments.split())
+    assert (said.code, said.out) == (2, "")
+    assert DRIVE_REFUSED[arguments] in said.err
+    assert "Traceback" not in said.err
+
+
+def test_folders_of_a_drive_and_its_motion_give_the_right_camera(tmp_path: Path, monkeypatch, cli) -> None:
+    monkeypatch.chdir(tmp_path)
+    car, start, lens = random_rig(2)
+    rows = ["t_s,speed_mps,yaw_rate_radps"]
+    for side in ("left", "right"):
+        Path(side).mkdir()
+    for index, (left, right, motion) in enumerate(pairs_of(RigDrive(seed=2, seconds=2.5), car)):
+        for side, image in (("left", left), ("right", right)):
+            cv2.imwrite(f"{side}/{index}.png", image)
+        rows.append(f"{motion.t_ns * 1e-9},{motion.speed_mps},{motion.yaw_rate_radps}")
+    Path("motion.csv").write_text("\n".join(rows))
+    Path("car.toml").write_text(
+        '[camera]\nsource = "usb"\nwidth_px = 640\nheight_px = 480\n[lane]\nwidth_m = 3.6\nmarking_width_m = 0.15\n'
+    )
+    parts = {"intrinsics": car.camera.intrinsics, "extrinsics": car.camera.extrinsics}
+    for name, part in (parts | {"right.intrinsics": lens, "right.extrinsics": start}).items():
+        values = {f"camera.{name}": dataclasses.asdict(part)}  # type: ignore[call-overload]
+        update_car_file(Path("car.toml"), values, residual="0.1 px", date=TODAY, method="by a ruler")
+    said = cli(
+        "calibrate", "stereo", "left", "right", "--from-lanes", "--motion", "motion.csv", "--rate", "20", "--json"
+    )
+    assert said.code == 0, said.err
+    (row,) = said.rows
+    truth = car.camera.right.extrinsics  # type: ignore[union-attr]
+    written = load_car("car.toml")
+    for name in NAMES:
+        assert row[name] == pytest.approx(getattr(truth, name), abs=0.03 if name.endswith("_m") else 0.003)
+        assert getattr(written.camera.right.extrinsics, name) == row[name]  # type: ignore[union-attr]
+    assert written.camera.right.intrinsics == lens  # type: ignore[union-attr]
+    assert written.calibration.stereo is not None
+    assert "lanes and odometry" in Path("car.toml").read_text()
+    drawn = cv2.imread("calibration_pictures/stereo_lanes.png")
+    assert drawn is not None
+    assert drawn.shape == (480, 1280, 3)
