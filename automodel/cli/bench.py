@@ -435,6 +435,32 @@ def stereo_calibration(
     return 0
 
 
+@command.command("lane-changes")
+@click.option("--changes", type=click.IntRange(0), default=100, show_default=True, help="Lane changes, at least.")
+@click.option("--minutes", type=click.FloatRange(0.0), callback=finite, default=10.0, show_default=True,
+              help="Of weaving without a change, at least.")  # fmt: skip
+@FIRST_SEED
+@SWEEP
+@CSV
+@JSON
+def lane_changes(
+    changes: int, minutes: float, first_seed: int, sweep: Sweep, csv_file: Path | None, as_json: bool
+) -> int:
+    """Whether `stereo` takes each of many lane changes once, and none while the car weaves, on rendered images.
+
+    Exit code 1 where one was missed or false. Example:
+
+    automodel bench lane-changes --changes 20 --minutes 2
+    """
+    from automodel.bench.lane_changes import COLUMNS, SUMMARY, cases_of, measure
+
+    check_outputs({"--csv": csv_file}, {})
+    tables = measure(cases_of(changes, minutes, first_seed), sweep)
+    _write(csv_file, tables["drives"], first_seed)
+    show_tables("bench lane-changes", tables, as_json, {"drives": COLUMNS, "all": SUMMARY})
+    return int(any(row["missed"] or row["false"] for row in tables["all"]))
+
+
 @command.command("cluster")
 @click.option("--cases", type=click.IntRange(4), default=200, show_default=True, help="Drives, of a seed each.")
 @click.option("--frames", type=click.IntRange(2), default=10, show_default=True, help="Of each drive.")
