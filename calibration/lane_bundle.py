@@ -21,6 +21,7 @@ ODOMETRY, BLOOM, DRIFT, FOCAL, CENTRE = 6, 7, 8, 9, slice(10, 12)  # of the comm
 _FOOT = 2  # Newton steps to the foot on the spine; its bends are wide
 _STEPS, _SMALL = 25, 0.01  # of Gauss-Newton; the step [sigmas of the result] that ends it
 _TAIL = 2.5  # scales from which on a residual counts less (Cauchy)
+_FLAT_M = 1e-9  # on the ground to a pixel, at least
 _DELTA = 1e-6  # of the derivatives by differences [m], [rad]
 
 Ground = tuple[FloatArray, FloatArray]
@@ -105,8 +106,10 @@ class Bundle:
         Metres to a pixel are those of the same unknowns: with any other the smaller world would fit better.
         """
         here, shifted = (self._metres(at, *points) for points in ground or self.grounds(at))
-        seen_px = at.common[BLOOM] + at.common[DRIFT] * np.sign(shifted - here)  # out of the dash
-        return np.asarray(here / (shifted - here) - np.where(self.rows.end >= 0, (self.rows.eye - 0.5) * seen_px, 0.0))
+        pixel = shifted - here
+        pixel = np.where(np.abs(pixel) > _FLAT_M, pixel, _FLAT_M)  # in the sky, where a wrong camera may see a line
+        seen_px = at.common[BLOOM] + at.common[DRIFT] * np.sign(pixel)  # out of the dash
+        return np.asarray(here / pixel - np.where(self.rows.end >= 0, (self.rows.eye - 0.5) * seen_px, 0.0))
 
     def grounds(self, at: Unknowns) -> tuple[Ground, Ground]:
         """Where the rays meet the ground, and those that are shifted."""
@@ -199,7 +202,8 @@ class Bundle:
     ) -> tuple[FloatArray, FloatArray, Unknowns]:
         """The step of the common numbers (12,), its covariance, and the unknowns after it.
 
-        The covariance is that of clustered data (White's sandwich): the rows of a window err together.
+        The covariance is that of clustered data (White's sandwich): the rows of a window err together. Windows that are
+        not many more than the numbers show too little of it; there the rows' own noise is added.
         """
         sure = np.diag(1.0 / self.prior.common**2)
         normal, gradient = sure.copy(), sure @ (at.common - self.prior.start)
@@ -221,7 +225,8 @@ class Bundle:
             window.move(moved, body, spine, line, end)
         count = len(systems)
         spread = np.array(scores) - np.mean(scores, axis=0)
-        scatter = sure + count / max(count - 1, 1) * spread.T @ spread
+        noise = min(COMMON / count, 1.0) * (normal - sure)
+        scatter = sure + noise + count / max(count - 1, 1) * spread.T @ spread
         covariance = np.linalg.solve(normal, np.linalg.solve(normal, scatter).T)
         return step, covariance, Unknowns(common=at.common + step, body=body, spine=spine, line=line, end=end)
 
