@@ -41,8 +41,8 @@ class StereoFromLanes:
 
     `std` has one sigma of each of the extrinsics beside the left camera, `correlation` (6, 6) of their errors. Of those
     in `unknown` the drive shows next to nothing: their sigma is the ruler's. `ridge_px`, `end_px`: noise of a line's
-    middle and of a dash's end; `ridges` and `ends` count the right camera's. `windows` of `windows_seen` stretches were
-    used. `moved_sigmas`: how far it is from where it was, in sigmas of a ruler.
+    middle and of a dash's end, None without any; `ridges` and `ends` count the right camera's. `windows` of
+    `windows_seen` stretches were used. `moved_sigmas`: how far it is from where it was, in sigmas of a ruler.
     """
 
     extrinsics: Extrinsics
@@ -51,7 +51,7 @@ class StereoFromLanes:
     unknown: tuple[str, ...]
     baseline_m: float
     ridge_px: float
-    end_px: float
+    end_px: float | None
     ridges: int
     ends: int
     pairs: int
@@ -123,7 +123,7 @@ def _result(
         unknown=tuple(name for k, name in enumerate(NAMES) if sigma[k] > SHOWN * prior.common[k]),
         baseline_m=float(np.linalg.norm(pose[:3] - left.centre_m)),
         ridge_px=fit.sigma_px[0],
-        end_px=fit.sigma_px[1],
+        end_px=fit.sigma_px[1] if (rows.end >= 0).any() else None,
         ridges=int(((rows.eye == 1) & (rows.end < 0)).sum()),
         ends=int(((rows.eye == 1) & (rows.end >= 0)).sum()),
         pairs=scene.pairs,

@@ -180,8 +180,9 @@ def _write(found: StereoFromLanes, options: DriveOptions) -> None:
     write_values(
         options.car_file,
         {"camera.right.extrinsics": dataclasses.asdict(found.extrinsics)},
-        residual=f"{found.ridge_px:.2f} px of lines, {found.end_px:.2f} px of dashes' ends; beside the left camera +- "
-        f"{math.degrees(off_rad):.3f} deg, {1e3 * off_m:.1f} mm"
+        residual=f"{found.ridge_px:.2f} px of lines"
+        + ("" if found.end_px is None else f", {found.end_px:.2f} px of dashes' ends")
+        + f"; beside the left camera +- {math.degrees(off_rad):.3f} deg, {1e3 * off_m:.1f} mm"
         + (f"; by a ruler: {', '.join(found.unknown)}" if found.unknown else ""),
         method=f"lanes and odometry, {found.pairs} pairs of a drive; both lenses were known",
         dry_run=options.dry_run,
