@@ -29,8 +29,8 @@ ODOMETRY = 0.02  # one sigma of the length of a metre of odometry, in the whole 
 BLOOM_PX, DRIFT_PX = 0.5, 0.1  # one sigma of how much longer, and farther, one camera sees a dash than the other
 LENS_FOCAL, LENS_PX = 1e-3, 0.3  # one sigma of a calibrated lens: share of the focal length, and centre
 # One sigma of x, y, z that all stretches of a drive share, so that their scatter does not show it: in camera heights,
-# by 8 simulated drives with the car pitching by a degree. Ridges and ends are off by 0.03 to 0.1 px there.
-SHARED = (5e-3, 1e-3, 1e-3)
+# by 13 simulated drives with the car pitching by a degree. Ridges and ends are off by 0.03 to 0.1 px there.
+SHARED = (8e-3, 1e-3, 1e-3)
 _LOOSE_RAD, _USELESS_RAD = math.radians(0.4) / 3.0, math.radians(1.2) / 3.0
 _BASELINE_OFF = 0.01, 0.05
 
