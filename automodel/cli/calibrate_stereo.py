@@ -51,11 +51,9 @@ def command(
     cameras, or LEFT and RIGHT are videos or folders and --motion says how the car moved. Drive some hundred metres
     (a scale car: some laps) along lines and dashes, weave in the lane. Both lenses must be known.
 
-    Examples:
+    Example:
 
     automodel calibrate stereo left right --board 9x6 --square-mm 25
-
-    automodel calibrate stereo drive.mcap --from-lanes
     """
     if right is not None and left.resolve() == right.resolve():
         raise click.UsageError(f"LEFT and RIGHT are both {left}; give the right camera's images as well")
