@@ -241,10 +241,10 @@ class TestBirdsEye:
         camera = GroundCamera.from_config(CameraConfig())
         view = View(x_near_m=0.05, x_far_m=1.5, half_width_m=1.5, m_per_px=0.02)
         birdseye = BirdsEye(camera, view)
-        image = np.full((360, 640, 3), 200, dtype=np.uint8)
+        image = np.full((360, 640), 200, dtype=np.uint8)
         image[0] = image[-1] = image[:, 0] = image[:, -1] = 50
         warped = birdseye.warp(image)
-        assert warped.shape == (view.height_px, view.width_px, 3)
+        assert warped.shape == (view.height_px, view.width_px)
         assert set(np.unique(birdseye.mask)) == {0, 255}
         inside = cv2.erode(birdseye.mask, np.ones((3, 3), np.uint8)) == 255
         assert (warped[inside] == 200).all()
