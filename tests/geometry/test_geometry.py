@@ -237,6 +237,17 @@ class TestBirdsEye:
         assert rows.max() == pytest.approx(corners[:, 1].max() - 0.5, abs=1.5)
         assert (columns.mean(), rows.mean()) == pytest.approx(tuple(corners.mean(axis=0)), abs=0.5)
 
+    def test_an_image_of_another_size_is_refused(self) -> None:
+        birdseye = BirdsEye(GroundCamera.from_config(CameraConfig()), self.VIEW)
+        for shape in ((360, 639), (361, 640), (360, 640, 3)):
+            with pytest.raises(ValueError, match="expected an image"):
+                birdseye.warp(np.zeros(shape, np.uint8))
+
+    def test_an_image_of_one_row_is_refused(self) -> None:
+        camera = GroundCamera(CameraModel(Intrinsics(), 640, 1), Extrinsics())
+        with pytest.raises(ValueError, match="two rows"):
+            BirdsEye(camera, self.VIEW)
+
     def test_outside_the_picture_it_is_masked_and_repeats_the_edge(self) -> None:
         camera = GroundCamera.from_config(CameraConfig())
         view = View(x_near_m=0.05, x_far_m=1.5, half_width_m=1.5, m_per_px=0.02)
