@@ -190,7 +190,7 @@ def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px:
         low, high = max(place - half_px, 0), min(place + half_px + 1, windows.width_px)
         if high - low < half_px:
             continue
-        area, m10, m01, m20, m11, m02 = _moments(lines, far, near, low, high)
+        area, m10, m01, m20, m11, m02 = moments(lines, far, near, low, high)
         if area < windows.fill * windows.marking_px * (near - far):
             continue
         along = m02 - m01 * m01 / area
@@ -210,7 +210,7 @@ def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px:
 
 
 @compiled
-def _moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[float, float, float, float, float, float]:
+def moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[float, float, float, float, float, float]:
     """Number of nonzero pixels in a window, and their sums of column, row, column^2, column row and row^2 in it."""
     m00 = m10 = m01 = m20 = m11 = m02 = 0
     for i in range(near - far):
