@@ -68,20 +68,19 @@ class View:
 class BirdsEye:
     """Warps images of one calibrated camera into a `View`.
 
-    `mask` (h, w) is 255 where the view's ground lies inside the image, else 0. Raises ValueError for images of a single
-    row or column.
+    `mask` (h, w) is 255 where the view's ground lies inside the image, else 0.
     """
 
     def __init__(self, camera: GroundCamera, view: View) -> None:
         self.view, self._shape = view, (camera.camera.height_px, camera.camera.width_px)
-        if min(self._shape) < 2:
-            raise ValueError(f"BirdsEye: expected an image of two rows and columns or more, got {self._shape}")
         rows, columns = np.mgrid[0 : view.height_px, 0 : view.width_px]
         pixels = camera.ground_to_px(view.to_body(np.stack((columns, rows), axis=-1)))
         inside = camera.camera.inside(pixels)
         self.mask: Image = np.where(inside, 255, 0).astype(np.uint8)
         size = np.array(self._shape[::-1])
         source = np.clip(np.where(np.isnan(pixels), 0.0, pixels), 0.0, size - 1.0).astype(np.float32)
+        self._repeated = np.maximum(2 - np.array(self._shape), 0)  # a single row or column has itself as neighbour
+        size = size + self._repeated[::-1]
         fixed = np.rint(source * 2**_BITS).astype(np.int32)
         corner = np.minimum(fixed >> _BITS, size - 2)  # the upper left one of the four pixels about a place
         self._stride = np.uint32(size[0])
@@ -96,6 +95,8 @@ class BirdsEye:
         """
         if image.shape != self._shape:
             raise ValueError(f"BirdsEye: expected an image {self._shape}, got {image.shape}")
+        if self._repeated.any():
+            image = np.pad(image, [(0, more) for more in self._repeated], mode="edge")
         pixels = image.reshape(-1)
         pixels.flags.writeable = False  # of the one kind that is compiled
         return _warped(pixels, self._stride, self._corner, self._right, self._down)

@@ -243,10 +243,13 @@ class TestBirdsEye:
             with pytest.raises(ValueError, match="expected an image"):
                 birdseye.warp(np.zeros(shape, np.uint8))
 
-    def test_an_image_of_one_row_is_refused(self) -> None:
-        camera = GroundCamera(CameraModel(Intrinsics(), 640, 1), Extrinsics())
-        with pytest.raises(ValueError, match="two rows"):
-            BirdsEye(camera, self.VIEW)
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 640), (360, 1)])
+    def test_an_image_of_a_single_row_or_column_is_stretched_over_the_view(self, shape: tuple[int, int]) -> None:
+        height, width = shape
+        camera = GroundCamera(CameraModel(Intrinsics(), width, height), Extrinsics())
+        image = np.broadcast_to(np.arange(1, width + 1) % 251 if height == 1 else [[7]], shape).astype(np.uint8)
+        warped = BirdsEye(camera, self.VIEW).warp(image)
+        assert set(np.unique(warped)) <= set(np.unique(image))
 
     def test_outside_the_picture_it_is_masked_and_repeats_the_edge(self) -> None:
         camera = GroundCamera.from_config(CameraConfig())
