@@ -1,15 +1,17 @@
-"""The bird's-eye view: the ground seen from above, by one remap with fixed-point maps."""
+"""The bird's-eye view: the ground seen from above, by bilinear interpolation with fixed-point weights."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from automodel.compiled import compiled
 from automodel.geometry.ground import GroundCamera
 from automodel.types import FloatArray, Image
+
+_BITS = 5  # of a place between two pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,18 +72,51 @@ class BirdsEye:
     """
 
     def __init__(self, camera: GroundCamera, view: View) -> None:
-        self.view = view
+        self.view, self._shape = view, (camera.camera.height_px, camera.camera.width_px)
         rows, columns = np.mgrid[0 : view.height_px, 0 : view.width_px]
         pixels = camera.ground_to_px(view.to_body(np.stack((columns, rows), axis=-1)))
         inside = camera.camera.inside(pixels)
         self.mask: Image = np.where(inside, 255, 0).astype(np.uint8)
-        limits = (camera.camera.width_px - 1.0, camera.camera.height_px - 1.0)
-        source = np.clip(np.where(np.isnan(pixels), 0.0, pixels), 0.0, limits).astype(np.float32)
-        self._map_xy, self._map_fraction = cv2.convertMaps(source[..., 0], source[..., 1], cv2.CV_16SC2)
+        size = np.array(self._shape[::-1])
+        source = np.clip(np.where(np.isnan(pixels), 0.0, pixels), 0.0, size - 1.0).astype(np.float32)
+        self._repeated = np.maximum(2 - np.array(self._shape), 0)  # a single row or column has itself as neighbour
+        size = size + self._repeated[::-1]
+        fixed = np.rint(source * 2**_BITS).astype(np.int32)
+        corner = np.minimum(fixed >> _BITS, size - 2)  # the upper left one of the four pixels about a place
+        self._stride = np.uint32(size[0])
+        self._corner = (corner[..., 1] * size[0] + corner[..., 0]).astype(np.uint32)
+        self._right, self._down = np.moveaxis((fixed - (corner << _BITS)).astype(np.uint8), -1, 0).copy()
+        self.warp(np.zeros(self._shape, np.uint8))  # compiled now: no frame waits for it
 
     def warp(self, image: Image) -> Image:
-        """The view (h, w[, 3]) of an image; ground outside the image repeats the image's edge."""
-        return np.asarray(
-            cv2.remap(image, self._map_xy, self._map_fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-            dtype=np.uint8,
-        )
+        """The view (h, w) of a grey image; ground outside the image repeats the image's edge.
+
+        Raises ValueError for an image that is not of the camera's size.
+        """
+        if image.shape != self._shape:
+            raise ValueError(f"BirdsEye: expected an image {self._shape}, got {image.shape}")
+        if self._repeated.any():
+            image = np.pad(image, [(0, more) for more in self._repeated], mode="edge")
+        pixels = image.reshape(-1)
+        pixels.flags.writeable = False  # of the one kind that is compiled
+        return _warped(pixels, self._stride, self._corner, self._right, self._down)
+
+
+@compiled
+def _warped(pixels: Image, stride: np.uint32, corner: NDArray[np.uint32], right: Image, down: Image) -> Image:
+    """Between the pixels of an image, flat, at `corner` (h, w), right of it, and in the row of `stride` pixels below.
+
+    `right`, `down` (h, w): the shares of the right and of the lower pixels, in 1 / 2^`_BITS`.
+    """
+    view = np.empty(corner.shape, np.uint8)
+    for i in range(corner.shape[0]):
+        for j in range(corner.shape[1]):
+            at = corner[i, j]
+            below = at + stride
+            first, second = np.int32(pixels[at]), np.int32(pixels[at + np.uint32(1)])
+            upper = (first << _BITS) + (second - first) * np.int32(right[i, j])
+            first, second = np.int32(pixels[below]), np.int32(pixels[below + np.uint32(1)])
+            lower = (first << _BITS) + (second - first) * np.int32(right[i, j])
+            rounded = (upper << _BITS) + (lower - upper) * np.int32(down[i, j]) + (1 << (2 * _BITS - 1))
+            view[i, j] = rounded >> (2 * _BITS)
+    return view

@@ -237,14 +237,28 @@ class TestBirdsEye:
         assert rows.max() == pytest.approx(corners[:, 1].max() - 0.5, abs=1.5)
         assert (columns.mean(), rows.mean()) == pytest.approx(tuple(corners.mean(axis=0)), abs=0.5)
 
+    def test_an_image_of_another_size_is_refused(self) -> None:
+        birdseye = BirdsEye(GroundCamera.from_config(CameraConfig()), self.VIEW)
+        for shape in ((360, 639), (361, 640), (360, 640, 3)):
+            with pytest.raises(ValueError, match="expected an image"):
+                birdseye.warp(np.zeros(shape, np.uint8))
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 640), (360, 1)])
+    def test_an_image_of_a_single_row_or_column_is_stretched_over_the_view(self, shape: tuple[int, int]) -> None:
+        height, width = shape
+        camera = GroundCamera(CameraModel(Intrinsics(), width, height), Extrinsics())
+        image = np.broadcast_to(np.arange(1, width + 1) % 251 if height == 1 else [[7]], shape).astype(np.uint8)
+        warped = BirdsEye(camera, self.VIEW).warp(image)
+        assert set(np.unique(warped)) <= set(np.unique(image))
+
     def test_outside_the_picture_it_is_masked_and_repeats_the_edge(self) -> None:
         camera = GroundCamera.from_config(CameraConfig())
         view = View(x_near_m=0.05, x_far_m=1.5, half_width_m=1.5, m_per_px=0.02)
         birdseye = BirdsEye(camera, view)
-        image = np.full((360, 640, 3), 200, dtype=np.uint8)
+        image = np.full((360, 640), 200, dtype=np.uint8)
         image[0] = image[-1] = image[:, 0] = image[:, -1] = 50
         warped = birdseye.warp(image)
-        assert warped.shape == (view.height_px, view.width_px, 3)
+        assert warped.shape == (view.height_px, view.width_px)
         assert set(np.unique(birdseye.mask)) == {0, 255}
         inside = cv2.erode(birdseye.mask, np.ones((3, 3), np.uint8)) == 255
         assert (warped[inside] == 200).all()

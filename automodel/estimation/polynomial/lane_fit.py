@@ -42,8 +42,7 @@ class LaneFitConfig:
     outlier_lanes: float = 0.06  # distance at which Tukey's biweight becomes 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LineSamples:
+class LineSamples(NamedTuple):
     """Points (n, 2) [m] in the body frame, their side (n,) +1 left or -1 right, their standard deviation (n,) [m]."""
 
     points_m: FloatArray
@@ -105,14 +104,6 @@ class Grid(NamedTuple):
     turn_middle: FloatArray
     zero: int
     reference_x_m: float
-
-
-class Measured(NamedTuple):
-    """`LineSamples` as the compiled loops take them."""
-
-    points_m: FloatArray
-    side: FloatArray
-    sigma_m: FloatArray
 
 
 class Limits(NamedTuple):
@@ -200,7 +191,7 @@ class LaneFit:
         config = self.config
         parameters, information, inliers = _robust_fit(
             prior.mean if guess is None else guess,
-            Measured(samples.points_m, samples.side, samples.sigma_m),
+            samples,
             fixed,
             pull,
             self._grid,
@@ -211,7 +202,7 @@ class LaneFit:
 
     def residuals(self, parameters: FloatArray, samples: LineSamples) -> tuple[FloatArray, FloatArray]:
         """Signed distance minus sigma w / 2 (n,) [m], to second order in the grid's step, and its Jacobian (n, m)."""
-        return _residuals(parameters, Measured(samples.points_m, samples.side, samples.sigma_m), self._grid)
+        return _residuals(parameters, samples, self._grid)
 
     def covariance(self, solution: LaneSolution) -> FloatArray:
         """Covariance (3, 3) of (offset, heading, width) [m, rad, m]."""
@@ -382,15 +373,15 @@ def _bend_slopes(p: FloatArray, grid: Grid) -> FloatArray:
 
 
 @compiled
-def _residuals(p: FloatArray, measured: Measured, grid: Grid) -> tuple[FloatArray, FloatArray]:
+def _residuals(p: FloatArray, samples: LineSamples, grid: Grid) -> tuple[FloatArray, FloatArray]:
     """As `LaneFit.residuals`."""
     points, theta, kappa = _centerline(p, grid)
     slopes = _bend_slopes(p, grid)
-    count, nodes, size = len(measured.points_m), grid.turn.shape[1], len(p)
+    count, nodes, size = len(samples.points_m), grid.turn.shape[1], len(p)
     residual, jacobian = np.empty(count), np.empty((count, size))
     sin0, cos0 = math.sin(p[1]), math.cos(p[1])
     for k in range(count):
-        x, y, side = measured.points_m[k, 0], measured.points_m[k, 1], measured.side[k]
+        x, y, side = samples.points_m[k, 0], samples.points_m[k, 1], samples.side[k]
         i, least = 0, math.inf
         for at in range(len(points)):
             square = (x - points[at, 0]) ** 2 + (y - points[at, 1]) ** 2
@@ -416,7 +407,7 @@ def _residuals(p: FloatArray, measured: Measured, grid: Grid) -> tuple[FloatArra
 
 @compiled
 def _first_limits(
-    jacobian: FloatArray, measured: Measured, fixed: FloatArray, grid: Grid, limits: Limits
+    jacobian: FloatArray, samples: LineSamples, fixed: FloatArray, grid: Grid, limits: Limits
 ) -> FloatArray:
     """Limits (n,) [m] of the residuals in the first iteration.
 
@@ -426,10 +417,10 @@ def _first_limits(
     spread = solve(fixed.copy(), jacobian.T.copy())
     wide = np.empty(len(jacobian))
     for k in range(len(jacobian)):
-        variance = measured.sigma_m[k] ** 2
+        variance = samples.sigma_m[k] ** 2
         for j in range(jacobian.shape[1]):
             variance += jacobian[k, j] * spread[j, k]
-        beyond = (measured.points_m[k, 0] - grid.reference_x_m) / limits.unit_m - limits.sure_lanes
+        beyond = (samples.points_m[k, 0] - grid.reference_x_m) / limits.unit_m - limits.sure_lanes
         far = min(max(beyond, 0.0), 1.0)
         wide[k] = max(limits.cut_m, 3.0 * math.sqrt(variance), limits.far_cuts * limits.cut_m * far)
     return wide
@@ -438,7 +429,7 @@ def _first_limits(
 @compiled
 def _robust_fit(
     start: FloatArray,
-    measured: Measured,
+    samples: LineSamples,
     fixed: FloatArray,
     pull: FloatArray,
     grid: Grid,
@@ -449,20 +440,20 @@ def _robust_fit(
 
     The prior's information matrix is `fixed` (m, m), and `fixed` times its mean is `pull` (m,).
     """
-    p, size, count = start.copy(), len(start), len(measured.points_m)
+    p, size, count = start.copy(), len(start), len(samples.points_m)
     keep, wide = np.zeros(count), np.zeros(count)
     information, gradient = np.empty((size, size)), np.empty((size, 1))
     for turn in range(rounds):
-        residual, jacobian = _residuals(p, measured, grid)
+        residual, jacobian = _residuals(p, samples, grid)
         if turn == 0:
-            wide = _first_limits(jacobian, measured, fixed, grid, limits)
+            wide = _first_limits(jacobian, samples, fixed, grid, limits)
         for i in range(size):
             gradient[i, 0] = -pull[i]
             for j in range(size):
                 information[i, j] = fixed[i, j]
                 gradient[i, 0] += fixed[i, j] * p[j]
         for k in range(count):
-            sigma = measured.sigma_m[k]
+            sigma = samples.sigma_m[k]
             limit = max(wide[k] * 0.5**turn, limits.cut_m, 3.0 * sigma)
             keep[k] = max(1.0 - (residual[k] / limit) ** 2, 0.0) ** 2
             if keep[k] == 0.0:

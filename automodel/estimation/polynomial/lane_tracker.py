@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
@@ -21,7 +20,9 @@ from automodel.estimation.polynomial.lane_fit import (
 from automodel.estimation.road import TAPER, TAPER_LANES, WALK
 from automodel.geometry import SE2
 from automodel.signals import Observation
-from automodel.types import FloatArray
+from automodel.types import Bools, FloatArray
+
+NO_MEMORY: FloatArray = np.empty((0, 4))  # x, y, side, sigma
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +71,7 @@ class LaneTracker:
         )
         self._loose_sigma = np.concatenate(([0.05 * u, 0.05], np.full(nodes, 0.25 / u), [0.004 * u, 0.1 * TAPER]))
         self._nothing = self.fit.start(0.0, 0.0, 0.0, u)
-        _carried(np.zeros((1, 4)), (0.0, 0.0, 0.0), 0.0, 0.0)  # compiled now: no frame waits for it
+        self._warm_up()
         self.parameters: FloatArray | None = None
         self.shape: LaneShape = self.fit.shape(self._nothing)
         self.forget()
@@ -78,7 +79,7 @@ class LaneTracker:
     def forget(self) -> None:
         """Drop the lane and all remembered points."""
         self._take(None)
-        self._memory = np.empty((0, 4))  # x, y, side, sigma
+        self._memory = NO_MEMORY
         self._since_kept = np.inf
         self._motion_known = False
         self._step_m = 0.0
@@ -112,14 +113,13 @@ class LaneTracker:
 
     def restart(self, seen: Observation, arc: FloatArray, sigma: FloatArray) -> tuple[LaneSolution, Support]:
         """Start near an arc (m,) that is known up to `sigma` (4,): of offset, heading, curvature, width."""
-        samples = _samples(seen)
+        samples = _samples(seen, NO_MEMORY)
         offset, heading, curvature, width = sigma.tolist()
         spread = np.concatenate(([offset, heading], np.full(len(self.fit.nodes_m), curvature), [width, TAPER]))
         solution = self.fit.solve(samples, LanePrior(mean=arc, sigma=np.maximum(spread, 0.1 * self._sigma)), rounds=6)
         self._take(solution.parameters)
         self._keep(samples, solution.inliers)
-        good = solution.inliers
-        return solution, Support(left=int(good[samples.side > 0].sum()), right=int(good[samples.side < 0].sum()))
+        return solution, _support(seen, solution.inliers)
 
     def add_crossing(self, distance_m: float, theta_rad: float) -> None:
         """Take a crossing into account: its distance ahead [m], the direction perpendicular to it [rad], body frame."""
@@ -145,55 +145,58 @@ class LaneTracker:
         """Update the lane by one frame's points; raises ValueError without a lane."""
         if self.parameters is None:
             raise ValueError("update: nothing is tracked; call start first")
-        fresh = _samples(seen)
-        crossing = self._in_crossing(fresh)
-        sigma_m = np.where(crossing, 4.0 * fresh.sigma_m + 0.03 * self.unit, fresh.sigma_m)
-        samples = LineSamples(
-            points_m=np.concatenate((fresh.points_m, self._memory[:, :2])),
-            side=np.concatenate((fresh.side, self._memory[:, 2])),
-            sigma_m=np.concatenate((sigma_m, self._memory[:, 3])),
-        )
+        samples, fresh = _samples(seen, self._memory), slice(len(seen.left_m) + len(seen.right_m))
+        crossing, sigma_m = self._in_crossing(samples.points_m[fresh]), samples.sigma_m[fresh]
+        sigma_m[crossing] = 4.0 * sigma_m[crossing] + 0.03 * self.unit
         bearing, self._crossing = self._crossing, None
         solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
         self._take(solution.parameters)
-        good = solution.inliers[: len(fresh.side)]
-        self._keep(fresh, good & ~crossing)
-        support = Support(left=int(good[fresh.side > 0].sum()), right=int(good[fresh.side < 0].sum()))
+        self._keep(samples, solution.inliers[fresh] & ~crossing)
+        support = _support(seen, solution.inliers)
         if max(support.left, support.right) >= 2:
             self.blind_m = 0.0
         return solution, support
 
-    def _in_crossing(self, samples: LineSamples) -> NDArray[np.bool_]:
-        """Which samples lie inside a crossing, where the road has no lines and what looks like one weighs little."""
+    def _in_crossing(self, points_m: FloatArray) -> Bools:
+        """Which points lie inside a crossing, where the road has no lines and what looks like one weighs little."""
         if self._crossing_s_m < self.fit.grid_m[0] - 2.0 * self.CROSSING_LANES * self.unit:  # long passed, or none yet
-            return np.zeros(len(samples.side), np.bool_)
-        s = self.shape.nearest_s(samples.points_m) - self._crossing_s_m
+            return np.zeros(len(points_m), np.bool_)
+        s = self.shape.nearest_s(points_m) - self._crossing_s_m
         return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
-        mean, sigma = parameters.copy(), self._loose_sigma.copy()
+        mean, sigma = parameters.copy(), self._loose_sigma
         if self._motion_known:  # a random walk over the distance
             sigma = self._sigma * min(max(math.sqrt(self._step_m / self.unit), 0.1), 1.0)
-        nodes, start = self.fit.nodes_m, self._crossing_s_m
-        straight = (nodes > start - 0.15 * self.unit) & (nodes < start + self.CROSSING_LANES * self.unit)
         mean[-1] *= math.exp(-self._step_m / (TAPER_LANES * self.unit))
-        mean[2:-2][straight] = 0.0
-        sigma[2:-2][straight] = 0.15 / self.unit
+        nodes, start, length_m = self.fit.nodes_m, self._crossing_s_m, self.CROSSING_LANES * self.unit
+        if start + length_m > nodes[0]:
+            straight = (nodes > start - 0.15 * self.unit) & (nodes < start + length_m)
+            mean[2:-2][straight] = 0.0
+            sigma = sigma.copy()
+            sigma[2:-2][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
 
     def _take(self, parameters: FloatArray | None) -> None:
         self.parameters = parameters
         self.shape = self.fit.shape(self._nothing if parameters is None else parameters)
 
-    def _keep(self, samples: LineSamples, good: NDArray[np.bool_]) -> None:
+    def _warm_up(self) -> None:
+        """Compile everything that a frame calls, so that none waits for it."""
+        memory = _carried(np.zeros((1, 4)), (0.0, 0.0, 0.0), 0.0, 0.0)
+        nothing = _gathered(
+            memory[:, :2].copy(), memory[:, :2].copy(), memory[:, 0].copy(), memory[:, 0].copy(), memory
+        )
+        _with_near(memory, nothing, np.ones(1, np.bool_), 0.0)
+
+    def _keep(self, samples: LineSamples, good: Bools) -> None:
+        """Remember the good ones of the first samples, if they are near and the car has driven on enough."""
         if self._since_kept < self.KEEP_EVERY_LANES * self.unit:
             return
-        near = good & (samples.points_m[:, 0] < self.near_x_m + self.KEEP_DEPTH_LANES * self.unit)
-        if not near.any():
-            return
-        new = np.column_stack((samples.points_m[near], samples.side[near], samples.sigma_m[near]))
-        self._memory = np.concatenate((self._memory, new))
-        self._since_kept = 0.0
+        before = len(self._memory)
+        self._memory = _with_near(self._memory, samples, good, self.near_x_m + self.KEEP_DEPTH_LANES * self.unit)
+        if len(self._memory) > before:
+            self._since_kept = 0.0
 
 
 @compiled
@@ -211,9 +214,41 @@ def _carried(memory: FloatArray, motion: tuple[float, float, float], walk: float
     return after[:count]
 
 
-def _samples(seen: Observation) -> LineSamples:
-    return LineSamples(
-        points_m=np.concatenate((seen.left_m, seen.right_m)),
-        side=np.concatenate((np.ones(len(seen.left_m)), -np.ones(len(seen.right_m)))),
-        sigma_m=np.concatenate((seen.left_sigma_m, seen.right_sigma_m)),
+def _samples(seen: Observation, memory: FloatArray) -> LineSamples:
+    return _gathered(seen.left_m, seen.right_m, seen.left_sigma_m, seen.right_sigma_m, memory)
+
+
+@compiled
+def _gathered(
+    left_m: FloatArray, right_m: FloatArray, left_sigma_m: FloatArray, right_sigma_m: FloatArray, memory: FloatArray
+) -> LineSamples:
+    """A frame's points, those of the left line first, and after them remembered ones (n, 4)."""
+    left, both = len(left_m), len(left_m) + len(right_m)
+    points_m, side, sigma_m = (
+        np.empty((both + len(memory), 2)),
+        np.empty(both + len(memory)),
+        np.empty(both + len(memory)),
+    )
+    points_m[:left], side[:left], sigma_m[:left] = left_m, 1.0, left_sigma_m
+    points_m[left:both], side[left:both], sigma_m[left:both] = right_m, -1.0, right_sigma_m
+    points_m[both:], side[both:], sigma_m[both:] = memory[:, :2], memory[:, 2], memory[:, 3]
+    return LineSamples(points_m, side, sigma_m)
+
+
+@compiled
+def _with_near(memory: FloatArray, samples: LineSamples, good: Bools, far_m: float) -> FloatArray:
+    """Remembered points (n, 4), and after them those of the first samples that are `good` and nearer than `far_m`."""
+    count, kept = len(memory), np.empty((len(memory) + len(good), 4))
+    kept[:count] = memory
+    for k in range(len(good)):
+        if good[k] and samples.points_m[k, 0] < far_m:
+            kept[count, :2], kept[count, 2], kept[count, 3] = samples.points_m[k], samples.side[k], samples.sigma_m[k]
+            count += 1
+    return kept[:count]
+
+
+def _support(seen: Observation, inliers: Bools) -> Support:
+    left, right = len(seen.left_m), len(seen.right_m)
+    return Support(
+        left=int(np.count_nonzero(inliers[:left])), right=int(np.count_nonzero(inliers[left : left + right]))
     )

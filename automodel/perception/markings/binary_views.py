@@ -17,9 +17,8 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.markings.ridge import ridge_image
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
-from automodel.types import Bools, Image, IntArray
+from automodel.types import Bools, Image, Ints
 
 ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
@@ -130,6 +129,20 @@ class MarkingViews(NamedTuple):
     contrast: Image
 
 
+class Run(NamedTuple):
+    """Which runs of pixels along a row may be of a line: of `light` or `dark` markings, or of both.
+
+    `reach` [px]: to what is beside a marking. A run of `narrow` pixels and more is wide enough, one of `wide` and more
+    too wide; both are odd.
+    """
+
+    reach: int
+    narrow: int
+    wide: int
+    light: bool
+    dark: bool
+
+
 class WhiteAreas:
     """The white-areas filter of Balbuena Palma et al. 2020, section IV-B: keeps what is about as wide as a marking.
 
@@ -151,19 +164,23 @@ class WhiteAreas:
         self.contrast, self._markings = contrast, markings
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
-        self._reach = round(1.6 * marking_px)
         self._smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1, 3
-        # Odd kernels: opening with an even one shifts the result by a pixel.
-        self._narrow = np.ones((1, 2 * int(0.5 * self.NARROW * marking_px) + 1), np.uint8)
-        self._wide = np.ones((1, 2 * int(0.5 * self.WIDE * marking_px) + 1), np.uint8)
+        self._run = Run(
+            reach=round(1.6 * marking_px),
+            narrow=2 * int(0.5 * self.NARROW * marking_px) + 1,
+            wide=2 * int(0.5 * self.WIDE * marking_px) + 1,
+            light=markings != "dark",
+            dark=markings != "light",
+        )
         edge = np.ones((3, 2 * int(0.5 * marking_px) + 3), np.uint8)
         padded = cv2.copyMakeBorder(birdseye.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
-        self.mask: Image = np.asarray(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
-        self._thinned = np.ascontiguousarray(self.mask[::3])
-        self._visible_px = max(int(np.count_nonzero(self._thinned)), 1)
-        _histogram(np.zeros(self.mask.shape, np.uint8), self._thinned)  # is compiled
-        normal, rate = NormalDist(), min(FALSE_ALARMS / (3.0 * self._visible_px), 0.25)
+        self.mask: Image = np.array(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
+        thinned = np.zeros_like(self.mask)
+        thinned[::3] = self.mask[::3]
+        self._sampled = np.flatnonzero(thinned)
+        normal, rate = NormalDist(), min(FALSE_ALARMS / (3.0 * max(len(self._sampled), 1)), 0.25)
         self._quartiles = normal.inv_cdf(1.0 - rate) / normal.inv_cdf(0.75)
+        self.step(self.mask)  # what it calls is compiled now: no frame waits for it
 
     def step(self, view: Image) -> MarkingViews:
         """The filtered views of a grey view (h, w)."""
@@ -171,26 +188,17 @@ class WhiteAreas:
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
         contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
         level = self._level(contrast)
-        bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
-        ridge = cv2.threshold(self._ridges(view), self.SIDES * level, 255, cv2.THRESH_BINARY)[1]
-        no_specks = cv2.morphologyEx(cv2.bitwise_and(bright, ridge), cv2.MORPH_OPEN, self._narrow)
-        too_wide = cv2.morphologyEx(no_specks, cv2.MORPH_OPEN, self._wide)
-        # Masked only here: an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
-        lines = cv2.bitwise_and(cv2.subtract(no_specks, too_wide), self.mask)
-        bright = cv2.bitwise_and(bright, self.mask)
-        return MarkingViews(np.asarray(bright, dtype=np.uint8), np.asarray(lines, dtype=np.uint8), contrast)
+        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self._run, self.mask)
+        bright = cv2.bitwise_and(cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1], self.mask)
+        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, contrast)
 
     def _level(self, contrast: Image) -> float:
         """The contrast [grey levels] from which on a pixel is bright."""
-        counts = _histogram(contrast, self._thinned)  # of a third of the rows
-        shares = np.cumsum(counts) / self._visible_px
-        brightest = float(np.searchsorted(shares, 0.99))
-        if self.contrast > 0.0:
-            return max(self.SHARE * brightest, self.contrast)
         # The third quartile of symmetric noise is the median of its absolute values; the rest of `contrast` is cut off
-        # at 0 where one polarity counts. A grey level stands for all values half a level around it.
-        noise = float(np.interp(0.5 if self._markings == "both" else 0.75, shares, np.arange(256.0) + 0.5))
-        return max(self.SHARE * brightest, self._quartiles * noise)
+        # at 0 where one polarity counts.
+        quartile = 0.5 if self._markings == "both" else 0.75
+        brightest, noise = _brightest_and_noise(contrast.ravel(), self._sampled, quartile)
+        return max(self.SHARE * brightest, self.contrast or self._quartiles * noise)
 
     def _contrast(self, view: Image, around: Image) -> Image:
         """How far each pixel is above its surroundings, or below them for dark markings; else 0."""
@@ -199,28 +207,46 @@ class WhiteAreas:
         light = self._markings == "light"
         return np.asarray(cv2.subtract(view, around) if light else cv2.subtract(around, view), dtype=np.uint8)
 
-    def _ridges(self, view: Image) -> Image:
-        """By how much each pixel exceeds the brighter of its neighbours to the left and right, else 0.
 
-        The rim of a bright patch exceeds one side only. Dark markings are ridges of the negative.
-        """
-        if self._markings == "light":
-            return ridge_image(view, 1, 1, self._reach)
-        ridges = ridge_image(np.asarray(cv2.bitwise_not(view), dtype=np.uint8), 1, 1, self._reach)
-        if self._markings == "both":
-            ridges = np.asarray(cv2.max(ridges, ridge_image(view, 1, 1, self._reach)), dtype=np.uint8)
-        return ridges
+@compiled
+def _brightest_and_noise(values: Image, sampled: Ints, quartile: float) -> tuple[float, float]:
+    """Of the values of an image (n,) at `sampled` (k,): from which on they are the brightest 1 %, and a quantile."""
+    counts = np.zeros((4, 256), np.int64)  # four, because one that is counted up again and again is waited for
+    for k in range(len(sampled)):
+        counts[k % 4, values[sampled[k]]] += 1
+    shares = np.cumsum(counts.sum(axis=0)) / max(len(sampled), 1)
+    # A grey level stands for all values half a level around it.
+    return float(np.searchsorted(shares, 0.99)), np.interp(quartile, shares, np.arange(256.0) + 0.5)
 
 
 @compiled
-def _histogram(values: Image, counted: Image) -> IntArray:
-    """How often (256,) each value occurs in every third row of an image (h, w), where `counted` (h / 3, w) is not 0."""
-    counts = np.zeros(256, np.int64)
-    for i in range(len(counted)):
-        for j in range(counted.shape[1]):
-            if counted[i, j] != 0:
-                counts[values[3 * i, j]] += 1
-    return counts
+def _is_ridge(view: Image, row: int, column: int, sides: float, run: Run) -> bool:
+    """Whether a pixel of a view (h, w) exceeds both its neighbours on its row by more than `sides`, or is as far below.
+
+    The rim of a bright patch exceeds one side only; the first and the last pixel of a row, none.
+    """
+    value, left = float(view[row, column]), float(view[row, max(column - run.reach, 0)])  # int() would be unsigned
+    right = float(view[row, min(column + run.reach, view.shape[1] - 1)])
+    return (run.light and value - max(left, right) > sides) or (run.dark and min(left, right) - value > sides)
+
+
+@compiled
+def narrow_lines(view: Image, bright: Ints, sides: float, run: Run, visible: Image) -> Image:
+    """Runs of pixels along the rows of a view (h, w) that are as long as a line is wide: 0 or 255, where `visible`.
+
+    The pixels are those of `bright` (n,), indices of the flat view, that are ridges by `sides`. Masked only at the end:
+    an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
+    """
+    width, lines, k = view.shape[1], np.zeros_like(view), 0
+    while k < len(bright):
+        first = end = bright[k]
+        row, start = first // width, first - first % width  # and where the row starts
+        while k < len(bright) and bright[k] == end and _is_ridge(view, row, end - start, sides, run):
+            k, end = k + 1, end + 1
+        if run.narrow <= end - first < run.wide:
+            lines[row, first - start : end - start] = visible[row, first - start : end - start]
+        k += end == first
+    return lines
 
 
 @dataclass(slots=True)

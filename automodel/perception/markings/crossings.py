@@ -10,7 +10,6 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
-from automodel.curves.regression import fit_polynomial
 from automodel.geometry import View
 from automodel.signals import Crossing
 from automodel.types import Bools, FloatArray, Image, IntArray
@@ -44,13 +43,24 @@ class Raster(NamedTuple):
 
 
 class _Limits(NamedTuple):
-    """From which share of the places on a row, of which at least `seen` are in view, in `need` consecutive rows there
-    is a crossing (`cover`), and from which share on lines along the lane are not used (`busy`)."""
+    """What a crossing is like on a grid of `columns` across the lane.
 
+    There is one from a share `cover` of the places on a row on, of which at least `seen` are in view, in `need`
+    consecutive rows; from a share `busy` on lines along the lane are not used. Its near edge lies up to `reach` rows
+    from the first one. `agree`: share of the columns whose edge lies on one line, up to `off_m` from it and over at
+    least `least_m`, turned by at most `skew_rad`.
+    """
+
+    columns: int
     need: int
     seen: float
     cover: float
     busy: float
+    reach: int
+    agree: float
+    least_m: float
+    off_m: float
+    skew_rad: float
 
 
 class CrossingSearch:
@@ -75,10 +85,21 @@ class CrossingSearch:
         self.lane_m, self.marking_m = lane_width_m, marking_width_m
         self._raster = Raster(view.x_far_m, view.half_width_m, view.m_per_row, view.m_per_px)
         self._step = marking_width_m * self.STEP_MARKINGS
-        self._need = max(round(0.6 / self.STEP_MARKINGS), 1)  # consecutive grid rows that are covered
-        self._limits = _Limits(self._need, self.SEEN * self.COLUMNS, self.COVER, self.BUSY)
+        need = max(round(0.6 / self.STEP_MARKINGS), 1)  # consecutive grid rows that are covered
+        self._limits = _Limits(
+            columns=self.COLUMNS,
+            need=need,
+            seen=self.SEEN * self.COLUMNS,
+            cover=self.COVER,
+            busy=self.BUSY,
+            reach=int(math.tan(self.MAX_SKEW_RAD) * lane_width_m / self._step) + 2 * need,
+            agree=self.AGREE,
+            least_m=0.4 * lane_width_m,
+            off_m=0.75 * marking_width_m,
+            skew_rad=self.MAX_SKEW_RAD,
+        )
         two = np.arange(2.0)  # compiled now: no frame waits for it
-        _scanned(np.zeros((1, 1), np.uint8), two, (two, np.zeros((2, 2)), two), two, self._raster, self._limits)
+        _scanned(np.zeros((1, 1), np.uint8), two, (two, np.zeros((2, 2)), two), 1.0, self._raster, self._limits)
 
     def step(self, bright: Image, lane: LaneShape, far_m: float) -> CrossingScan:
         """Scan the lane up to arc length `far_m` in the binary view `bright` (h, w)."""
@@ -86,45 +107,12 @@ class CrossingSearch:
         inner = 0.5 * lane.width_m - 1.5 * self.marking_m
         if inner <= 2 * self.marking_m:
             return CrossingScan(crossing=None, s_m=s, covered=np.zeros(len(s), dtype=bool))
-        d = np.linspace(-inner, inner, self.COLUMNS)
         path = lane.s_m, lane.points_m, lane.theta_rad
-        white, first, covered, middle_m, theta = _scanned(bright, s, path, d, self._raster, self._limits)
-        crossing = None
-        if first >= 0:
-            across = np.column_stack((-np.sin(theta), np.cos(theta)))
-            ground = middle_m[:, None] + across[:, None] * d[:, None]
-            crossing = self._edge(white, ground, first, s, float(theta[first]))
+        covered, edge_m, angle_rad = _scanned(bright, s, path, inner, self._raster, self._limits)
+        # The edge lies between the first white place of a column and the one before it.
+        found = math.isfinite(edge_m)
+        crossing = Crossing(distance_m=edge_m - 0.5 * self._step, angle_rad=angle_rad) if found else None
         return CrossingScan(crossing=crossing, s_m=s, covered=covered)
-
-    def _edge(self, white: Bools, ground: FloatArray, first: int, s: FloatArray, lane_rad: float) -> Crossing | None:
-        """The crossing whose near edge lies about grid row `first`; None where its edge is no straight line."""
-        reach = int(math.tan(self.MAX_SKEW_RAD) * self.lane_m / self._step) + 2 * self._need
-        low = max(first - reach, 0)
-        band = white[low : first + reach + 1]
-        hit = band.any(axis=0)
-        if hit.sum() < self.COLUMNS // 3:
-            return None
-        edge = low + band.argmax(axis=0)[hit]
-        points = ground[edge, np.flatnonzero(hit)]
-        slope = _median_slope(points[:, 1], points[:, 0])
-        off = points[:, 0] - slope * points[:, 1]
-        keep = np.abs(off - np.median(off)) <= 0.75 * self.marking_m
-        if keep.sum() < self.AGREE * len(points) or np.ptp(points[keep, 1]) < 0.4 * self.lane_m:
-            return None
-        line = fit_polynomial(points[keep, 1], points[keep, 0], 1)
-        angle = 0.5 * math.pi - math.atan(line[1])
-        if abs(angle - lane_rad - 0.5 * math.pi) > self.MAX_SKEW_RAD:
-            return None
-        # the edge lies between the first white place of a column and the one before it
-        distance_m = float(np.median(s[edge][keep])) - 0.5 * self._step
-        return Crossing(distance_m=distance_m, angle_rad=angle)
-
-
-def _median_slope(x: FloatArray, y: FloatArray) -> float:
-    """The median slope between all pairs of points (Theil 1950, Sen 1968), robust to 29 % outliers."""
-    i, j = np.triu_indices(len(x), 1)
-    apart = np.abs(x[i] - x[j]) > 1e-9
-    return float(np.median((y[i] - y[j])[apart] / (x[i] - x[j])[apart])) if apart.any() else 0.0
 
 
 @compiled
@@ -132,17 +120,16 @@ def _scanned(
     bright: Image,
     s_m: FloatArray,
     path: tuple[FloatArray, FloatArray, FloatArray],
-    d_m: FloatArray,
+    inner_m: float,
     raster: Raster,
     limits: _Limits,
-) -> tuple[Bools, int, Bools, FloatArray, FloatArray]:
-    """Which places (n, k) of a grid along and across the lane are bright in a view (h, w).
+) -> tuple[Bools, float, float]:
+    """At which arc lengths (n,) the lane is covered; arc length [m] and angle [rad] of a crossing, NaN: there is none.
 
-    `path`: the lane's arc lengths (m,), points (m, 2) and headings (m,). Also returns the first row of a crossing (-1:
-    there is none), which rows (n,) are covered, and the middles (n, 2) and headings (n,) of the rows at `s_m` (n,);
-    `d_m` (k,) counts to the left.
+    `path`: the lane's arc lengths (m,), points (m, 2) and headings (m,). A view (h, w) is sampled up to `inner_m` to
+    both sides of it.
     """
-    n = len(s_m)
+    n, d_m = len(s_m), np.linspace(-inner_m, inner_m, limits.columns)
     middle_m, theta = np.empty((n, 2)), np.empty(n)
     theta[:] = np.interp(s_m, path[0], path[2])
     for axis in range(2):
@@ -156,7 +143,57 @@ def _scanned(
             first = i - limits.need + 1
         if share >= limits.busy:  # and up to `need` rows before and after it
             covered[max(i - limits.need, 0) : i + limits.need + 1] = True
-    return white, first, covered, middle_m, theta
+    if first < 0:
+        return covered, math.nan, math.nan
+    edge = _near_edge(white, (s_m, middle_m, theta), d_m, first, limits.reach)
+    distance_m, angle = _straight(edge, limits) if len(edge) >= limits.columns // 3 else (math.nan, math.nan)
+    if not abs(angle - theta[first] - 0.5 * math.pi) <= limits.skew_rad:
+        return covered, math.nan, math.nan
+    return covered, distance_m, angle
+
+
+@compiled
+def _near_edge(
+    white: Bools, rows: tuple[FloatArray, FloatArray, FloatArray], d_m: FloatArray, first: int, reach: int
+) -> FloatArray:
+    """s, x, y [m] (n, 3) of the first bright place in each column of a grid (m, k), up to `reach` rows about a row.
+
+    `rows`: arc lengths (m,), middles (m, 2) and headings (m,) of the rows; `d_m` (k,) counts to the left.
+    """
+    (s_m, middle_m, theta), edge, count = rows, np.empty((len(d_m), 3)), 0
+    for k in range(len(d_m)):
+        for i in range(max(first - reach, 0), min(first + reach + 1, len(white))):
+            if white[i, k]:
+                edge[count, 0] = s_m[i]
+                edge[count, 1] = middle_m[i, 0] - math.sin(theta[i]) * d_m[k]
+                edge[count, 2] = middle_m[i, 1] + math.cos(theta[i]) * d_m[k]
+                count += 1
+                break
+    return edge[:count]
+
+
+@compiled
+def _straight(edge: FloatArray, limits: _Limits) -> tuple[float, float]:
+    """Median s [m] and the angle [rad] of an edge (n, 3) of s, x, y [m], NaN where it is no straight line."""
+    slope = _median_slope(edge[:, 2], edge[:, 1])
+    off = edge[:, 1] - slope * edge[:, 2]
+    line = edge[np.abs(off - np.median(off)) <= limits.off_m]
+    if len(line) < limits.agree * len(edge) or line[:, 2].max() - line[:, 2].min() < limits.least_m:
+        return math.nan, math.nan
+    y = line[:, 2] - line[:, 2].mean()
+    return np.median(line[:, 0]), 0.5 * math.pi - math.atan((y * line[:, 1]).sum() / (y * y).sum())
+
+
+@compiled
+def _median_slope(x: FloatArray, y: FloatArray) -> float:
+    """The median slope between all pairs of points (Theil 1950, Sen 1968), robust to 29 % outliers."""
+    slopes, count = np.empty(len(x) * (len(x) - 1) // 2), 0
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            if abs(x[i] - x[j]) > 1e-9:
+                slopes[count] = (y[i] - y[j]) / (x[i] - x[j])
+                count += 1
+    return np.median(slopes[:count]) if count else 0.0
 
 
 @compiled

@@ -62,6 +62,7 @@ class Reflections:
         paint, streaks = (np.stack(every) for every in zip(*shapes, strict=True))
         self._profiles = _Profiles(paint, streaks, {"light": 1.0, "dark": -1.0, "both": 0.0}[markings])
         self.any_points_to_camera(np.empty((0, 2)))  # compiled now: no frame waits for it
+        of_streaks(np.zeros(pieces), pieces, self.config.change)
 
     def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
@@ -116,7 +117,7 @@ class Reflections:
             return lines
         column, row = found.reshape(-1, 2).T
         piece = labels[row, column] * self._pieces + (row / self._rows_a_piece).astype(np.intp)
-        away = self._together(self._odds(view, piece, row, column))[piece]
+        away = of_streaks(self._odds(view, piece, row, column), self._pieces, self.config.change)[piece]
         if away.any():
             lines = lines.copy()
             lines[row[away], column[away]] = 0
@@ -144,26 +145,6 @@ class Reflections:
             paint = self._paint(view, r[maybe], c[maybe], slope[maybe], half[maybe])
             odds[large[maybe]] = paint + 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
         return odds
-
-    def _together(self, odds: FloatArray) -> Bools:
-        """Which pieces (k,) are of a streak: those of connected pixels are seldom of another kind than the next one.
-
-        A hidden Markov model along the view's length, by forward and backward passes (Rabiner 1989).
-        """
-        known = np.nan_to_num(odds, nan=0.0, posinf=MOST_NATS).reshape(-1, self._pieces).clip(-MOST_NATS, MOST_NATS)
-        before, after = np.zeros_like(known), np.zeros_like(known)
-        for k in range(1, self._pieces):
-            before[:, k] = self._handed_on(before[:, k - 1] + known[:, k - 1])
-            after[:, -k - 1] = self._handed_on(after[:, -k] + known[:, -k])
-        return np.asarray((before + known + after).reshape(-1) < 0.0) & ~np.isposinf(odds)
-
-    def _handed_on(self, odds: FloatArray) -> FloatArray:
-        """What log-odds [nats] of a piece say of its neighbour."""
-        change = self.config.change
-        paint, streak = np.logaddexp(0.0, -odds), np.logaddexp(0.0, odds)  # minus the logarithms of the probabilities
-        log_stay, log_change = math.log(1.0 - change), math.log(change)
-        stays = np.logaddexp(log_stay - paint, log_change - streak)
-        return np.asarray(stays - np.logaddexp(log_change - paint, log_stay - streak))
 
     def _paint(
         self, view: Image, row: FloatArray, column: FloatArray, slope: FloatArray, half: FloatArray
@@ -209,6 +190,35 @@ class Reflections:
         bells = np.geomspace(pixel, config.reach, 20)
         streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
         return np.array(paint), np.array(streaks)
+
+
+@compiled
+def of_streaks(odds: FloatArray, pieces: int, change: float) -> Bools:
+    """Which pieces (k,) are of a streak, by their log-odds [nats] to be of paint, NaN: not known.
+
+    The pieces of connected pixels, as many as the view has, are seldom of another kind than the next one. A hidden
+    Markov model along the view's length, by forward and backward passes (Rabiner 1989).
+    """
+    streaks = np.zeros(len(odds), np.bool_)
+    known, before = np.empty(pieces), np.zeros(pieces)
+    for first in range(0, len(odds), pieces):
+        for k in range(pieces):
+            is_known = not math.isnan(odds[first + k])
+            known[k] = min(max(odds[first + k], -MOST_NATS), MOST_NATS) if is_known else 0.0
+        for k in range(1, pieces):
+            before[k] = _handed_on(before[k - 1] + known[k - 1], change)
+        after = 0.0
+        for k in range(pieces - 1, -1, -1):
+            streaks[first + k] = before[k] + known[k] + after < 0.0 and odds[first + k] != math.inf
+            after = _handed_on(after + known[k], change)
+    return streaks
+
+
+@compiled
+def _handed_on(odds: float, change: float) -> float:
+    """What log-odds [nats] of a piece say of its neighbour."""
+    ratio = math.exp(odds)
+    return math.log(((1.0 - change) * ratio + change) / (change * ratio + 1.0 - change))
 
 
 @compiled

@@ -8,14 +8,7 @@ import numpy as np
 
 from automodel.geometry import View
 from automodel.perception.windows.line_windows import LineWindows
-from automodel.perception.windows.window_tracker import (
-    ExpectedLine,
-    PathCursor,
-    TrackedPoint,
-    TrackerSettings,
-    WindowPose,
-    WindowTracker,
-)
+from automodel.perception.windows.window_tracker import MISSED, ExpectedLine, track, track_scales
 from automodel.types import Bools, FloatArray, Image
 
 
@@ -52,29 +45,23 @@ class LineFollowing:
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, visible: Image | None = None) -> None:
         self.view, self._lane_m, self._marking_m = view, lane_width_m, marking_width_m
-        self._windows = LineWindows(view, marking_width_m, visible)
-        self._settings = TrackerSettings(view, lane_width_m, marking_width_m)
+        self._layout = LineWindows(view, marking_width_m, visible).layout
+        self._scales = track_scales(view, lane_width_m, marking_width_m)
+        far = ExpectedLine(points_m=np.array([[-1e3, 0.0], [-2e3, 0.0]]), heading_rad=np.zeros(2))
+        self.follow(np.zeros(self._layout.sight.shape, np.uint8), far)  # compiled now: no frame waits for it
 
     def follow(self, features: Image, expected: ExpectedLine, reach_m: float = 0.0) -> FollowedLine:
         """The points of one line in a binary view (h, w), from where `expected` comes into sight.
 
         `reach_m` is the lateral distance from the expectation in which the line may lie.
         """
-        path = PathCursor(expected, self._settings.step_m, self._settings.max_steps)
-        while not (path.ended or self._windows.in_sight(path.x_m, path.y_m)):
-            path.next()
-        if path.ended:
-            return self._followed([], None)
-        pose = WindowPose(path.x_m, path.y_m, path.heading_rad)
         reach = min(reach_m, self.MAX_REACH_LANES * self._lane_m)
-        tracker = WindowTracker(self._settings, self._windows, features, pose, path, reach)
-        tracker.run()
-        return self._followed(tracker.points, tracker.lost_m)
-
-    def _followed(self, tracked: list[TrackedPoint], lost_m: tuple[float, float] | None) -> FollowedLine:
-        points = np.array([(p.x_m, p.y_m) for p in tracked]).reshape(-1, 2)
+        line, known_m = (expected.points_m, expected.heading_rad), float(expected.known_m)
+        tracked, *lost_m = track(features, self._layout, self._scales, *line, known_m, reach)
+        points = tracked[:, :2].copy()
         sigma = 0.12 * self._marking_m + 0.01 * np.hypot(points[:, 0] - self.view.x_near_m, points[:, 1])
-        after_gap = np.array([p.missed > 0 for p in tracked], dtype=np.bool_)
+        after_gap = tracked[:, MISSED] > 0.0
         for array in (points, sigma, after_gap):
             array.flags.writeable = False
-        return FollowedLine(points_m=points, sigma_m=sigma, after_gap=after_gap, lost_m=lost_m)
+        lost = (lost_m[0], lost_m[1]) if np.isfinite(lost_m[0]) else None
+        return FollowedLine(points_m=points, sigma_m=sigma, after_gap=after_gap, lost_m=lost)

@@ -8,19 +8,22 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.geometry import View
+from automodel.perception.windows.sliding_windows import moments
 from automodel.types import Image
 
 
 class WindowHit(NamedTuple):
-    """The piece of a line in a window: its centroid (x, y) [m], body frame, and its direction [rad] if long enough.
+    """The piece of a line in a window: its centroid (x, y) [m], body frame, and its direction [rad]; NaN: no piece.
 
-    Of the direction's two senses it is the one nearer to the window's heading.
+    The direction is NaN where the piece is too short for one; of its two senses it is the one nearer to the window's
+    heading.
     """
 
     x_m: float
     y_m: float
-    direction_rad: float | None
+    direction_rad: float
 
 
 class Surroundings(NamedTuple):
@@ -28,7 +31,8 @@ class Surroundings(NamedTuple):
     whole line."""
 
     covered: float
-    flanks: tuple[float, float]
+    left: float
+    right: float
 
 
 class _WindowShape(NamedTuple):
@@ -42,6 +46,27 @@ class _WindowShape(NamedTuple):
     full: float  # share of a whole line's pixels above which it is no single line
     spread_px2: float  # variance across the line, likewise
     long_px2: float  # variance along the window from which on a line's direction is defined
+
+
+class Layout(NamedTuple):
+    """The windows on a view, compiled: of two values the second is that of `sideways` ones.
+
+    The view's far and left edge and its steps [m]; a marking's width [px]; how much longer a pixel is along a window
+    than across; whole windows and their middle parts. `fill`, `flank`, `tries`: constants of `LineWindows`. `sight`
+    (h, w) is not 0 where a line would be visible over its whole width.
+    """
+
+    far_m: float
+    left_m: float
+    row_m: float
+    column_m: float
+    marking_px: tuple[float, float]
+    aspect: tuple[float, float]
+    shapes: tuple[tuple[_WindowShape, _WindowShape], tuple[_WindowShape, _WindowShape]]
+    fill: float
+    flank: tuple[float, float]
+    tries: int
+    sight: Image
 
 
 class LineWindows:
@@ -62,17 +87,27 @@ class LineWindows:
     RIM = 1.3  # markings that a point lies inside the visible part, at least
 
     def __init__(self, view: View, marking_width_m: float, visible: Image | None = None) -> None:
-        self._far_m, self._left_m = view.x_far_m, view.half_width_m
-        self._row_m, self._column_m = view.m_per_row, view.m_per_px
-        self._height, self._width = view.height_px, view.width_px
         self._marking_px = (marking_width_m / view.m_per_px, marking_width_m / view.m_per_row)  # index: `sideways`
-        self._aspect = (view.m_per_px / view.m_per_row, view.m_per_row / view.m_per_px)
         whole = self.ACROSS, self.ALONG, self.FULL, self.SPREAD, self.LONG
         part = 0.5 * self.ACROSS, 0.5 * self.ALONG, self.FULL, 0.5 * self.SPREAD, math.inf
-        self._shapes = tuple(tuple(self._shape(sideways, *of) for of in (whole, part)) for sideways in (False, True))
         if visible is None:
-            visible = np.full((self._height, self._width), 255, np.uint8)
-        self._inner = self._inner_part(visible).tobytes()
+            visible = np.full((view.height_px, view.width_px), 255, np.uint8)
+        self.layout = Layout(
+            far_m=view.x_far_m,
+            left_m=view.half_width_m,
+            row_m=view.m_per_row,
+            column_m=view.m_per_px,
+            marking_px=self._marking_px,
+            aspect=(view.m_per_px / view.m_per_row, view.m_per_row / view.m_per_px),
+            shapes=(
+                (self._shape(False, *whole), self._shape(False, *part)),
+                (self._shape(True, *whole), self._shape(True, *part)),
+            ),
+            fill=self.FILL,
+            flank=self.FLANK,
+            tries=self.TRIES,
+            sight=self._inner_part(visible),
+        )
 
     def _shape(
         self, sideways: bool, across: float, along: float, full: float, spread: float, long: float
@@ -88,89 +123,114 @@ class LineWindows:
         y, x = (int(self.RIM * px) for px in (self._marking_px[1], self._marking_px[0]))
         padded = cv2.copyMakeBorder(visible, y, y, x, x, cv2.BORDER_CONSTANT, value=[0])
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * x + 1, 2 * y + 1))
-        return np.asarray(cv2.erode(padded, disc)[y : y + self._height, x : x + self._width], dtype=np.uint8)
+        height, width = visible.shape
+        return np.array(cv2.erode(padded, disc)[y : y + height, x : x + width], dtype=np.uint8)
 
-    def in_sight(self, x_m: float, y_m: float) -> bool:
-        """Whether a line through (x, y) [m] would be visible there over its whole width."""
-        row, column = int((self._far_m - x_m) / self._row_m), int((self._left_m - y_m) / self._column_m)
-        inside = 0 <= row < self._height and 0 <= column < self._width
-        return inside and self._inner[row * self._width + column] != 0
 
-    def is_empty(self, features: Image, x_m: float, y_m: float, reach_m: float) -> bool:
-        """Whether a binary view (h, w) is empty in all windows up to `reach_m` around (x, y) [m]."""
-        row, column = (self._far_m - x_m) / self._row_m, (self._left_m - y_m) / self._column_m
-        high = reach_m / self._row_m + self._shapes[1][0].rows
-        wide = reach_m / self._column_m + self._shapes[0][0].columns
-        rows = slice(max(int(row - high), 0), max(int(row + high), 0))
-        columns = slice(max(int(column - wide), 0), max(int(column + wide), 0))
-        return cv2.countNonZero(features[rows, columns]) == 0
+@compiled
+def in_sight(layout: Layout, x_m: float, y_m: float) -> bool:
+    """Whether a line through (x, y) [m] would be visible there over its whole width."""
+    row, column = int((layout.far_m - x_m) / layout.row_m), int((layout.left_m - y_m) / layout.column_m)
+    inside = 0 <= row < layout.sight.shape[0] and 0 <= column < layout.sight.shape[1]
+    return inside and layout.sight[row, column] != 0
 
-    def surroundings(self, features: Image, x_m: float, y_m: float, heading_rad: float) -> Surroundings:
-        """The surroundings of a line's piece in a binary view (h, w)."""
-        sideways = abs(math.sin(heading_rad)) > abs(math.cos(heading_rad))
-        row, column = (self._far_m - x_m) / self._row_m, (self._left_m - y_m) / self._column_m
-        if sideways:
-            features, row, column = features.T, column, row
-        along, width = self._shapes[sideways][0].along_px, self._marking_px[sideways]
-        first = int(row - 0.5 * along)
-        rows = features[max(first, 0) : max(first + along, 0)]
-        cuts = [max(int(column + markings * width), 0) for markings in (-self.FLANK[1], -self.FLANK[0], *self.FLANK)]
-        left, middle, right = (rows[:, cuts[i] : cuts[i + 1]] for i in range(3))
-        flanks = [np.count_nonzero(flank) / (width * along) for flank in (left, right)]
-        return Surroundings(np.count_nonzero(middle.any(axis=1)) / along, (flanks[0], flanks[1]))
 
-    def look(self, features: Image, x_m: float, y_m: float, heading_rad: float) -> WindowHit | None:
-        """The line about a place (x, y) [m] and a heading in a binary view (h, w); None where there is none.
+@compiled
+def is_empty(features: Image, layout: Layout, x_m: float, y_m: float, reach_m: float) -> bool:
+    """Whether a binary view (h, w) is empty in all windows up to `reach_m` around (x, y) [m]."""
+    row, column = (layout.far_m - x_m) / layout.row_m, (layout.left_m - y_m) / layout.column_m
+    high = reach_m / layout.row_m + layout.shapes[1][0].rows
+    wide = reach_m / layout.column_m + layout.shapes[0][0].columns
+    for i in range(max(int(row - high), 0), min(int(row + high), features.shape[0])):
+        for j in range(max(int(column - wide), 0), min(int(column + wide), features.shape[1])):
+            if features[i, j] != 0:
+                return False
+    return True
 
-        Where a window shows more than one line, only the half of it about the place itself counts.
-        """
-        row, column = (self._far_m - x_m) / self._row_m - 0.5, (self._left_m - y_m) / self._column_m - 0.5
-        ahead, left = abs(math.cos(heading_rad)), abs(math.sin(heading_rad))
-        sideways = left > ahead
-        tilt = ahead / left if sideways else left / ahead
-        width = self._marking_px[sideways] * math.sqrt(1.0 + tilt * tilt)  # of the line, along a row or column
-        for shape in self._shapes[sideways]:
-            whole = width * shape.along_px
-            room = max(0.5 * (shape.across_px - width - shape.along_px * tilt / self._aspect[sideways]), 0.75)
-            found = self._centred(features, row, column, shape, (self.FILL * whole, room))
-            if found is None:
-                return None
-            at_row, at_column, m = found
-            pixels = m["m00"]
-            along, across = (m["mu20"], m["mu02"]) if sideways else (m["mu02"], m["mu20"])
-            lean = m["mu11"] / along if along > 0.0 else 0.0
-            slope = lean * self._aspect[sideways]  # on the ground
-            spread = (across - lean * m["mu11"]) / (1.0 + slope * slope)
-            if pixels <= shape.full * whole and spread <= shape.spread_px2 * pixels:
-                break
-        else:
-            return None
-        x_m, y_m = self._far_m - (at_row + 0.5) * self._row_m, self._left_m - (at_column + 0.5) * self._column_m
-        if not self.in_sight(x_m, y_m):
-            return None
-        if along <= shape.long_px2 * pixels:
-            return WindowHit(x_m, y_m, None)
-        direction = math.atan2(1.0, slope) if sideways else math.atan(slope)
-        return WindowHit(x_m, y_m, heading_rad + math.remainder(direction - heading_rad, math.pi))
 
-    def _centred(
-        self, features: Image, row: float, column: float, shape: _WindowShape, wanted: tuple[float, float]
-    ) -> tuple[float, float, dict[str, float]] | None:
-        """Row, column and moments of a window's content once the window is centred on it; None for too few pixels.
+@compiled
+def surroundings(features: Image, layout: Layout, x_m: float, y_m: float, heading_rad: float) -> Surroundings:
+    """The surroundings of a line's piece in a binary view (h, w)."""
+    sideways = int(abs(math.sin(heading_rad)) > abs(math.cos(heading_rad)))
+    place = (layout.far_m - x_m) / layout.row_m, (layout.left_m - y_m) / layout.column_m
+    length, width = layout.shapes[sideways][0].along_px, layout.marking_px[sideways]
+    first, middle, (near, far) = int(place[sideways] - 0.5 * length), place[1 - sideways], layout.flank
+    left = right = covered = 0
+    for along in range(max(first, 0), min(first + length, features.shape[sideways])):
+        crossed = False
+        for across in range(
+            max(int(middle - far * width), 0), min(int(middle + far * width), features.shape[1 - sideways])
+        ):
+            if (features[across, along] if sideways else features[along, across]) == 0:
+                continue
+            if across < int(middle - near * width):
+                left += 1
+            elif across < int(middle + near * width):
+                crossed = True
+            else:
+                right += 1
+        covered += crossed
+    return Surroundings(covered / length, left / (width * length), right / (width * length))
 
-        `wanted`: the minimum number of pixels, and how far off the middle a line may lie and still leave by both long
-        sides.
-        """
-        least, room = wanted
-        for _ in range(self.TRIES):
-            bottom, high = round(row + 0.5 * (shape.rows + 1)), round(column + 0.5 * (shape.columns + 1))
-            top, low = max(bottom - shape.rows, 0), max(high - shape.columns, 0)
-            m = cv2.moments(features[top : max(bottom, 0), low : max(high, 0)], True)
-            count = m["m00"]
-            if count < least:
-                return None
-            at_row, at_column = top + m["m01"] / count, low + m["m10"] / count
-            if abs(at_row - row if shape.sideways else at_column - column) <= room:
-                break
-            row, column = (at_row, column) if shape.sideways else (row, at_column)
-        return at_row, at_column, m
+
+@compiled
+def look(features: Image, layout: Layout, x_m: float, y_m: float, heading_rad: float) -> WindowHit:
+    """The line about a place (x, y) [m] and a heading in a binary view (h, w).
+
+    Where a window shows more than one line, only the half of it about the place itself counts.
+    """
+    nothing = WindowHit(math.nan, math.nan, math.nan)
+    row, column = (layout.far_m - x_m) / layout.row_m - 0.5, (layout.left_m - y_m) / layout.column_m - 0.5
+    ahead, left = abs(math.cos(heading_rad)), abs(math.sin(heading_rad))
+    sideways = int(left > ahead)
+    tilt = ahead / left if sideways else left / ahead
+    width = layout.marking_px[sideways] * math.sqrt(1.0 + tilt * tilt)  # of the line, along a row or column
+    for shape in layout.shapes[sideways]:
+        whole = width * shape.along_px
+        room = max(0.5 * (shape.across_px - width - shape.along_px * tilt / layout.aspect[sideways]), 0.75)
+        at_row, at_column, pixels, along, across, lean = _centred(features, layout, row, column, shape, whole, room)
+        if pixels == 0.0:
+            return nothing
+        steep = lean / along if along > 0.0 else 0.0
+        slope = steep * layout.aspect[sideways]  # on the ground
+        spread = (across - steep * lean) / (1.0 + slope * slope)
+        if pixels <= shape.full * whole and spread <= shape.spread_px2 * pixels:
+            x, y = layout.far_m - (at_row + 0.5) * layout.row_m, layout.left_m - (at_column + 0.5) * layout.column_m
+            if not in_sight(layout, x, y):
+                return nothing
+            if along <= shape.long_px2 * pixels:
+                return WindowHit(x, y, math.nan)
+            direction = math.atan2(1.0, slope) if sideways else math.atan(slope)
+            return WindowHit(x, y, heading_rad + remainder(direction - heading_rad, math.pi))
+    return nothing
+
+
+@compiled
+def _centred(
+    features: Image, layout: Layout, row: float, column: float, shape: _WindowShape, whole: float, room: float
+) -> tuple[float, float, float, float, float, float]:
+    """Row, column and pixels of a window's content once the window is centred on it; no pixels where they are too few.
+
+    Then its central moments: along the window, across it, and mixed. `whole`: pixels of a whole line; `room`: how far
+    off the middle a line may lie and still leave by both long sides.
+    """
+    at_row = at_column = area = m20 = m11 = m02 = 0.0
+    for _ in range(layout.tries):
+        bottom, high = round(row + 0.5 * (shape.rows + 1)), round(column + 0.5 * (shape.columns + 1))
+        top, low = max(bottom - shape.rows, 0), max(high - shape.columns, 0)
+        end = min(bottom, features.shape[0]), min(high, features.shape[1])
+        area, m10, m01, m20, m11, m02 = moments(features, top, end[0], low, end[1])
+        if area < layout.fill * whole:
+            return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        at_row, at_column = top + m01 / area, low + m10 / area
+        m20, m11, m02 = m20 - m10 * m10 / area, m11 - m10 * m01 / area, m02 - m01 * m01 / area
+        if abs(at_row - row if shape.sideways else at_column - column) <= room:
+            break
+        row, column = (at_row, column) if shape.sideways else (row, at_column)
+    return (at_row, at_column, area, m20, m02, m11) if shape.sideways else (at_row, at_column, area, m02, m20, m11)
+
+
+@compiled
+def remainder(value: float, period: float) -> float:
+    """`math.remainder`, which is not compiled: from -1/2 to 1/2 of a period."""
+    return value - period * np.rint(value / period)

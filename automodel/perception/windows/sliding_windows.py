@@ -52,7 +52,8 @@ class Windows(NamedTuple):
 
     The first row of each window and the one after its last (n,), its middle row (n,), and that row's x [m] (n,). Sizes
     of the view [px]; of a line, its width [px], the least share of its pixels, of their variance along the rows, and
-    the most variance across [px^2]. `far_m`, `left_m`, `row_m`, `column_m`: the view's far and left edge and its steps.
+    the most variance across [px^2]; `sigma_m` of its points near the car, while further out the calibration's error
+    dominates. `near_m`, `far_m`, `left_m`, `row_m`, `column_m`: the view's near, far and left edge and its steps.
     """
 
     first: Ints
@@ -64,6 +65,8 @@ class Windows(NamedTuple):
     fill: float
     long: float
     spread_px2: float
+    sigma_m: float
+    near_m: float
     far_m: float
     left_m: float
     row_m: float
@@ -102,6 +105,8 @@ class SlidingWindows:
             fill=self.FILL,
             long=self.LONG,
             spread_px2=self.SPREAD * marking_px**2,
+            sigma_m=0.12 * marking_width_m,
+            near_m=view.x_near_m,
             far_m=view.x_far_m,
             left_m=view.half_width_m,
             row_m=view.m_per_row,
@@ -130,8 +135,11 @@ class SlidingWindows:
         max_turn: float = math.inf,
     ) -> Observation:
         """The points of both lines; all arguments as in `follow`."""
-        left, right = (self.follow(lines, y_m, widening, max_turn) for y_m in (left_y_m, right_y_m))
-        return Observation(left_m=left, right_m=right, left_sigma_m=self._sigma(left), right_sigma_m=self._sigma(right))
+        max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
+        left, right, left_sigma, right_sigma = _observed(
+            lines, left_y_m, right_y_m, self._windows, round(self._half * widening), max_turn_px
+        )
+        return Observation(left_m=left, right_m=right, left_sigma_m=left_sigma, right_sigma_m=right_sigma)
 
     def expected(self, lane: LaneShape, side: int) -> FloatArray:
         """y [m] of the line on `side` (+1 left, -1 right) at each window's `centre_x_m`, NaN beyond the line's ends."""
@@ -146,12 +154,19 @@ class SlidingWindows:
         straight = LaneShape(
             s_m=at, points_m=np.column_stack((at, at)), theta_rad=0.0 * at, kappa_per_m=0.0 * at, width_m=self.marking_m
         )
-        self.follow(nothing, self.expected(straight, +1))
+        at = self.expected(straight, +1)
+        self.observe(nothing, at, at)
 
-    def _sigma(self, points_m: FloatArray) -> FloatArray:
-        """Standard deviations (n,): 0.12 markings near the car; further out the calibration's error dominates."""
-        ahead = points_m[:, 0] - self.view.x_near_m
-        return np.asarray(0.12 * self.marking_m + 0.01 * np.maximum(ahead, 0.0))
+
+@compiled
+def _observed(
+    lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, windows: Windows, half_px: int, max_turn_px: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The points of both lines, as `_followed`, and their standard deviations."""
+    left = _followed(lines, left_y_m, windows, half_px, max_turn_px)
+    right = _followed(lines, right_y_m, windows, half_px, max_turn_px)
+    left_sigma = windows.sigma_m + 0.01 * np.maximum(left[:, 0] - windows.near_m, 0.0)
+    return left, right, left_sigma, windows.sigma_m + 0.01 * np.maximum(right[:, 0] - windows.near_m, 0.0)
 
 
 @compiled
@@ -175,7 +190,7 @@ def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px:
         low, high = max(place - half_px, 0), min(place + half_px + 1, windows.width_px)
         if high - low < half_px:
             continue
-        area, m10, m01, m20, m11, m02 = _moments(lines, far, near, low, high)
+        area, m10, m01, m20, m11, m02 = moments(lines, far, near, low, high)
         if area < windows.fill * windows.marking_px * (near - far):
             continue
         along = m02 - m01 * m01 / area
@@ -195,7 +210,7 @@ def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px:
 
 
 @compiled
-def _moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[float, float, float, float, float, float]:
+def moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[float, float, float, float, float, float]:
     """Number of nonzero pixels in a window, and their sums of column, row, column^2, column row and row^2 in it."""
     m00 = m10 = m01 = m20 = m11 = m02 = 0
     for i in range(near - far):

@@ -1,24 +1,37 @@
 """The track of one line from window to window, along the path where the line is expected, and over gaps.
 
-`PathCursor` moves along the expected line, `WindowTracker` moves the window; `LineFollowing` sets both up.
+`track` does it all, compiled. Its window's pose (5,) is x, y [m], heading [rad], the curvature [1/m] of its track, and
+the mean turn [rad] of the last points from the expected line.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.geometry import View
-from automodel.perception.windows.line_windows import LineWindows, WindowHit
-from automodel.types import FloatArray, Image
+from automodel.perception.windows.line_windows import (
+    Layout,
+    LineWindows,
+    WindowHit,
+    in_sight,
+    is_empty,
+    look,
+    remainder,
+    surroundings,
+)
+from automodel.types import Bools, FloatArray, Image
+
+HEADING, BEND, TURNED = range(2, 5)  # indices of a pose; of a node the first
+MISSED, LATERAL = HEADING, BEND  # and of a point
+NO_PATH = ~0  # the node of a path that has ended
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FollowConfig:
+class FollowConfig(NamedTuple):
     """How a line is followed; lengths in lane widths, so that one set serves scale cars and full-size ones.
 
     The effects are those of `automodel bench sensitivity`, of half and one and a half times the value.
@@ -76,7 +89,7 @@ class ExpectedLine:
     known_m: float = math.inf
 
     def __post_init__(self) -> None:
-        points, heading = (np.array(a, dtype=np.float64) for a in (self.points_m, self.heading_rad))
+        points, heading = (np.array(a, dtype=np.float64, order="C") for a in (self.points_m, self.heading_rad))
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or heading.shape != points.shape[:1]:
             raise ValueError(
                 f"ExpectedLine: expected points (n, 2) and headings (n,), got {points.shape} and {heading.shape}"
@@ -88,283 +101,302 @@ class ExpectedLine:
         object.__setattr__(self, "heading_rad", heading)
 
 
-class PathCursor:
-    """A place on an expected line, which is resampled at equal steps.
+class TrackScales(NamedTuple):
+    """What a `FollowConfig` means for a track in a view."""
 
-    `x_m`, `y_m`, `heading_rad` are the line's there, `s_m` is the arc length from the line's first point, `turn_rad`
-    the line's turn over the next step. `ended`: there is no next step. `known`: the line is no guess there.
+    marking_m: float
+    step_m: float
+    spacing_m: float  # between the windows of a search
+    max_gap_m: float
+    max_turn_rad: float  # on one step
+    max_shift_m: float  # lateral, of a line not lost
+    wide_gap: int  # windows
+    max_steps: int
+    config: FollowConfig
+
+
+def track_scales(view: View, lane_width_m: float, marking_width_m: float) -> TrackScales:
+    """The scales for a view."""
+    config = FollowConfig()
+    step_m = max(LineWindows.ALONG * marking_width_m, config.step_lanes * lane_width_m)
+    max_turn_rad = step_m / (config.radius_lanes * lane_width_m)
+    length_m = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
+    return TrackScales(
+        marking_m=marking_width_m,
+        step_m=step_m,
+        spacing_m=0.6 * LineWindows.ACROSS * marking_width_m,
+        max_gap_m=config.gap_lanes * lane_width_m,
+        max_turn_rad=max_turn_rad,
+        max_shift_m=0.5 * (step_m * max_turn_rad + marking_width_m),
+        wide_gap=math.ceil(config.wide_gap_lanes * lane_width_m / step_m),
+        max_steps=math.ceil(1.5 * length_m / step_m),
+        config=config,
+    )
+
+
+class Path(NamedTuple):
+    """The expected line, near which a line must lie: within `reach_m` and what the distance from `from_m` on adds.
+
+    `nodes` (n, 3) are x, y [m] and heading [rad] at equal steps of arc length. Beyond `known_m` the line is a guess.
     """
 
-    def __init__(self, expected: ExpectedLine, step_m: float, max_steps: int) -> None:
-        """A line of more than `max_steps` is cut."""
-        points, heading = expected.points_m, expected.heading_rad
-        s = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
-        places = np.arange(0.0, min(max(float(s[-1]), 1e-9), max_steps * step_m), step_m)
-        columns = (np.interp(places, s, column) for column in (points[:, 0], points[:, 1], heading))
-        self._nodes: list[tuple[float, float, float]] = list(zip(*(c.tolist() for c in columns), strict=True))
-        self._step_m, self._known_m = step_m, expected.known_m
-        self._go(0)
-
-    def _go(self, at: int) -> None:
-        self._at = at
-        self.x_m, self.y_m, self.heading_rad = self._nodes[at]
-        self.s_m = at * self._step_m
-        self.known = self.s_m <= self._known_m
-        self.ended = at + 1 >= len(self._nodes)
-        self.turn_rad = 0.0 if self.ended else self._nodes[at + 1][2] - self.heading_rad
-        self._cos, self._sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-
-    def next(self) -> None:
-        """Advance by one step; does nothing at the end."""
-        if not self.ended:
-            self._go(self._at + 1)
-
-    def advance_to(self, x_m: float, y_m: float) -> None:
-        """Advance to the place beside (x, y)."""
-        half = 0.5 * self._step_m
-        while not self.ended and (x_m - self.x_m) * self._cos + (y_m - self.y_m) * self._sin > half:
-            self._go(self._at + 1)
-
-    def lateral(self, x_m: float, y_m: float) -> float:
-        """Distance [m] of (x, y) to the left of the line's tangent at the cursor."""
-        return (y_m - self.y_m) * self._cos - (x_m - self.x_m) * self._sin
+    nodes: FloatArray
+    step_m: float
+    known_m: float
+    reach_m: float
+    from_m: float
 
 
-class TrackerSettings:
-    """Lengths of a track in a view."""
+class _Scene(NamedTuple):
+    """A binary view (h, w), its windows, and the path along which a line is followed in it."""
 
-    def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
-        self.config = config = FollowConfig()
-        self.marking_m = marking_width_m
-        self.step_m = max(LineWindows.ALONG * marking_width_m, config.step_lanes * lane_width_m)
-        self.spacing_m = 0.6 * LineWindows.ACROSS * marking_width_m  # between the windows of a search
-        self.max_gap_m = config.gap_lanes * lane_width_m
-        self.max_turn_rad = self.step_m / (config.radius_lanes * lane_width_m)  # on one step
-        self.max_shift_m = 0.5 * (self.step_m * self.max_turn_rad + marking_width_m)  # lateral, of a line not lost
-        self.wide_gap = math.ceil(config.wide_gap_lanes * lane_width_m / self.step_m)  # windows
-        length = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
-        self.max_steps = math.ceil(1.5 * length / self.step_m)
+    features: Image
+    layout: Layout
+    scales: TrackScales
+    path: Path
 
 
-class WindowPose:
-    """The place (x, y) [m] of a window in the body frame, its heading, and the curvature of its track."""
-
-    __slots__ = ("cos", "curvature_per_m", "heading_rad", "sin", "x_m", "y_m")
-
-    def __init__(self, x_m: float, y_m: float, heading_rad: float, curvature_per_m: float = 0.0) -> None:
-        self.x_m, self.y_m, self.heading_rad, self.curvature_per_m = x_m, y_m, heading_rad, curvature_per_m
-        self.cos, self.sin = math.cos(heading_rad), math.sin(heading_rad)
-
-    def turn(self, angle_rad: float) -> None:
-        """Turn to the left."""
-        self.heading_rad += angle_rad
-        self.cos, self.sin = math.cos(self.heading_rad), math.sin(self.heading_rad)
-
-    def lateral(self, x_m: float, y_m: float) -> float:
-        """Distance [m] of (x, y) to the left of the window's axis."""
-        return (y_m - self.y_m) * self.cos - (x_m - self.x_m) * self.sin
-
-    def shift(self, left_m: float) -> None:
-        """Move to the left."""
-        self.x_m -= left_m * self.sin
-        self.y_m += left_m * self.cos
-
-    def advance(self, distance_m: float, turn_rad: float) -> None:
-        """Move ahead along an arc."""
-        middle = self.heading_rad + 0.5 * turn_rad
-        self.x_m += distance_m * math.cos(middle)
-        self.y_m += distance_m * math.sin(middle)
-        self.turn(turn_rad)
+@compiled
+def resampled(points_m: FloatArray, heading_rad: FloatArray, step_m: float, max_steps: int) -> FloatArray:
+    """The nodes (k, 3) of a `Path` through points (n, 2); a line of more than `max_steps` is cut."""
+    s = np.zeros(len(points_m))
+    for i in range(1, len(s)):
+        s[i] = s[i - 1] + math.hypot(points_m[i, 0] - points_m[i - 1, 0], points_m[i, 1] - points_m[i - 1, 1])
+    places = np.arange(0.0, min(max(s[-1], 1e-9), max_steps * step_m), step_m)
+    nodes = np.empty((len(places), 3))
+    nodes[:, 0] = np.interp(places, s, np.ascontiguousarray(points_m[:, 0]))
+    nodes[:, 1] = np.interp(places, s, np.ascontiguousarray(points_m[:, 1]))
+    nodes[:, 2] = np.interp(places, s, heading_rad)
+    return nodes
 
 
-class TrackedPoint(NamedTuple):
-    """A point of the line, the number of windows missed before it, and its offset and turn from the expected line."""
-
-    x_m: float
-    y_m: float
-    missed: int
-    lateral_m: float
-    turned_rad: float
-
-
-def _median_turn(points: list[TrackedPoint]) -> float:
-    """The points' median turn from the expected line: some may lie on the corner of another road."""
-    return sorted(p.turned_rad for p in points)[len(points) // 2] if points else 0.0
+@compiled
+def beside(path: Path, at: int, x_m: float, y_m: float) -> int:
+    """The node of a path beside (x, y) [m], from a node on; `NO_PATH` at the path's end."""
+    while at + 1 < len(path.nodes):
+        x, y, heading = path.nodes[at]
+        if (x_m - x) * math.cos(heading) + (y_m - y) * math.sin(heading) <= 0.5 * path.step_m:
+            return at
+        at += 1
+    return NO_PATH
 
 
-def _odd(points: list[TrackedPoint], odd_rad: float) -> list[bool]:
-    """Which points have another direction than the line."""
-    usual = _median_turn(points)
-    return [abs(p.turned_rad - usual) > odd_rad for p in points]
+@compiled
+def _is_known(path: Path, at: int) -> bool:
+    """Whether the path is no guess at a node."""
+    return at * path.step_m <= path.known_m
 
 
-def without_corners(points: list[TrackedPoint], wide_gap: int, lost: bool, odd_rad: float) -> list[TrackedPoint]:
-    """The points of a line less the odd ones beside a wide gap: at a junction they lie on another road's corner.
+@compiled
+def _lateral(pose: FloatArray, x_m: float, y_m: float) -> float:
+    """Distance [m] of (x, y) to the left of a pose, or of the tangent at a node of a path: x, y [m] and heading."""
+    return (y_m - pose[1]) * math.cos(pose[HEADING]) - (x_m - pose[0]) * math.sin(pose[HEADING])
 
-    `wide_gap` [windows]; `lost`: there is such a gap beyond the last point; `odd_rad`: turn of an odd one.
+
+@compiled
+def _shift(pose: FloatArray, left_m: float) -> None:
+    """Move a pose to the left."""
+    pose[0] -= left_m * math.sin(pose[HEADING])
+    pose[1] += left_m * math.cos(pose[HEADING])
+
+
+@compiled
+def track(
+    features: Image,
+    layout: Layout,
+    scales: TrackScales,
+    points_m: FloatArray,
+    heading_rad: FloatArray,
+    known_m: float,
+    reach_m: float,
+) -> tuple[FloatArray, float, float]:
+    """Follow a line along the expected one, points (n, 2) [m] and headings (n,), until it leaves the view or is lost.
+
+    Returns its points (k, 5): x, y [m], the number of windows missed before it, and its offset [m] and turn [rad] from
+    the expected line; and where it is lost within the view, x, y [m], else NaN.
     """
-    gaps = [i for i in range(1, len(points)) if points[i].missed >= wide_gap] + [len(points)] * lost
-    if not gaps:
-        return points
-    odd = _odd(points, odd_rad)
-    dropped: set[int] = set()
-    for gap in gaps:
-        dropped.update(itertools.takewhile(lambda i: odd[i], range(gap, len(points))))
-        dropped.update(itertools.takewhile(lambda i: odd[i], range(gap - 1, -1, -1)))
-    return [p for i, p in enumerate(points) if i not in dropped]
+    nodes, at = resampled(points_m, heading_rad, scales.step_m, scales.max_steps), 0
+    while at + 1 < len(nodes) and not in_sight(layout, nodes[at, 0], nodes[at, 1]):
+        at += 1
+    if at + 1 >= len(nodes):
+        return np.empty((0, 5)), math.nan, math.nan
+    pose = np.array((nodes[at, 0], nodes[at, 1], nodes[at, 2], 0.0, 0.0))
+    scene = _Scene(features, layout, scales, Path(nodes, scales.step_m, known_m, reach_m, at * scales.step_m))
+    at = beside(scene.path, at, pose[0], pose[1])
+    points, guided = np.empty((scales.max_steps, 5)), at != NO_PATH
+    count = missed = 0  # points, and windows without the line since it was last seen
+    seen = False  # the track has come into sight
+    lost_x = lost_y = math.nan
+    for _ in range(scales.max_steps):
+        hit = _search(scene, at, pose, count, missed)
+        accepted = not math.isnan(hit.x_m)
+        if accepted:
+            accepted, at, count, missed = _accept(scene, at, pose, hit, points, count, missed)
+        if accepted:
+            seen, missed = True, 0
+        elif in_sight(layout, pose[0], pose[1]):
+            seen, missed = True, missed + 1
+            if at == NO_PATH or missed * scales.step_m > scales.max_gap_m:
+                lost_x, lost_y = pose[0], pose[1]
+                break
+        elif seen:
+            break
+        at = _advance(scene, at, pose, _is_lost(count, missed))
+    if guided:
+        return without_corners(points[:count], scales, missed >= scales.wide_gap), lost_x, lost_y
+    return points[:count], lost_x, lost_y
 
 
-class WindowTracker:
-    """Tracks one line; `run` fills `points` and, where the line is lost within the view, `lost_m`.
+@compiled
+def _is_lost(count: int, missed: int) -> bool:
+    """Whether the line was not in the last window, or has not been seen yet."""
+    return missed > 0 or count == 0
 
-    `path` is a cursor on the expected line, near which the line must lie: within `reach_m` and what the distance adds.
+
+@compiled
+def _search(scene: _Scene, at: int, pose: FloatArray, count: int, missed: int) -> WindowHit:
+    """The line in the window, or, if it is lost, in windows to both sides, the nearest first."""
+    scales = scene.scales
+    if not _is_lost(count, missed):
+        return _look(scene, at, pose, 0.0, scales.max_shift_m, False)
+    reach = scales.config.spread * missed * scales.step_m + (scene.path.reach_m if count == 0 else 0.0)
+    if is_empty(scene.features, scene.layout, pose[0], pose[1], reach):
+        return WindowHit(math.nan, math.nan, math.nan)
+    most = reach + scales.marking_m
+    hit = _look(scene, at, pose, 0.0, most, True)
+    for k in range(1, math.ceil(reach / scales.spacing_m) + 1):
+        if not math.isnan(hit.x_m):
+            break
+        left = min(k * scales.spacing_m, reach)
+        hit, other = _look(scene, at, pose, left, most, True), _look(scene, at, pose, -left, most, True)
+        nearer = abs(_lateral(pose, other.x_m, other.y_m)) < abs(_lateral(pose, hit.x_m, hit.y_m))
+        if nearer or math.isnan(hit.x_m):
+            hit = other
+    return hit
+
+
+@compiled
+def _look(scene: _Scene, at: int, pose: FloatArray, left_m: float, most_m: float, lost: bool) -> WindowHit:
+    """The content of a window `left_m` to the left, if it can be the line, up to `most_m` beside the pose."""
+    features, layout, scales, path = scene
+    nothing, heading = WindowHit(math.nan, math.nan, math.nan), pose[HEADING]
+    hit = look(features, layout, pose[0] - left_m * math.sin(heading), pose[1] + left_m * math.cos(heading), heading)
+    if math.isnan(hit.x_m) or abs(_lateral(pose, hit.x_m, hit.y_m)) > most_m:
+        return nothing
+    if lost:  # the line again if the piece is whole, and none of a zebra's bars
+        if math.isnan(hit.direction_rad):
+            return nothing
+        around = surroundings(features, layout, hit.x_m, hit.y_m, hit.direction_rad)
+        if around.covered < scales.config.covered or min(around.left, around.right) >= scales.config.flanked:
+            return nothing
+    if abs(hit.direction_rad - heading) > (scales.config.gap_turn_rad if lost else scales.config.turn_rad):  # not NaN
+        return nothing
+    if at != NO_PATH and (lost or _is_known(path, at)):
+        away_m = path.reach_m + scales.marking_m + scales.config.spread * (at * path.step_m - path.from_m)
+        if abs(_lateral(path.nodes[at], hit.x_m, hit.y_m)) > away_m:
+            return nothing
+    return hit
+
+
+@compiled
+def _accept(
+    scene: _Scene, at: int, pose: FloatArray, hit: WindowHit, points: FloatArray, count: int, missed: int
+) -> tuple[bool, int, int, int]:
+    """Move onto the line, and add its point; False where it has turned away from the expected line.
+
+    Returns also the node of the path, and the numbers of points and of missed windows.
     """
+    scales, path, lost = scene.scales, scene.path, _is_lost(count, missed)
+    error, step = _lateral(pose, hit.x_m, hit.y_m), scales.step_m
+    _shift(pose, error)
+    if not lost:
+        pose[HEADING] += scales.config.heading_gain * error / step
+        pose[BEND] += scales.config.curvature_gain * error / step**2
+    seen_rad = pose[HEADING]
+    if not math.isnan(hit.direction_rad):
+        seen_rad = hit.direction_rad
+        pose[HEADING] += (scales.config.found_gain if lost else scales.config.own_gain) * (seen_rad - pose[HEADING])
+    lateral = turned = 0.0
+    if at != NO_PATH:
+        lateral = _lateral(path.nodes[at], pose[0], pose[1])
+        turned = remainder(0.5 * (pose[HEADING] + seen_rad) - path.nodes[at, HEADING], math.tau)
+        if lost or _is_known(path, at):
+            if abs(turned) > scales.config.away_rad:
+                return False, at, *_turned_back(scales, path.nodes[at], pose, points[:count], missed)
+            pose[TURNED] += (turned - pose[TURNED]) / (count + 2)
+        elif abs(turned - pose[TURNED]) > scales.config.odd_rad:  # the line leaves the guessed part
+            at, turned = NO_PATH, pose[TURNED]
+    points[count, 0], points[count, 1], points[count, MISSED] = hit.x_m, hit.y_m, missed
+    points[count, LATERAL], points[count, TURNED] = lateral, turned
+    return True, at, count + 1, missed
 
-    def __init__(
-        self,
-        settings: TrackerSettings,
-        windows: LineWindows,
-        features: Image,
-        pose: WindowPose,
-        path: PathCursor | None,
-        reach_m: float,
-    ) -> None:
-        self.points: list[TrackedPoint] = []
-        self.lost_m: tuple[float, float] | None = None
-        self._set, self._windows, self._features = settings, windows, features
-        self._pose, self._path, self._reach_m = pose, path, reach_m  # `_path` is None once the expected line has ended
-        self._missed = 0  # windows without the line since it was last seen
-        self._lost = True  # the line was not in the last window, or has not been seen yet
-        self._follow_path()
-        self._from_m = path.s_m if path is not None else 0.0
-        self._turned_rad = 0.0  # of the line from the expected one, mean of the last points
-        self._max_lateral_m = 0.0  # of a lost line from the window's axis
 
-    def run(self) -> None:
-        """Step until the line leaves the view or is lost."""
-        guided = self._path is not None
-        self._track()
-        if guided:
-            wide, lost = self._set.wide_gap, self._missed >= self._set.wide_gap
-            self.points = without_corners(self.points, wide, lost, self._set.config.odd_rad)
+@compiled
+def _turned_back(
+    scales: TrackScales, node: FloatArray, pose: FloatArray, points: FloatArray, missed: int
+) -> tuple[int, int]:
+    """Go on beside the expected line as before the last points, which led away from it.
 
-    def _track(self) -> None:
-        pose = self._pose
-        seen = False  # the track has come into sight
-        for _ in range(self._set.max_steps):
-            hit = self._search() if self._lost else self._look(0.0)
-            if hit is not None and self._accept(hit):
-                seen = True
-            elif self._windows.in_sight(pose.x_m, pose.y_m):
-                seen = True
-                self._missed += 1
-                self._lost = True
-                if self._path is None or self._missed * self._set.step_m > self._set.max_gap_m:
-                    self.lost_m = (pose.x_m, pose.y_m)
-                    return
-            elif seen:
-                return
-            self._advance()
+    Returns how many points are left, and how many windows are missed.
+    """
+    odd, count = _odd(points, scales.config.odd_rad), len(points)
+    while count and odd[count - 1]:
+        count -= 1
+        missed += 1 + int(points[count, MISSED])
+    pose[TURNED] = _median_turn(points[:count])
+    pose[0], pose[1], pose[HEADING] = node[0], node[1], node[HEADING] + pose[TURNED]
+    if count:
+        _shift(pose, points[count - 1, LATERAL])
+    return count, missed
 
-    def _search(self) -> WindowHit | None:
-        """The line in the window or in windows to both sides, the nearest first."""
-        pose = self._pose
-        config = self._set.config
-        reach = config.spread * self._missed * self._set.step_m + (0.0 if self.points else self._reach_m)
-        self._max_lateral_m = reach + self._set.marking_m
-        if self._windows.is_empty(self._features, pose.x_m, pose.y_m, reach):
-            return None
-        hit = self._look(0.0)
-        if hit is not None:
-            return hit
-        for k in range(1, math.ceil(reach / self._set.spacing_m) + 1):
-            left = min(k * self._set.spacing_m, reach)
-            found = [h for h in (self._look(left), self._look(-left)) if h is not None]
-            if found:
-                return min(found, key=lambda h: abs(pose.lateral(h.x_m, h.y_m)))
-        return None
 
-    def _look(self, left_m: float) -> WindowHit | None:
-        """The content of a window `left_m` to the left, if it can be the line."""
-        pose, path = self._pose, self._path
-        x, y = pose.x_m - left_m * pose.sin, pose.y_m + left_m * pose.cos
-        hit = self._windows.look(self._features, x, y, pose.heading_rad)
-        if hit is None:
-            return None
-        most = self._max_lateral_m if self._lost else self._set.max_shift_m
-        if abs(pose.lateral(hit.x_m, hit.y_m)) > most:
-            return None
-        direction = hit.direction_rad
-        if self._lost and (direction is None or not self._is_line_again(hit, direction)):
-            return None
-        most_rad = self._set.config.gap_turn_rad if self._lost else self._set.config.turn_rad
-        if direction is not None and abs(direction - pose.heading_rad) > most_rad:
-            return None
-        if path is not None and (self._lost or path.known):
-            most = self._reach_m + self._set.marking_m + self._set.config.spread * (path.s_m - self._from_m)
-            if abs(path.lateral(hit.x_m, hit.y_m)) > most:
-                return None
-        return hit
+@compiled
+def _advance(scene: _Scene, at: int, pose: FloatArray, lost: bool) -> int:
+    """Move to the next window, with the expected line's curvature if there is one, else with the line's own.
 
-    def _is_line_again(self, hit: WindowHit, direction_rad: float) -> bool:
-        """Whether a piece may be the lost line: whole, and none of a zebra's bars."""
-        around = self._windows.surroundings(self._features, hit.x_m, hit.y_m, direction_rad)
-        return around.covered >= self._set.config.covered and min(around.flanks) < self._set.config.flanked
+    Returns the node of the path beside it.
+    """
+    scales, path, step = scene.scales, scene.path, scene.scales.step_m
+    if at != NO_PATH and (lost or _is_known(path, at)):
+        pose[BEND] = (path.nodes[at + 1, HEADING] - path.nodes[at, HEADING]) / step
+        if lost:
+            pose[HEADING] += remainder(path.nodes[at, HEADING] + pose[TURNED] - pose[HEADING], math.tau)
+    turn = min(max(pose[BEND] * step, -scales.max_turn_rad), scales.max_turn_rad)
+    middle = pose[HEADING] + 0.5 * turn
+    pose[0] += step * math.cos(middle)
+    pose[1] += step * math.sin(middle)
+    pose[HEADING] += turn
+    return beside(path, at, pose[0], pose[1]) if at != NO_PATH else NO_PATH
 
-    def _accept(self, hit: WindowHit) -> bool:
-        """Move onto the line; False where it has turned away from the expected line."""
-        pose, path = self._pose, self._path
-        error = pose.lateral(hit.x_m, hit.y_m)
-        pose.shift(error)
-        if not self._lost:
-            pose.turn(self._set.config.heading_gain * error / self._set.step_m)
-            pose.curvature_per_m += self._set.config.curvature_gain * error / self._set.step_m**2
-        seen_rad = pose.heading_rad
-        if hit.direction_rad is not None:
-            seen_rad = hit.direction_rad
-            gain = self._set.config.found_gain if self._lost else self._set.config.own_gain
-            pose.turn(gain * (seen_rad - pose.heading_rad))
-        lateral = turned = 0.0
-        if path is not None:
-            lateral = path.lateral(pose.x_m, pose.y_m)
-            turned = math.remainder(0.5 * (pose.heading_rad + seen_rad) - path.heading_rad, math.tau)
-            if self._lost or path.known:
-                if abs(turned) > self._set.config.away_rad:
-                    self._turn_back(path)
-                    return False
-                self._turned_rad += (turned - self._turned_rad) / (len(self.points) + 2)
-            elif abs(turned - self._turned_rad) > self._set.config.odd_rad:  # the line leaves the guessed part
-                self._path = None
-                turned = self._turned_rad
-        self.points.append(TrackedPoint(hit.x_m, hit.y_m, self._missed, lateral, turned))
-        self._missed, self._lost = 0, False
-        return True
 
-    def _turn_back(self, path: PathCursor) -> None:
-        """Drop the last points, which led away from the expected line, and go on beside it as before them."""
-        odd = _odd(self.points, self._set.config.odd_rad)
-        while odd and odd.pop():
-            self._missed += 1 + self.points.pop().missed
-        pose = self._pose
-        pose.x_m, pose.y_m = path.x_m, path.y_m
-        self._turned_rad = _median_turn(self.points)
-        pose.turn(path.heading_rad + self._turned_rad - pose.heading_rad)
-        pose.shift(self.points[-1].lateral_m if self.points else 0.0)
+@compiled
+def _median_turn(points: FloatArray) -> float:
+    """The median turn of points (n, 5) from the expected line: some may lie on the corner of another road."""
+    return np.sort(points[:, TURNED])[len(points) // 2] if len(points) else 0.0
 
-    def _advance(self) -> None:
-        """Move to the next window, with the expected line's curvature if there is one, else with the line's own."""
-        pose, step, path, most = self._pose, self._set.step_m, self._path, self._set.max_turn_rad
-        if path is not None and (self._lost or path.known):
-            pose.curvature_per_m = path.turn_rad / step
-            if self._lost:
-                wanted = path.heading_rad + self._turned_rad
-                pose.turn(math.remainder(wanted - pose.heading_rad, math.tau))
-        pose.advance(step, min(max(pose.curvature_per_m * step, -most), most))
-        self._follow_path()
 
-    def _follow_path(self) -> None:
-        """Move the cursor on the expected line beside the window; drop it at the line's end."""
-        if self._path is not None:
-            self._path.advance_to(self._pose.x_m, self._pose.y_m)
-            if self._path.ended:
-                self._path = None
+@compiled
+def _odd(points: FloatArray, odd_rad: float) -> Bools:
+    """Which of points (n, 5) have another direction than the line."""
+    return np.abs(points[:, TURNED] - _median_turn(points)) > odd_rad
+
+
+@compiled
+def without_corners(points: FloatArray, scales: TrackScales, lost: bool) -> FloatArray:
+    """Points (n, 5) of a line less the odd ones beside a wide gap: at a junction they lie on another road's corner.
+
+    `lost`: there is such a gap beyond the last point.
+    """
+    count, odd, kept = len(points), _odd(points, scales.config.odd_rad), np.ones(len(points), np.bool_)
+    for gap in range(1, count + 1):
+        if not (lost if gap == count else points[gap, MISSED] >= scales.wide_gap):
+            continue
+        i = gap
+        while i < count and odd[i]:
+            kept[i] = False
+            i += 1
+        i = gap - 1
+        while i >= 0 and odd[i]:
+            kept[i] = False
+            i -= 1
+    return points[kept]

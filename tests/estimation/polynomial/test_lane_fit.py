@@ -109,7 +109,7 @@ def test_the_jacobian_is_the_residuals_slope() -> None:
     for name, lane in LANES.items():
         offset, heading = 0.04, -0.2
         clean = samples_of(lane, lane.car(S0, offset, heading, REFERENCE_M))
-        samples = replace(clean, points_m=clean.points_m + rng.normal(0.0, 0.001, clean.points_m.shape))
+        samples = clean._replace(points_m=clean.points_m + rng.normal(0.0, 0.001, clean.points_m.shape))
         parameters = true_parameters(FIT, lane, S0, offset, heading)
         parameters[-1] = 0.03
         jacobian = FIT.residuals(parameters, samples)[1]

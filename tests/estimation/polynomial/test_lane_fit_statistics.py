@@ -26,7 +26,7 @@ def test_a_third_of_the_points_may_lie() -> None:
         points = car.inverse().apply([lane.beside(at, lateral) for at, lateral in pairs])
         prior = loose_prior(FIT, true_parameters(FIT, lane, S0, 0.045, 0.08))
         sigma = np.concatenate(([0.01, 0.02], np.full(len(FIT.nodes_m), 0.3), [0.004, 0.003]))
-        found = FIT.solve(replace(clean, points_m=points), replace(prior, sigma=sigma), rounds=8)
+        found = FIT.solve(clean._replace(points_m=points), replace(prior, sigma=sigma), rounds=8)
         assert found.offset_m == pytest.approx(0.04, abs=0.003), name
         assert found.heading_rad == pytest.approx(0.1, abs=math.radians(1.0)), name
         assert (found.inliers & wrong).sum() <= 2, name  # at the far end nothing contradicts one
@@ -68,7 +68,7 @@ def test_the_covariance_tells_the_spread() -> None:
     prior = loose_prior(FIT, true_parameters(FIT, lane, S0, 0.02, 0.1))
     found = []
     for _ in range(150):
-        noisy = replace(clean, points_m=clean.points_m + rng.normal(0.0, 0.003, clean.points_m.shape))
+        noisy = clean._replace(points_m=clean.points_m + rng.normal(0.0, 0.003, clean.points_m.shape))
         solution = FIT.solve(noisy, prior, rounds=4)
         found.append((solution.offset_m, solution.heading_rad, solution.width_m))
     claimed, spread = FIT.covariance(solution), np.cov(np.array(found).T)
@@ -91,7 +91,7 @@ def test_the_fit_is_unbiased_under_noise() -> None:
     prior = loose_prior(FIT, FIT.start(0.0, -0.2, 0.0, WIDTH_M))
     errors = []
     for _ in range(60):
-        noisy = replace(clean, points_m=clean.points_m + rng.normal(0.0, 0.003, clean.points_m.shape))
+        noisy = clean._replace(points_m=clean.points_m + rng.normal(0.0, 0.003, clean.points_m.shape))
         solution = FIT.solve(noisy, prior, rounds=6)
         errors.append((solution.offset_m + 0.05, solution.heading_rad - 0.2, solution.width_m - WIDTH_M))
     assert (np.abs(np.mean(errors, axis=0)) < (0.0007, math.radians(0.25), 0.0007)).all()

@@ -12,7 +12,7 @@ import pytest
 from automodel.config import CameraConfig, CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.binary_views import WhiteAreas
-from automodel.perception.markings.reflections import Reflections
+from automodel.perception.markings.reflections import ReflectionConfig, Reflections, of_streaks
 from tests.support.drawn_views import Shape, bar, line_at
 
 MARKING_M = 0.03
@@ -171,10 +171,7 @@ def test_only_points_that_point_to_the_camera_are_looked_at() -> None:
     ],
 )
 def test_pieces_of_one_thing_are_judged_together(odds: tuple[float, ...], streaks: tuple[bool, ...]) -> None:
-    eye = GroundCamera.from_config(CAR)
-    mask = WhiteAreas(BirdsEye(eye, VIEW), MARKING_M, 0.0, "light").mask
-    reflections = Reflections(eye, VIEW, mask, MARKING_M, "light", len(odds))
-    told = reflections._together(np.array((*odds, *(len(odds) * (1.0,)))))  # and a thing beside it
+    told = of_streaks(np.array((*odds, *(len(odds) * (1.0,)))), len(odds), ReflectionConfig().change)  # one beside it
     assert told.tolist() == [*streaks, *(len(odds) * (False,))]
 
 

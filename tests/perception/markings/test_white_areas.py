@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.markings.binary_views import WhiteAreas
+from automodel.perception.markings.binary_views import Run, WhiteAreas, narrow_lines
+from automodel.perception.markings.ridge import ridge_image
 from tests.support.drawn_views import bar, disc, grey, line_at, share
 
 MARKING_M = 0.03
@@ -176,3 +178,20 @@ def test_a_line_that_the_pictures_edge_cuts_is_kept_inside_of_it(side: int) -> N
     assert (lines[whole][drawn[whole] == 1.0] > 0).mean() > 0.97
     away = (middle_columns(lines) - middle_columns(drawn))[whole]
     assert abs(np.nanmean(away)) < 0.1
+
+
+@pytest.mark.parametrize("markings", ["light", "dark", "both"])
+def test_a_lines_runs_are_those_that_two_openings_leave(markings: str) -> None:
+    random, sides, kernels = np.random.default_rng(1), 9.5, (np.ones((1, 3), np.uint8), np.ones((1, 9), np.uint8))
+    steps = random.integers(0, 120, (200, 12)).repeat(random.integers(1, 13, 12), axis=1)
+    view = (steps + random.integers(0, 6, steps.shape)).astype(np.uint8)
+    bright, visible = (np.where(random.random(view.shape) > 0.05, 255, 0).astype(np.uint8) for _ in range(2))
+    negative = 255 - view
+    sources = {"light": [view], "dark": [negative], "both": [view, negative]}[markings]
+    ridges = np.max([ridge_image(source, 1, 1, 14) for source in sources], axis=0) > sides
+    wide_enough = cv2.morphologyEx(np.where(ridges, bright, 0).astype(np.uint8), cv2.MORPH_OPEN, kernels[0])
+    too_wide = cv2.morphologyEx(wide_enough, cv2.MORPH_OPEN, kernels[1])
+    run = Run(reach=14, narrow=3, wide=9, light=markings != "dark", dark=markings != "light")
+    lines = narrow_lines(view, np.flatnonzero(bright), sides, run, visible)
+    assert too_wide.any()
+    np.testing.assert_array_equal(lines, np.where((too_wide == 0) & (visible > 0), wide_enough, 0))

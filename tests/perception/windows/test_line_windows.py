@@ -11,8 +11,8 @@ import pytest
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.windows.line_following import LineFollowing
-from automodel.perception.windows.line_windows import LineWindows
-from automodel.perception.windows.window_tracker import ExpectedLine, PathCursor
+from automodel.perception.windows.line_windows import LineWindows, Surroundings, look, surroundings
+from automodel.perception.windows.window_tracker import HEADING, NO_PATH, ExpectedLine, Path, beside, resampled
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
@@ -35,54 +35,54 @@ def slanted(x_m: float, y_m: float, direction_rad: float) -> Shape:
 def test_a_window_tells_a_lines_place_and_direction(view: View, direction_deg: float) -> None:
     direction = math.radians(direction_deg)
     features = binary(view, slanted(1.2, 0.1, direction), samples=4)
-    windows = LineWindows(view, MARKING_M)
+    layout = LineWindows(view, MARKING_M).layout
     normal = np.array([-math.sin(direction), math.cos(direction)])
     for aside in (-0.03, -0.01, 0.0, 0.02, 0.03):  # at 3 cm a part of the line is outside the window
         x, y = np.array([1.2, 0.1]) + aside * normal
-        seen = windows.look(features, float(x), float(y), direction + math.radians(5.0))
-        assert seen is not None
+        seen = look(features, layout, float(x), float(y), direction + math.radians(5.0))
         off = np.array([seen.x_m - 1.2, seen.y_m - 0.1]) @ normal
         assert abs(off) <= 0.51 * view.m_per_px  # along a row or column it may lie anywhere in its pixels
         assert seen.direction_rad == pytest.approx(direction, abs=math.radians(5.0))
 
 
 def test_areas_crossing_lines_and_specks_are_no_pieces() -> None:
-    windows = LineWindows(VIEW, MARKING_M)
+    layout = LineWindows(VIEW, MARKING_M).layout
     for shape in (disc(1.2, 0.0, 0.2), line_at(0.0, 0.08), bar(1.18, 0.03), disc(1.2, 0.0, 0.008)):
-        assert windows.look(binary(VIEW, shape), 1.2, 0.0, 0.0) is None
+        assert math.isnan(look(binary(VIEW, shape), layout, 1.2, 0.0, 0.0).x_m)
 
 
 def test_a_disc_has_no_direction() -> None:
-    windows = LineWindows(VIEW, MARKING_M)
-    seen = windows.look(binary(VIEW, disc(1.2, 0.0, 0.7 * MARKING_M)), 1.2, 0.0, 0.0)
-    assert seen is not None
-    assert seen.direction_rad is None
+    layout = LineWindows(VIEW, MARKING_M).layout
+    seen = look(binary(VIEW, disc(1.2, 0.0, 0.7 * MARKING_M)), layout, 1.2, 0.0, 0.0)
+    assert math.isfinite(seen.x_m)
+    assert math.isnan(seen.direction_rad)
 
 
 def test_of_two_lines_in_a_window_the_one_ahead_counts() -> None:
-    windows = LineWindows(VIEW, MARKING_M)
+    layout = LineWindows(VIEW, MARKING_M).layout
     features = binary(VIEW, line_at(0.0), line_at(0.052))
-    seen = windows.look(features, 1.2, 0.0, 0.0)
-    assert seen is not None
+    seen = look(features, layout, 1.2, 0.0, 0.0)
     assert abs(seen.y_m) < 0.5 * VIEW.m_per_px
 
 
 def test_what_lies_about_a_piece() -> None:
-    windows = LineWindows(VIEW, MARKING_M)
-    alone = windows.surroundings(binary(VIEW, line_at(0.0)), 1.2, 0.0, 0.0)
-    assert alone.covered == 1.0
-    assert alone.flanks == (0.0, 0.0)
-    flanked = windows.surroundings(binary(VIEW, *(line_at(0.1 * k, 0.05) for k in (-1, 0, 1))), 1.2, 0.0, 0.0)
-    assert min(flanked.flanks) > 1.0
-    left_only = windows.surroundings(binary(VIEW, line_at(0.0), line_at(0.1)), 1.2, 0.0, 0.0)
-    assert left_only.flanks[0] > 0.7
-    assert left_only.flanks[1] == 0.0
-    aside = windows.surroundings(binary(VIEW, bar(1.2, 0.03), bar(1.1, 0.03)), 1.215, 0.0, 0.5 * math.pi)
+    layout = LineWindows(VIEW, MARKING_M).layout
+
+    def about(*shapes: Shape, x_m: float = 1.2, heading_rad: float = 0.0) -> Surroundings:
+        return surroundings(binary(VIEW, *shapes), layout, x_m, 0.0, heading_rad)
+
+    assert about(line_at(0.0)) == (1.0, 0.0, 0.0)
+    flanked = about(*(line_at(0.1 * k, 0.05) for k in (-1, 0, 1)))
+    assert min(flanked.left, flanked.right) > 1.0
+    left_only = about(line_at(0.0), line_at(0.1))
+    assert left_only.left > 0.7
+    assert left_only.right == 0.0
+    aside = about(bar(1.2, 0.03), bar(1.1, 0.03), x_m=1.215, heading_rad=0.5 * math.pi)
     assert aside.covered == 1.0
-    assert sorted(aside.flanks)[0] == 0.0
-    assert sorted(aside.flanks)[1] > 0.7
-    dotted = binary(VIEW, lambda x, y: line_at(0.0)(x, y) & (np.abs(x - 1.2) > 0.025))
-    assert windows.surroundings(dotted, 1.2, 0.0, 0.0).covered < 0.5
+    assert min(aside.left, aside.right) == 0.0
+    assert max(aside.left, aside.right) > 0.7
+    dotted = about(lambda x, y: line_at(0.0)(x, y) & (np.abs(x - 1.2) > 0.025))
+    assert dotted.covered < 0.5
 
 
 class TestSight:
@@ -131,19 +131,18 @@ class TestExpectations:
         for line in (firm, guess):
             assert np.abs(beside(*line.points_m.T)).max() < 0.5 * VIEW.m_per_px
 
-    def test_a_cursor_follows_its_line(self) -> None:
-        road = Road(curvature_per_m=0.5)
-        path = PathCursor(road.expected(0.0, behind_m=0.0, ahead_m=2.0), 0.1, 100)
-        assert path.turn_rad == pytest.approx(0.05, abs=1e-3)
-        path.advance_to(math.sin(0.5) * 2.0, 2.0 - 2.0 * math.cos(0.5))  # 1 m along the arc
-        assert path.s_m == pytest.approx(1.0, abs=0.06)
-        assert path.heading_rad == pytest.approx(0.5, abs=0.03)
-        assert path.lateral(path.x_m - 0.03 * math.sin(0.5), path.y_m + 0.03 * math.cos(0.5)) == pytest.approx(
-            0.03, abs=1e-3
-        )
-        path.advance_to(9.0, 9.0)
-        assert path.ended
-        assert path.turn_rad == 0.0
+    def test_the_place_beside_a_point_moves_along_its_line(self) -> None:
+        line = Road(curvature_per_m=0.5).expected(0.0, behind_m=0.0, ahead_m=2.0)
+        nodes = resampled(line.points_m, line.heading_rad, 0.1, 100)
+        path = Path(nodes, step_m=0.1, known_m=math.inf, reach_m=0.0, from_m=0.0)
+        assert nodes[1, HEADING] - nodes[0, HEADING] == pytest.approx(0.05, abs=1e-3)
+        at = beside(
+            path, 0, math.sin(0.5) * 2.0 - 0.03 * math.sin(0.5), 2.0 - 1.97 * math.cos(0.5)
+        )  # 1 m along the arc
+        assert at == 10
+        assert nodes[at] == pytest.approx((math.sin(0.5) * 2.0, 2.0 - 2.0 * math.cos(0.5), 0.5), abs=1e-3)
+        assert beside(path, at, 0.0, 0.0) == at  # never back
+        assert beside(path, at, 9.0, 9.0) == NO_PATH
 
     def test_a_very_long_expectation_costs_no_more_than_a_long_one(self) -> None:
         s = np.array([0.0, 1e9])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from automodel.geometry import View
-from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, _moments
+from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows, moments
 from tests.support.drawn_views import bar, binary, dashed, line_at
 
 LANE_M, MARKING_M, REFERENCE_M = 0.4, 0.03, 0.13
@@ -19,10 +19,10 @@ def true_y(x: np.ndarray, y_m: float, slope: float, bend_per_m: float) -> np.nda
     return y_m + slope * x + 0.5 * bend_per_m * x * x
 
 
-def test_moments_are_those_of_opencv() -> None:
+def testmoments_are_those_of_opencv() -> None:
     lines = (np.random.default_rng(2).random((40, 60)) < 0.3).astype(np.uint8) * 255
     known = cv2.moments(lines[7:29, 11:53], True)
-    area, m10, m01, m20, m11, m02 = _moments(lines, 7, 29, 11, 53)
+    area, m10, m01, m20, m11, m02 = moments(lines, 7, 29, 11, 53)
     found = (area, m10, m01, m20, m11, m02)
     assert found == pytest.approx([known[name] for name in ("m00", "m10", "m01", "m20", "m11", "m02")], rel=1e-12)
 
