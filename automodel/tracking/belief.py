@@ -384,5 +384,8 @@ def warm_up() -> None:
     road = RoadModel(lane_width_m=1.0, marking_width_m=0.05)
     belief = LaneBelief.arc(np.array((0.0, 0.0, 0.0, 1.0)), 0.01 * np.eye(len(Part)), road, 0.0)
     points, _, _ = belief.beside(np.linspace(0.0, 3.0, 4), 0.5)
-    belief.update((Assigned(SightedLine(points_m=points, painted_m=3.0, span_m=3.0), 0.5),))
-    belief.moved(0.1, 0.0, 0.01, True)
+    lines = (Assigned(SightedLine(points_m=points, painted_m=3.0, span_m=3.0), 0.5),)
+    after, _ = belief.update(lines)
+    Evidence(after).explained(lines, math.inf)
+    after.moved(0.1, 0.0, 0.01, True).merged(belief, 0.5).without_road().beside_it(+1)
+    _ = belief.lateral_variance(1.0), belief.pose

@@ -13,6 +13,7 @@ put there.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,7 +22,7 @@ from automodel.config import CarConfig
 from automodel.curves import Curve
 from automodel.estimation.checked_odometry import CheckedOdometry
 from automodel.geometry import GroundCamera
-from automodel.perception.line_scan import SightedLine
+from automodel.perception.line_scan import ScanConfig, SightedLine
 from automodel.signals import (
     Crossing,
     Frame,
@@ -69,7 +70,7 @@ class TrackingConfig:
     freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
     happens once in a thousand true lines of nine points, the most (as of Student's errors). `sure`: posterior of the
     one hypothesis that is followed.
-    `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter.
+    `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter: those of a bound.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
     pipeline that reads few pixels, which learns the lines' kinds where it looks anyway. `glance`: where they are not.
@@ -86,7 +87,7 @@ class TrackingConfig:
     differs: float = 9.2
     fits: float = 49.4
     sure: float = 0.99
-    exists: float = 5.0
+    exists: float = -math.log(EXCEEDED)
     start: float = 0.25
     look: float = 1.0
     glance: float = 0.25
@@ -113,8 +114,6 @@ class LaneTracking:
     search found; while `in_doubt`, `judge`, which may say where the estimator must start anew; then
     `follow`. `ahead_m`: how far ahead of the reference point the curves reach that the belief gives.
     """
-
-    MISTRUSTED_S = 0.3  # for which the motion may have been wrong when that is noticed
 
     def __init__(self, car: CarConfig, config: TrackingConfig, ahead_m: float) -> None:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
@@ -146,7 +145,7 @@ class LaneTracking:
         self._bends.reset()
         self._profile.reset()
         self._lines_seen = 0  # of the lane's, in the last frame
-        self._t_ns = self._started_ns = 0
+        self._t_ns = self._started_ns = self._learnt_ns = 0
         self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
         self._belief: LaneBelief | None = None
         self._placed = True  # in its lane, by a person
@@ -216,7 +215,8 @@ class LaneTracking:
             self._profile.move(driven / self._unit, self._lines_seen)
         self.reckons = moved.known and motion.source is not MotionSource.IMAGES
         if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
-            self._doubt(self._belief.without_road().moved(0.0, 0.0, self.MISTRUSTED_S, False))
+            since_s = (frame.t_ns - self._learnt_ns) * 1e-9  # its lines bore out the motion
+            self._doubt(self._belief.without_road().moved(0.0, 0.0, since_s, False))
         elif (
             self._belief is not None and self._odometry.right and not self.in_doubt
         ):  # so the lines are another thing's
@@ -257,7 +257,8 @@ class LaneTracking:
         else:
             return None
         self._started_ns = self._seen_ns = t_ns
-        self._pair_m = self._unit if self._placed and roles >= {LEFT, RIGHT} else 0.0
+        both = min(roles, default=0.0) < 0.0 < max(roles, default=0.0)
+        self._pair_m = self._unit if self._placed and both else 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:
@@ -306,9 +307,10 @@ class LaneTracking:
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
-        likelier = best.log_odds > max(said, self.config.exists)
+        likelier = bool(best.assigned) and best.log_odds > max(said, self.config.exists)
         blind = not own and not self._confusable(self._reckoned, 1.0)
-        self._story = best.belief if likelier else self._reckoned if blind else None
+        story = best.belief if likelier else self._reckoned if blind else None
+        self._story = story if story is not None and self._possible(story.pose) else None
         apart = self._apart(measured, best.belief)
         agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
@@ -317,15 +319,15 @@ class LaneTracking:
         better = self._place_variance(best.belief) < self._place_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
-            self._believe(best.belief)
+            self._believe(best.belief, best.assigned)
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
-            self._believe(alone.all[0].belief)
+            self._believe(alone.all[0].belief, alone.all[0].assigned)
         elif (
             self._sure(best)
             and (not own or self._beats(best, said, alone.all[0].news))
             and self._at_once(best.belief, seen)
         ):
-            self._believe(best.belief)
+            self._believe(best.belief, best.assigned)
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
@@ -402,7 +404,7 @@ class LaneTracking:
         self._lines_seen = count
         self._beside = self._beside and abs(pose.offset_m) > 0.5 * pose.width_m
         if self._belief is None:
-            self._belief = self._measured(pose)
+            self._belief, self._learnt_ns = self._measured(pose), frame.t_ns
         elif not self.in_doubt:
             self._check(followed)
         if count:
@@ -492,14 +494,19 @@ class LaneTracking:
         return 0.2 * self._unit * float(np.count_nonzero(seen))
 
     def _together(self, lines: tuple[SightedLine, ...], own: list[FloatArray]) -> tuple[SightedLine, ...]:
-        """All lines in view, and what the estimator alone sees: no paint is a witness twice, in two roles perhaps."""
-        scanned = lines
+        """All lines in view, and what the estimator alone sees: no paint is a witness twice, in two roles perhaps.
+
+        What the scan does not find are specks, on average half as long as the shortest line that it does.
+        """
+        scanned, speck_m = lines, 0.5 * ScanConfig().least_lanes * self._unit
         for points in own:
             alone = np.ones(len(points), np.bool_)
             for line in scanned:
                 alone &= _distances(points, line.points_m) > self._bends.road.marking_width_m
             if np.count_nonzero(alone) > 1:
-                lines = (*lines, _sighted(points[alone]))
+                line = _sighted(points[alone])
+                painted_m = min(line.painted_m, speck_m * float(np.count_nonzero(alone)))
+                lines = (*lines, replace(line, painted_m=painted_m))
         return lines
 
     def _strays(self, followed: Followed) -> bool:
@@ -583,7 +590,7 @@ class LaneTracking:
         """Take a belief that has learnt from a frame, and doubt the estimator where it contradicts that."""
         if pair:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
-        self._news_m, self._belief = 0.0, belief
+        self._news_m, self._learnt_ns, self._belief = 0.0, self._t_ns, belief
         measured = self._measured(followed.pose)
         normalised = self._apart(measured, belief)
         self._innovations.add(0.5 * normalised)
@@ -602,13 +609,26 @@ class LaneTracking:
         self._reckoned, self._said = belief, 0.0
         self.in_doubt, self._story = True, belief
 
-    def _believe(self, belief: LaneBelief) -> None:
-        """The doubt is over; where dead reckoning could not tell the lane from the next one, it may be that one."""
-        if self._reckoned is not None and self._confusable(self._reckoned, 1.0):
+    def _believe(self, belief: LaneBelief, assigned: Sequence[Assigned] = ()) -> None:
+        """The doubt is over, by these lines; it may be the next lane where dead reckoning cannot tell the two."""
+        if self._reckoned is not None and self._may_be_next(belief, self._reckoned):
             self._pair_m = 0.0
-        self._belief, self._reckoned, self.in_doubt, self._news_m = belief, None, False, 0.0
+        elif {role for _, role in assigned} >= {LEFT, RIGHT}:
+            self._pair_m += min(self._news_m, self.config.glance * self._unit)
+        self._belief, self._reckoned, self.in_doubt = belief, None, False
+        self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start(())
         self._innovations.reset()
+
+    def _may_be_next(self, belief: LaneBelief, reckoned: LaneBelief) -> bool:
+        """Whether a lane may be the one beside that of dead reckoning, oftener than a bound may be exceeded.
+
+        A road that bends unseen moves the lane aside and turns it: one that lies as it did is hardly the next. Where
+        neither fits, dead reckoning is wrong.
+        """
+        here = self._apart(belief, reckoned)
+        beside = min(self._apart(belief.beside_it(side), reckoned) for side in (+1, -1))
+        return here > self.config.gate or beside - here < -2.0 * math.log(EXCEEDED)
 
     def _apart(self, one: LaneBelief, other: LaneBelief) -> float:
         """Squared difference of offset and heading over its covariance: chi-square with two degrees of freedom."""
@@ -623,8 +643,10 @@ class LaneTracking:
         return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=age_ns)
 
     def _measured(self, pose: LanePose) -> LaneBelief:
-        """A pose as a belief."""
+        """A pose as a belief, which knows no line better than the error that its points have in common."""
         (d, d_turn, d_width), (_, turn, turn_width), (_, _, width) = pose.covariance.tolist()
+        line = (self._bends.road.line_sigma * self._unit) ** 2
+        d, width = d + 0.5 * line, width + 2.0 * line
         covariance = np.diag((d, turn, (self.config.bend / self._unit) ** 2, width))  # in the order of `Part`
         covariance[Part.OFFSET, Part.THETA] = covariance[Part.THETA, Part.OFFSET] = -d_turn
         covariance[Part.OFFSET, Part.WIDTH] = covariance[Part.WIDTH, Part.OFFSET] = d_width
@@ -674,8 +696,8 @@ class LaneTracking:
     def _told(self, followed: Followed) -> Followed:
         """What is told of the lane: by the estimator, where its lines reach to the car, else what is believed.
 
-        In doubt it is the best hypothesis, if that is likelier than the estimator's, or dead reckoning, if that sees no
-        line. Without odometry nothing is known that the estimator does not see.
+        In doubt it is the best hypothesis, if that explains a line in view and is likelier than the estimator's, or
+        dead reckoning, if that sees no line. Without odometry nothing is known that the estimator does not see.
         """
         belief, reaching = self._belief, self._reaching(followed)
         if belief is None or not self.reckons or (reaching and all(reaching)):

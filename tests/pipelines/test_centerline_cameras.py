@@ -69,7 +69,7 @@ def test_a_speed_that_is_wrong_by_ten_percent(speed_factor: float, dashed: bool)
     found = errors(MaskedDrive(track=track, speed_factor=speed_factor).run(0.8, 4.2), skip=10)
     assert found.available == 1.0
     assert found.offset_mean_m < 0.015
-    assert found.offset_max_m < 0.04  # where the lines do not reach to the car, which is where the odometry says
+    assert found.offset_max_m < 0.045  # where the lines do not reach to the car, which is where the odometry says
     assert found.heading_mean_deg < 1.5
 
 

@@ -178,6 +178,20 @@ def test_a_point_of_another_thing_hardly_moves_the_lane(away_m: float) -> None:
     assert np.quantile(errors, 0.99) < 27.6
 
 
+def test_a_point_of_another_thing_at_a_lines_end_seldom_bends_the_road() -> None:
+    """Where nothing is known of a road's bends it might go through that point, and the others would lie beside it."""
+    unknown = belief(STRAIGHT, (0.25 * LANE_M, 0.25, 0.25 / LANE_M, 0.12 * LANE_M))
+    random, bent = np.random.default_rng(5), []
+    for _ in range(60):
+        points = np.column_stack((np.linspace(0.5, 1.6, 15), 0.5 * LANE_M + 0.002 * random.normal(size=15)))
+        without, _ = unknown.update((Assigned(sighted(points[1:]), LEFT),))
+        points[0, 1] -= 0.04
+        found, _ = unknown.update((Assigned(sighted(points), LEFT),))
+        off = (found.mean - without.mean)[:2] / np.sqrt(np.diag(without.spread)[:2])
+        bent.append(np.abs(off).max() > 0.5)
+    assert np.mean(bent) < 0.1
+
+
 MOTIONS = [(0.0, 0.0), (0.3, 0.0), (0.25, 0.3), (-0.1, -0.1), (0.0, 0.4)]
 
 
