@@ -238,15 +238,15 @@ def _equations(
 
 
 @compiled
-def _together(equations: Equations, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _together(information: FloatArray, vector: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The lines' vector, and the square root of their information with the belief's own; each counts by its share."""
-    information, vector = shares[0] * equations.information[0], shares[0] * equations.vector[0]
-    for i in range(1, len(equations.vector)):
-        information += shares[i] * equations.information[i]
-        vector += shares[i] * equations.vector[i]
-    for i in range(len(vector)):
-        information[i, i] += 1.0
-    return vector, factor(information)
+    all_information, all_vector = shares[0] * information[0], shares[0] * vector[0]
+    for i in range(1, len(vector)):
+        all_information += shares[i] * information[i]
+        all_vector += shares[i] * vector[i]
+    for i in range(len(all_vector)):
+        all_information[i, i] += 1.0
+    return all_vector, factor(all_information)
 
 
 @compiled
@@ -271,7 +271,7 @@ def _climbed(
             misfit[i] = _equations(prior, path, state, points[its], weights[its], roles[i], information[i], vector[i])
         if best == np.inf:
             best = dot(shares, misfit)
-        right, root = _together(Equations(information, vector, misfit, spent), shares)
+        right, root = _together(information, vector, shares)
         step = backward(root, forward(root, right)) - z
         tried, uphill = 1.0, False
         for _ in range(ROUNDS):
@@ -355,7 +355,7 @@ def settled(
 @compiled
 def innovation(equations: Equations) -> tuple[float, float]:
     """Squared innovation of lines over its covariance S, which the belief and their errors give, and log |2 pi S|."""
-    vector, root = _together(equations, np.ones(len(equations.vector)))
+    vector, root = _together(equations.information, equations.vector, np.ones(len(equations.vector)))
     white = forward(root, vector)
     volume = equations.log_volume.sum()
     for i in range(len(root)):
@@ -394,7 +394,7 @@ def log_likelihood(equations: Equations) -> float:
 @compiled
 def posterior(prior: Prior, equations: Equations, z: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State (n,) and covariance (n, n) after lines that count by their `shares` (m,) and put it at z."""
-    root = _together(equations, shares)[1]
+    root = _together(equations.information, equations.vector, shares)[1]
     size = len(root) - 1
     half, covariance = np.empty((size, size + 1)), np.empty((size, size))
     for i in range(size):

@@ -565,6 +565,8 @@ BOUNDS = (
     *_of(
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
+        ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
+        ("surer-than-its-lines", "d, width = d + 0.5 * line, width + 2.0 * line", "pass"),
         ("reckoned-to-the-next-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", ""),
         ("a-gap-may-be-a-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", "or self._confusable(reckoned, 1.0)"),
         ("doubted-and-never-paired", "elif {role for _, role in assigned} >= {LEFT, RIGHT}:", "elif False:"),

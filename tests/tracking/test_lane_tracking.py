@@ -23,6 +23,7 @@ from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatu
 from automodel.tracking import evidence, lane_motion, seen_places
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
+from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from tests.support.drawn_roads import Road
 from tests.support.sighted_lines import DASHED, line_of
@@ -280,6 +281,23 @@ def test_over_a_crossing_dead_reckoning_tells_the_lane_from_the_next_one(gap: fl
         told = bound(drive.follow(said(0.0), sights(0.0)))
         assert drive.t_ns < 10e9
     assert (told < 0.5 * LANE_M) == sure
+
+
+def test_a_lane_far_from_where_the_odometry_puts_it_and_the_next_one_may_be_any() -> None:
+    drive = driving()
+    belief = drive.tracking._belief
+    assert belief is not None
+    assert not drive.tracking._may_be_next(belief, belief)
+    assert drive.tracking._may_be_next(belief.moved(0.0, math.radians(50.0), STEP_S, True), belief)
+
+
+def test_an_estimator_is_no_surer_than_the_lines_that_it_follows() -> None:
+    """However sure it says it is: the points of a line have an error in common."""
+    tracking = LaneTracking(CAR, CONFIG, AHEAD.length_m)
+    sure = replace(said(0.0).pose, covariance=1e-8 * np.eye(3))
+    line_m = tracking.road.line_sigma * LANE_M
+    assert tracking._measured(sure).sigma(Part.OFFSET) == pytest.approx(line_m / math.sqrt(2.0), rel=0.01)
+    assert tracking._measured(sure).sigma(Part.WIDTH) == pytest.approx(line_m * math.sqrt(2.0), rel=0.01)
 
 
 @pytest.mark.parametrize("jump", [0.6, -0.6])
