@@ -11,7 +11,6 @@ A row's z is an error in its own stated sigmas. The simulator pitches each camer
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -136,7 +135,7 @@ def measure_drive(case: RigDrive, tick: Tick) -> Row:
 
 def measure(cases: Sequence[RigDrive], sweep: Sweep) -> dict[str, list[Row]]:
     """The tables "drives", a row each, and "all", a row for each of the right camera's numbers."""
-    rows = [row for _, row in spread("bench stereo-calibration", functools.partial(measure_drive), cases, sweep)]
+    rows = [row for _, row in spread("bench stereo-calibration", measure_drive, cases, sweep)]
     return {"drives": rows, "all": list(summary(rows))}
 
 
