@@ -185,7 +185,8 @@ class LaneEstimate:
     """A pipeline's estimate of the lane in one frame; body frame, metres.
 
     `frame_age_ns` is the age of the last frame in which a line was seen: 0 while one is seen. `lane_change` is +1 or -1
-    in the frame in which the lane on the left or on the right became the lane, else 0.
+    in the frame in which the lane on the left or on the right became the lane, else 0. `camera_pitch_rad` is by how
+    much the camera looks further down than car.toml says, as the lane has shown: the metres were measured so.
     """
 
     t_ns: int
@@ -197,6 +198,7 @@ class LaneEstimate:
     crossing: Crossing | None = None
     frame_age_ns: int = 0
     lane_change: int = 0
+    camera_pitch_rad: float = 0.0
 
     @property
     def valid(self) -> bool:

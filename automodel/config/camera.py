@@ -41,6 +41,10 @@ class Extrinsics:
     yaw_rad: float = 0.0
     roll_rad: float = 0.0
 
+    def pitched(self, angle_rad: float) -> Extrinsics:
+        """Of a camera that looks down by so much more."""
+        return replace(self, pitch_rad=self.pitch_rad + angle_rad)
+
     def __post_init__(self) -> None:
         positive(self, "z_m")
         if not -1.5 < self.pitch_rad < 1.5:

@@ -31,6 +31,10 @@ class CheckedOdometry:
         self._images = ImageMotion(camera, lane_width_m)
         self.reset()
 
+    def see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so."""
+        self._images.see_with(camera)
+
     def reset(self) -> None:
         """Forget the last frame; the odometry is trusted."""
         self._images.reset()

@@ -73,14 +73,20 @@ class ImageMotion:
     MOST_SIGMAS = 10.0  # of a car of which nothing is known: no motion that is told is taken for a larger one
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
-        self.config, self._camera, self._unit = config or ImageMotionConfig(), camera, lane_width_m
+        self.config, self._unit = config or ImageMotionConfig(), lane_width_m
         self._scale = 1
         while camera.camera.width_px / self._scale > self.config.width_px:
             self._scale *= 2
         self._middle = 0.5 * (self._scale - 1.0)
         height, width = camera.camera.height_px // self._scale, camera.camera.width_px // self._scale
-        self._mask = self._ground_mask(height, width)  # made now: a frame that asks for it first would be late
+        self._size = height, width
+        self.see_with(camera)
         self.reset()
+
+    def see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so."""
+        self._camera = camera
+        self._mask = self._ground_mask(*self._size)  # made now: a frame that asks for it first would be late
 
     def reset(self) -> None:
         """Forget the last image and motion."""

@@ -32,7 +32,7 @@ class GroundCamera:
     """A calibrated camera on the car: ground points of the body frame to pixels and back."""
 
     def __init__(self, camera: CameraModel, extrinsics: Extrinsics) -> None:
-        self.camera = camera
+        self.camera, self.extrinsics = camera, extrinsics
         self.cam_from_body = cam_from_body_rotation(extrinsics)
         self.centre_m: FloatArray = np.array([extrinsics.x_m, extrinsics.y_m, extrinsics.z_m])
 
@@ -40,6 +40,10 @@ class GroundCamera:
     def from_config(cls, camera: CameraConfig) -> GroundCamera:
         """The camera of car.toml."""
         return cls(CameraModel.from_config(camera), camera.extrinsics)
+
+    def pitched(self, angle_rad: float) -> GroundCamera:
+        """The camera if it looked down by so much more."""
+        return GroundCamera(self.camera, self.extrinsics.pitched(angle_rad))
 
     def body_to_px(self, points_m: ArrayLike) -> FloatArray:
         """Points (..., 3) [m] of the body frame -> pixels (..., 2), also outside the image; NaN where there is none."""

@@ -6,6 +6,7 @@ memory by odometry, smoothing spline, s-theta model, recursive least squares -> 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import cv2
@@ -81,20 +82,27 @@ class Centerline:
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
-        self._car, self._camera = car, GroundCamera.from_config(car.camera)
+        self._car, camera = car, GroundCamera.from_config(car.camera)
         self._options, self._unit, self._reference_x_m = options, lane.width_m, car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
-        ahead_m = self._camera.first_visible_x_m() + options.view_ahead_lanes * lane.width_m
+        ahead_m = camera.first_visible_x_m() + options.view_ahead_lanes * lane.width_m
         self._ahead_m = ahead_m - self._reference_x_m
         self._markings = make_markings(car) if markings is None else markings
-        self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
-        self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
-        self._look_for(lane.marking_width_m)
+        self._width = MarkingWidth(camera, lane, self._reference_x_m)
+        self._marking_m = lane.marking_width_m
+        self._see_with(camera)
         coasting = TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes)
         self._tracking = LaneTracking(car, coasting, self._ahead_m)
         self.notice = _provider_notice(self._markings, options)
         self.stages = StageClock()
         self.reset()
+
+    def _see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so."""
+        self._camera = camera
+        self._width.see_with(camera)
+        self._gentle = GentleStart(self._car, camera, self._options.view_ahead_lanes)
+        self._look_for(self._marking_m)
 
     def _look_for(self, marking_m: float) -> None:
         """Look for markings of this width from now on."""
@@ -108,7 +116,8 @@ class Centerline:
         )
         if isinstance(self._markings, RidgeFilter):
             self._markings = RidgeFilter.of_camera(self._camera, marking_m, markings=self._car.lane.markings)
-        self._features = FeaturePoints(self._car.camera, self.view, marking_m, options.threshold)
+        seen_with = replace(self._car.camera, extrinsics=self._camera.extrinsics)
+        self._features = FeaturePoints(seen_with, self.view, marking_m, options.threshold)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
         self._scan = LineScan(self.view, unit, shown_m)
         self._gentle.look_for(marking_m)
@@ -116,15 +125,17 @@ class Centerline:
     @property
     def warning(self) -> str:
         """A line for the user after a run, which may be empty."""
-        return self._width.warning
+        return "; ".join(filter(None, (self._width.warning, self._tracking.warning)))
 
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
+        self._tracking.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
+        if self._camera is not self._tracking.camera:
+            self._see_with(self._tracking.camera)
         self._lane: TrackedLane | None = None
-        self._tracking.reset()
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
         """The lane in this frame, body frame; LOST for an image of another size than the camera's."""
@@ -133,6 +144,9 @@ class Centerline:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
+        turned = self._tracking.turn_camera()
+        if turned is not None:
+            self._see_with(self._tracking.camera)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m)
         mask = self._line_mask(frame.image)  # U-Net, or ridge filter
@@ -151,6 +165,8 @@ class Centerline:
             self._lane, lines = started
             if gentle is not None:
                 self._tracking.begin(frame.t_ns, self._followed(self._lane, lines).pose)
+        elif turned is not None and (begun := self._restart(features, turned)) is not None:
+            self._lane, lines = begun
         else:
             both = self._follow_lines(features, self._lane)  # window line following
             self.stages.lap("following")

@@ -70,16 +70,15 @@ class Contour:
         options, unit, marking = car.pipeline.contour, car.lane.width_m, car.lane.marking_width_m
         self._options, self._unit, self._settled_m = options, unit, self.SETTLED * marking
         camera = GroundCamera.from_config(car.camera)
-        self._car, self._camera = car, camera
+        self._car = car
         self._size = (car.camera.height_px, car.camera.width_px)
         dtype = PRECISIONS[options.precision]
         self._nodes_m = self._nodes(camera, car)
         self._tracker = self._make_tracker(self._nodes_m, car, dtype)
         self._pair = self._tracker.pair
-        self._projection = LineProjection(camera, dtype)
-        self._gentle = GentleStart(car, camera, options.look_ahead_lanes)
+        self._dtype, self._marking_m = dtype, marking
         self._width = MarkingWidth(camera, car.lane, car.vehicle.reference_x_m, options.colour)
-        self._look_for(marking, car.lane.markings == "dark")
+        self._see_with(camera, car.lane.markings == "dark")
         self._tracking = LaneTracking(
             car,
             TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, look=math.inf),
@@ -88,6 +87,14 @@ class Contour:
         self.stages = StageClock()
         self.reset()
         self._warm_up()
+
+    def _see_with(self, camera: GroundCamera, dark: bool) -> None:
+        """From now on the camera is set so, and markings are looked for first of this polarity."""
+        self._camera = camera
+        self._projection = LineProjection(camera, self._dtype)
+        self._gentle = GentleStart(self._car, camera, self._options.look_ahead_lanes)
+        self._width.see_with(camera)
+        self._look_for(self._marking_m, dark)
 
     def _look_for(self, marking_m: float, dark: bool) -> None:
         """Look for markings of this width from now on, and first of this polarity."""
@@ -110,7 +117,7 @@ class Contour:
     @property
     def warning(self) -> str:
         """A line for the user after a run, which may be empty."""
-        return self._width.warning
+        return "; ".join(filter(None, (self._width.warning, self._tracking.warning)))
 
     def _make_tracker(self, nodes: Floats, car: CarConfig, dtype: type[np.floating[Any]]) -> ClothoidTracker:
         options, unit, reference = self._options, self._unit, car.vehicle.reference_x_m
@@ -127,9 +134,12 @@ class Contour:
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
-        if self._marking_m != self._width.width_m:
-            self._look_for(self._width.width_m, self._car.lane.markings == "dark")
         self._tracking.reset()
+        dark = self._car.lane.markings == "dark"
+        if self._marking_m != self._width.width_m:
+            self._look_for(self._width.width_m, dark)
+        if self._camera is not self._tracking.camera:
+            self._see_with(self._tracking.camera, dark)
         self._monitor.reset()
         self._forget()
 
@@ -145,6 +155,9 @@ class Contour:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
+        turned = self._tracking.turn_camera()
+        if turned is not None:
+            self._see_with(self._tracking.camera, self._search.dark)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m, self._search.dark)
         self.stages.lap("width")
@@ -161,6 +174,8 @@ class Contour:
             else:
                 self._tracker.forget()
                 return self._tracking.lost_estimate(frame)
+        elif turned is not None:
+            tracked = self._restart(frame.image, turned)
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
             tracked = self._track(frame.image, self.ROUNDS, self._tracking.reckons)

@@ -46,12 +46,12 @@ class Windows:
 
     def __init__(self, car: CarConfig) -> None:
         options, lane = car.pipeline.windows, car.lane
-        self._camera = GroundCamera.from_config(car.camera)
-        self._options, self._lane, self._reference_x_m = options, lane, car.vehicle.reference_x_m
+        camera = GroundCamera.from_config(car.camera)
+        self._car, self._options, self._lane = car, options, lane
+        self._reference_x_m = car.vehicle.reference_x_m
         self._size = (car.camera.height_px, car.camera.width_px)
-        self._width = MarkingWidth(self._camera, lane, self._reference_x_m)
-        self._gentle = GentleStart(car, self._camera, options.view_ahead_lanes)
-        near_x_m = self._camera.first_visible_x_m()
+        self._width = MarkingWidth(camera, lane, self._reference_x_m)
+        near_x_m = camera.first_visible_x_m()
         ahead_m = near_x_m + options.view_ahead_lanes * lane.width_m - self._reference_x_m
         self._tracker = LaneTracker(
             LaneFitConfig(
@@ -61,11 +61,19 @@ class Windows:
             ),
             near_x_m,
         )
-        self._look_for(lane.marking_width_m)
         coasting = TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes)
         self._tracking = LaneTracking(car, coasting, ahead_m)
+        self._marking_m = lane.marking_width_m
+        self._see_with(camera)
         self.stages = StageClock()
         self.reset()
+
+    def _see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so."""
+        self._camera = camera
+        self._width.see_with(camera)
+        self._gentle = GentleStart(self._car, camera, self._options.view_ahead_lanes)
+        self._look_for(self._marking_m)
 
     def _look_for(self, marking_m: float) -> None:
         """Look for markings of this width from now on."""
@@ -91,14 +99,16 @@ class Windows:
     @property
     def warning(self) -> str:
         """A line for the user after a run, which may be empty."""
-        return self._width.warning
+        return "; ".join(filter(None, (self._width.warning, self._tracking.warning)))
 
     def reset(self) -> None:
         """Forget the lane and the markings' measured width."""
         self._width.reset()
+        self._tracking.reset()
         if self._marking_m != self._width.width_m:
             self._look_for(self._width.width_m)
-        self._tracking.reset()
+        if self._camera is not self._tracking.camera:
+            self._see_with(self._tracking.camera)
         self._forget()
 
     def step(self, frame: Frame, motion: Motion) -> LaneEstimate:
@@ -108,6 +118,9 @@ class Windows:
         self.stages.lap("prediction")
         if frame.image.shape[:2] != self._size:
             return self._tracking.lost_estimate(frame)
+        turned = self._tracking.turn_camera()
+        if turned is not None:
+            self._see_with(self._tracking.camera)
         if self._width.step(frame.image):
             self._look_for(self._width.width_m)
         view = self._birdseye_view(frame.image)
@@ -129,6 +142,8 @@ class Windows:
                 followed = self._followed(None, *self._restart(start, view, areas, lines))
             else:
                 return self._tracking.lost_estimate(frame)
+        elif turned is not None:
+            followed = self._followed(None, *self._restart(turned, view, areas, lines))
         else:
             scan = self._scan_crossing(areas.bright)
             self.stages.lap("crossing")

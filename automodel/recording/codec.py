@@ -179,6 +179,7 @@ def _estimate(value: LaneEstimate) -> Json:
         "status": value.status.value,
         "frame_age_ns": value.frame_age_ns,
         "lane_change": value.lane_change,
+        "camera_pitch_rad": value.camera_pitch_rad,
         "pose": None if pose is None else _pose(pose),
         "crossing": None if crossing is None else _fields(crossing),
         "left": None if value.left is None else _line(value.left),
@@ -194,6 +195,7 @@ def _estimate_from(data: Json) -> LaneEstimate:
         status=LaneStatus(data["status"]),
         frame_age_ns=data["frame_age_ns"],
         lane_change=data.get("lane_change", 0),  # older recordings have none
+        camera_pitch_rad=data.get("camera_pitch_rad", 0.0),
         pose=None if pose is None else _pose_from(pose),
         crossing=None if crossing is None else Crossing(**crossing),
         left=None if data["left"] is None else _line_from(data["left"]),

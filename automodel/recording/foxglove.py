@@ -125,16 +125,16 @@ class FoxgloveScene:
 
     def _annotations(self, estimate: LaneEstimate) -> ImageAnnotations:
         stamp = _time(estimate.t_ns)
-        message = ImageAnnotations(timestamp=stamp)
+        message, ground = ImageAnnotations(timestamp=stamp), self._ground.pitched(estimate.camera_pitch_rad)
         for points_m, colour in _lines(estimate):
-            for pixels in _visible(self._ground.ground_to_px(points_m), self._ground):
+            for pixels in _visible(ground.ground_to_px(points_m), ground):
                 kind = PointsAnnotation.LINE_STRIP
                 points = message.points.add(timestamp=stamp, type=kind, thickness=_LINE_PX, outline_color=_ink(colour))
                 _fill(points.points, pixels)
         for line in (estimate.left, estimate.right):
             if line is not None and len(line.points_m):
                 ink, kind = _ink(YELLOW), PointsAnnotation.POINTS
-                for pixels in _visible(self._ground.ground_to_px(line.points_m), self._ground):
+                for pixels in _visible(ground.ground_to_px(line.points_m), ground):
                     points = message.points.add(timestamp=stamp, type=kind, thickness=_POINT_PX, outline_color=ink)
                     _fill(points.points, pixels)
         size = max(10.0, self._ground.camera.width_px / 40)

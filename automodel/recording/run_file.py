@@ -61,7 +61,10 @@ SCHEMAS: dict[str, tuple[str, _Schema]] = {
     "/vehicle_state": ("automodel.VehicleState", _object(_STATE)),
     "/estimate": (
         "automodel.LaneEstimate",
-        _object("t_ns:integer status:string frame_age_ns:integer lane_change:integer", **_ESTIMATE_PARTS),
+        _object(
+            "t_ns:integer status:string frame_age_ns:integer lane_change:integer camera_pitch_rad:number",
+            **_ESTIMATE_PARTS,
+        ),
     ),
     "/command": (
         "automodel.Command",

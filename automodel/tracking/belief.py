@@ -20,7 +20,7 @@ import numpy as np
 
 from automodel.curves import DeferredCurve
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature, line_of_path, next_lane
+from automodel.geometry.lane_path import OFFSET, PITCH, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose
 from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
@@ -202,6 +202,27 @@ class LaneBelief:
     def without_road(self) -> LaneBelief:
         """What is believed of the lane beside the car alone."""
         return LaneBelief.arc(*self._beside_car(), self.road, self.reference_x_m)
+
+    def of_any_width(self) -> LaneBelief:
+        """What is believed of a lane whose width may be any: a line that was seen stays where it is."""
+        unit = self.road.lane_width_m
+        known = float(self.covariance[WIDTH, WIDTH])
+        moves = self.covariance[WIDTH] / known  # what the state changes by with the width
+        more = (self.road.width_sigma * unit) ** 2 - known
+        state = self.state + moves * (unit - self.width_m)
+        return replace(self, state=state, covariance=self.covariance + more * np.outer(moves, moves))
+
+    @property
+    def pitch_rad(self) -> tuple[float, float]:
+        """By how much the camera looks further down than it was taken to, and the standard deviation of that."""
+        unit = self.road.pitch_rad
+        return unit * float(self.state[PITCH]), unit * math.sqrt(float(self.covariance[PITCH, PITCH]))
+
+    def pitched(self) -> LaneBelief:
+        """What is believed by a camera that is taken to look down by as much more as `pitch_rad` says."""
+        state = self.state.copy()
+        state[PITCH] = 0.0
+        return replace(self, state=state)
 
     def sigma(self, part: Part) -> float:
         """Standard deviation of one part of the mean."""

@@ -46,7 +46,7 @@ from automodel.tracking.hypotheses import (
     Hypothesis,
     LineKinds,
 )
-from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, bound
+from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
 from automodel.types import FloatArray
@@ -55,6 +55,8 @@ STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by t
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
 RIDGE_PX = 0.33  # to which the middle of a line is measured: assumed
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
+SLIGHT = 0.5  # of the sigma of a camera's pitch: less is not worth measuring anew
+FAR_OFF = 5.0  # sigmas of it, which happen to one camera in a million: lines that say so are not parallel
 STILL = 0.01  # lane widths that a car drives that stands: a tick of its encoder
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
@@ -118,8 +120,7 @@ class LaneTracking:
     def __init__(self, car: CarConfig, config: TrackingConfig, ahead_m: float) -> None:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
         self._ahead_m = ahead_m
-        camera = self._camera = GroundCamera.from_config(car.camera)
-        self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
+        camera = self._as_configured = GroundCamera.from_config(car.camera)
         self._bends = Bends(
             RoadModel(
                 lane_width_m=car.lane.width_m,
@@ -133,6 +134,7 @@ class LaneTracking:
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
         self._profile = RoadProfile()
         self._odometry = CheckedOdometry(camera, self._unit)
+        self._see_with(camera)
         self._motions, self._innovations = FrameMotions(self._unit), Innovations()
         self._hypotheses = Hypotheses(self.config.hypotheses)
         warm_up()
@@ -140,6 +142,8 @@ class LaneTracking:
 
     def reset(self) -> None:
         """Forget everything but the configuration."""
+        if self.pitch_rad:
+            self._see_with(self._as_configured)
         self._odometry.reset()
         self._motions.reset()
         self._bends.reset()
@@ -222,6 +226,40 @@ class LaneTracking:
         ):  # so the lines are another thing's
             self._doubt(self._belief.without_road())
         return moved
+
+    def turn_camera(self) -> LaneBelief | None:
+        """What is believed by the camera as it is, where the lane has shown that it is not as it was taken to be.
+
+        `camera` is that from then on, and a pipeline must measure by it anew.
+        """
+        if self._belief is None or self.in_doubt:
+            return None
+        pitch, sigma = self._belief.pitch_rad
+        if abs(pitch) < max(K * sigma, SLIGHT * ANGLE_RAD) or abs(self.pitch_rad + pitch) > FAR_OFF * ANGLE_RAD:
+            return None
+        try:
+            self._see_with(self.camera.pitched(pitch))
+        except ValueError:  # it would see no ground
+            return None
+        self._belief = self._belief.pitched()
+        return self._belief
+
+    def _see_with(self, camera: GroundCamera) -> None:
+        self._near_m = max(camera.first_visible_x_m() - self._reference_x_m, 0.5 * self._unit)
+        self.camera = camera
+        self.pitch_rad = camera.extrinsics.pitch_rad - self._as_configured.extrinsics.pitch_rad
+        self._odometry.see_with(camera)
+
+    @property
+    def warning(self) -> str:
+        """One line where the camera's pitch is not what is configured, else empty."""
+        if not self.pitch_rad:
+            return ""
+        configured, used = (one.extrinsics.pitch_rad for one in (self._as_configured, self.camera))
+        return (
+            f"[camera.extrinsics] pitch_rad = {configured:.3f}: the lane's lines are parallel at {used:.3f}, which is"
+            " used; correct car.toml"
+        )
 
     def change_lane(self, side: int) -> None:
         """The neighbour lane on a side, +1 left or -1 right, becomes the lane; not while this one is in doubt."""
@@ -441,7 +479,8 @@ class LaneTracking:
         self._around_m = 0.0
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self._bends.road)
-        around.start(((known, 0.0), (known.without_road(), -self.config.exists)))  # its bends may be another thing's
+        others = known.without_road(), known.of_any_width()  # its bends may be another thing's, and roads get narrower
+        around.start(((known, 0.0), *((other, -self.config.exists) for other in others)))
         around.update(self._together(lines, own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
         if around.posterior()[0] < self.config.sure or (own and not best.assigned):
@@ -489,8 +528,8 @@ class LaneTracking:
         """The length of a line of the road that is in view, as far ahead as lines are found."""
         s_m = self._near_m + np.arange(0.0, 4.0, 0.2) * self._unit
         points = belief.beside(s_m, role)[0]
-        pixels = self._camera.ground_to_px(points)
-        seen = self._camera.camera.inside(pixels) & (np.abs(points[:, 1]) < 1.5 * self._unit)
+        pixels = self.camera.ground_to_px(points)
+        seen = self.camera.camera.inside(pixels) & (np.abs(points[:, 1]) < 1.5 * self._unit)
         return 0.2 * self._unit * float(np.count_nonzero(seen))
 
     def _together(self, lines: tuple[SightedLine, ...], own: list[FloatArray]) -> tuple[SightedLine, ...]:
@@ -640,7 +679,9 @@ class LaneTracking:
     def lost_estimate(self, frame: Frame) -> LaneEstimate:
         """An estimate that says that there is none."""
         age_ns = max(frame.t_ns - self._seen_ns, 0)
-        return LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=age_ns)
+        return LaneEstimate(
+            t_ns=frame.t_ns, status=LaneStatus.LOST, frame_age_ns=age_ns, camera_pitch_rad=self.pitch_rad
+        )
 
     def _measured(self, pose: LanePose) -> LaneBelief:
         """A pose as a belief, which knows no line better than the error that its points have in common."""
@@ -690,6 +731,7 @@ class LaneTracking:
             centerline=followed.centerline,
             pose=replace(followed.pose, offset_bound_m=offset_bound, heading_bound_rad=heading_bound),
             crossing=followed.crossing,
+            camera_pitch_rad=self.pitch_rad,
             frame_age_ns=max(frame.t_ns - self._seen_ns, 0),
         )
 

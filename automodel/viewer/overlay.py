@@ -67,6 +67,7 @@ def draw(
     scale = scale_of(image.shape[1])
     canvas = in_colour(image, scale)
     if estimate is not None:
+        camera = camera.pitched(estimate.camera_pitch_rad)
         steered = _steered(estimate, command, wheelbase_m)
         _draw_estimate(_Ground(canvas, partial(_seen_from, camera, scale)), estimate, steered, reference_x_m)
         if estimate.pose is not None:

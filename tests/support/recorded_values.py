@@ -60,6 +60,7 @@ def make_estimate(index: int) -> LaneEstimate:
         ),
         crossing=Crossing(distance_m=rng.normal(), angle_rad=1e-300),
         frame_age_ns=int(rng.integers(10**9)),
+        camera_pitch_rad=0.02 * rng.normal(),
     )
 
 

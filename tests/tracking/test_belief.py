@@ -342,6 +342,16 @@ def test_lines_that_a_wrong_pitch_lets_converge_are_the_lanes_where_the_pitch_is
     assert unsure.update(lines)[0].width_m == pytest.approx(LANE_M, abs=0.01)
 
 
+def test_a_line_that_was_seen_stays_where_it_is_in_a_lane_of_any_width() -> None:
+    known, _ = belief(STRAIGHT, (0.1, 0.25, 0.5, 0.03)).update(pair(STRAIGHT)[:1])  # the left one
+    any_width, s = known.of_any_width(), np.array((0.3, 0.6))
+    assert any_width.sigma(Part.WIDTH) == pytest.approx(ROAD_MODEL.width_sigma * LANE_M, rel=1e-3)
+    assert any_width.sigma(Part.OFFSET) > 1.3 * known.sigma(Part.OFFSET)
+    (left, _, sigma), (was, _, was_sigma) = any_width.beside(s, LEFT), known.beside(s, LEFT)
+    assert left == pytest.approx(was, abs=1e-3)
+    assert sigma == pytest.approx(was_sigma, rel=0.05)
+
+
 def test_a_line_beyond_the_end_of_a_bend_is_explained_by_a_road_that_may_change_at_once() -> None:
     bend = belief(Road(curvature_per_m=-1.0), (0.003, 0.016, 0.19, 0.01))
     x = np.linspace(0.7, 1.2, 4)

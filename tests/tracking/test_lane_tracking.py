@@ -16,7 +16,7 @@ from automodel.config import CarConfig
 from automodel.curves import GraphCurve
 from automodel.estimation.checked_odometry import DISSENT
 from automodel.estimation.road import MAX_GAP_S
-from automodel.geometry import lane_path
+from automodel.geometry import GroundCamera, lane_path
 from automodel.geometry.lane_path import ROAD
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
@@ -25,6 +25,7 @@ from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
+from automodel.types import FloatArray
 from tests.support.drawn_roads import Road
 from tests.support.sighted_lines import DASHED, line_of
 
@@ -125,6 +126,70 @@ def test_two_lines_in_view_are_a_lane_at_once() -> None:
     estimate = drive.tracking.follow(drive.frame, said(start.offset_m))
     assert estimate.status is LaneStatus.TRACKING
     assert bound(estimate) < LANE_M
+
+
+def seen_by(camera: GroundCamera, points_m: FloatArray) -> FloatArray:
+    """Where those of the points (n, 2) [m] that a camera sees seem to lie to one that is set as configured."""
+    pixels = camera.ground_to_px(points_m)
+    return GroundCamera.from_config(CAR.camera).px_to_ground(pixels[camera.camera.inside(pixels)])
+
+
+def pitched_wrongly(down_deg: float, frames: int = 40) -> Drive:
+    """A car whose camera looks further down than configured, which nobody has been told yet."""
+    drive, real = Drive(), GroundCamera.from_config(CAR.camera).pitched(math.radians(down_deg))
+    lines = tuple(replace(line, points_m=seen_by(real, line.points_m)) for line in sights(0.0))
+    told = said(0.0)
+    left, right = (
+        replace(line, points_m=seen.points_m) for line, seen in zip((told.left, told.right), lines, strict=True)
+    )
+    drive.predict()
+    assert drive.tracking.start(drive.t_ns, lines) is not None
+    for _ in range(frames):
+        drive.follow(replace(told, left=left, right=right), lines)
+    return drive
+
+
+@pytest.mark.parametrize("down_deg", [1.2, -1.2])
+def test_lines_that_are_not_parallel_tell_the_cameras_pitch(down_deg: float) -> None:
+    drive = pitched_wrongly(down_deg)
+    tracking, configured = drive.tracking, CAR.camera.extrinsics.pitch_rad
+    believed = tracking.turn_camera()
+    assert believed is not None
+    assert math.degrees(tracking.pitch_rad) == pytest.approx(down_deg, abs=0.3)
+    assert tracking.camera.extrinsics.pitch_rad == configured + tracking.pitch_rad
+    assert f"pitch_rad = {configured:.3f}: the lane's lines are parallel at" in tracking.warning
+    assert tracking.turn_camera() is None  # once
+    tracking.reset()
+    assert (tracking.pitch_rad, tracking.warning) == (0.0, "")
+
+
+def test_a_camera_is_not_turned_by_little_nor_in_doubt_nor_by_lines_that_no_mount_explains() -> None:
+    assert driving().tracking.turn_camera() is None
+    assert pitched_wrongly(0.2).tracking.turn_camera() is None
+    drive = pitched_wrongly(1.2)
+    while not drive.doubted:
+        drive.follow(said(0.3, (LEFT,)))
+    assert drive.tracking.turn_camera() is None
+    drive = pitched_wrongly(0.0)
+    while drive.tracking.turn_camera() is not None or drive.tracking.pitch_rad == 0.0:
+        belief = drive.tracking._belief  # what a camera that fell down shows, little by little
+        assert belief is not None
+        belief.state[lane_path.PITCH], belief.covariance[lane_path.PITCH, lane_path.PITCH] = 2.0, 0.01
+    assert math.degrees(drive.tracking.pitch_rad) == pytest.approx(2.4)
+
+
+@pytest.mark.parametrize("width", [0.7, 1.3])
+def test_a_lane_that_got_narrower_or_wider_while_one_line_was_seen_is_found_by_the_other(width: float) -> None:
+    drive = driving()
+    for _ in range(20):
+        drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT,)))
+    found = None
+    for _ in range(6):
+        drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT, LEFT - width)))
+        found = drive.anew or found
+    assert found is not None
+    assert found.width_m == pytest.approx(width * LANE_M, abs=0.03)
+    assert found.offset_m == pytest.approx(0.5 * (width - 1.0) * LANE_M, abs=0.02)
 
 
 @pytest.mark.parametrize("roles", [(LEFT, RIGHT_FAR), (LEFT_FAR, LEFT, RIGHT_FAR), (LEFT_FAR, RIGHT)])

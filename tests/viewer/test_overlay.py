@@ -39,6 +39,12 @@ def estimate(**changes: object) -> LaneEstimate:
     return dataclasses.replace(base, **changes)  # type: ignore[arg-type]
 
 
+def test_an_estimate_is_drawn_by_the_camera_that_it_was_measured_by() -> None:
+    pitched = draw(BLACK, estimate(camera_pitch_rad=0.02), GROUND)
+    assert np.array_equal(pitched, draw(BLACK, estimate(), GROUND.pitched(0.02)))
+    assert not np.array_equal(pitched, draw(BLACK, estimate(), GROUND))
+
+
 def pixel_of(x_m: float, y_m: float) -> tuple[int, int]:
     """Row and column by hand: a pinhole at height z, pitched down, on the x axis of the body."""
     e, k = CAMERA.extrinsics, CAMERA.intrinsics

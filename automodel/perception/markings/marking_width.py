@@ -131,22 +131,26 @@ class MarkingWidth:
         reference_x_m: float,
         colour: str = "grey",
     ) -> None:
-        lane_width_m, marking_width_m = lane.width_m, lane.marking_width_m
-        self._start_m, brightness = marking_width_m, Brightness(colour, lane.markings == "dark")
+        self._lane_width_m, self._reference_x_m = lane.width_m, reference_x_m
+        self._start_m, brightness = lane.marking_width_m, Brightness(colour, lane.markings == "dark")
         self._brightness = (brightness, brightness.negative()) if lane.markings == "both" else (brightness,)
-        self._step_m = marking_width_m / PER_MARKING
-        near = max(camera.first_visible_x_m(), reference_x_m)
-        lookup = RowGroundLookup(camera, (near, near + lane_width_m), self.ROWS)
-        half = math.ceil(self.LATERAL_LANES * lane_width_m / self._step_m)
+        self._step_m = lane.marking_width_m / PER_MARKING
+        self.see_with(camera)
+        self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
+        self._bins = 2 * self._half + 1
+        self.reset()
+
+    def see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so."""
+        near = max(camera.first_visible_x_m(), self._reference_x_m)
+        lookup = RowGroundLookup(camera, (near, near + self._lane_width_m), self.ROWS)
+        half = math.ceil(self.LATERAL_LANES * self._lane_width_m / self._step_m)
         y = np.arange(-half, half) * self._step_m
         self._pixels, self._within = lookup.pixels(np.broadcast_to(y, (len(lookup.rows), len(y))))
         self._ahead = lookup.ahead_m / self._step_m
         self._foot = (float(camera.centre_m[0]) / self._step_m, half + float(camera.centre_m[1]) / self._step_m)
         self._noises = least_ridge(self._pixels.size / FALSE_SAMPLES)
         self._rounding = rounding_noise(SCALES[0] // 2)
-        self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
-        self._bins = 2 * self._half + 1
-        self.reset()
 
     def reset(self) -> None:
         """Start again with the configured width."""
