@@ -272,9 +272,10 @@ def _without(ground: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatA
     return basis, rest / np.linalg.norm(rest, axis=-1, keepdims=True)
 
 
+@compiled
 def _blurred_box(u: FloatArray, width: float, blur: float) -> FloatArray:
     """A box of height 1 about 0, blurred with a standard deviation."""
-    scale = 1.0 / (blur * math.sqrt(2.0))
-    return np.array(
-        [0.5 * (math.erf((x + 0.5 * width) * scale) - math.erf((x - 0.5 * width) * scale)) for x in u.tolist()]
-    )
+    scale, box = 1.0 / (blur * math.sqrt(2.0)), np.empty(len(u))
+    for i in range(len(u)):
+        box[i] = 0.5 * (math.erf((u[i] + 0.5 * width) * scale) - math.erf((u[i] - 0.5 * width) * scale))
+    return box

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -48,6 +48,7 @@ def rounding_noise(window: int) -> float:
     return MEDIAN / math.sqrt(12.0 * window)
 
 
+@cache
 def least_ridge(places: float) -> float:
     """The height m - max(l, r) that white noise exceeds at `FALSE_ALARMS` of so many places, over its median.
 
@@ -57,6 +58,7 @@ def least_ridge(places: float) -> float:
     return _height(_exceeded, _rate(places)) / MEDIAN
 
 
+@cache
 def least_ridge_over_many(places: float, sides: float) -> float:
     """As `least_ridge`, over the height that is exceeded at the share `MANY` of the places.
 
