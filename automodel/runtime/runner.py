@@ -102,6 +102,7 @@ class Runner:
         self._work_ns = 0.0  # mean time from taking a frame up to its command on the wire
         self._index: int | None = None
         self._frames = self._skipped = self._overruns = self._stops = 0
+        self._camera_pitch_rad = 0.0  # beyond car.toml's, as the last estimate was measured
         self._latencies_ns = array("q")
         self._error: Exception | None = None
         self._traceback: str | None = None
@@ -295,6 +296,10 @@ class Runner:
             side = "left" if record.tick.estimate.lane_change > 0 else "right"
             text = f"the lane on the {side} is the lane now"
             self._run_log.note(Event(t_ns=record.t_ns, kind="lane-change", text=text))
+        if record.tick is not None and record.tick.estimate.camera_pitch_rad != self._camera_pitch_rad:
+            self._camera_pitch_rad = record.tick.estimate.camera_pitch_rad
+            text = f"by the lane's lines the camera's pitch_rad is {self._camera_pitch_rad:+.3f} off car.toml's"
+            self._run_log.note(Event(t_ns=record.t_ns, kind="camera-pitch", text=text))
         for event in record.decision.events:
             self._run_log.note(event)
             self._stops += event.kind == "stop"

@@ -84,6 +84,16 @@ def test_a_lane_change_is_an_event(side: int, which: str) -> None:
     assert told == [f"the lane on the {which} is the lane now"]
 
 
+def test_a_camera_that_is_not_as_configured_is_an_event() -> None:
+    car = Car()
+    step = car.pipeline.step
+    car.pipeline.step = lambda frame, motion: replace(  # type: ignore[method-assign]
+        step(frame, motion), camera_pitch_rad=-0.0262 * (frame.index >= 60)
+    )
+    told = [event.text for event in car.run().events if event.kind == "camera-pitch"]
+    assert told == ["by the lane's lines the camera's pitch_rad is -0.026 off car.toml's"]
+
+
 def test_a_person_at_a_distance_stops_the_car() -> None:
     car = Car(stop_requested=lambda: "STOP" if car.clock.now_ns() // MS == 1600 else None)
     result = car.run()
