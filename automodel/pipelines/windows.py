@@ -41,7 +41,6 @@ class Windows:
     """The pipeline of Balbuena Palma et al. 2020."""
 
     name = "windows"
-    CROSSING_TURN = 0.5  # largest difference of a line's slope from the lane's near a crossing
     MAX_SKEW_RAD = math.radians(15.0)  # of a crossing that is reported (the paper's tolerance)
 
     def __init__(self, car: CarConfig) -> None:
@@ -193,11 +192,8 @@ class Windows:
         return seen, *self._tracker.restart(seen, arc, np.sqrt(np.diag(belief.spread)))
 
     def _scan_crossing(self, bright: Image) -> CrossingScan:
-        """Search for a crossing; its angle gives the tracker the lane's direction there."""
-        scan = self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
-        if scan.crossing is not None:
-            self._tracker.add_crossing(scan.crossing.distance_m, scan.crossing.angle_rad - 0.5 * math.pi)
-        return scan
+        """Search for a crossing."""
+        return self._crossings.step(bright, self._tracker.shape, self.view.x_far_m - self._reference_x_m)
 
     def _lines_beside(self, belief: LaneBelief, lines: Image) -> tuple[float, float]:
         """How far [m] the left and the right line lie to the left of a belief, up to its uncertainty: the histogram."""
@@ -228,11 +224,10 @@ class Windows:
         lane = self._tracker.shape
         widening = min(1.0 + self._tracker.blind_m / self._lane.width_m, 2.0)
         left, right = self._windows.expected(lane, +1) + beside_m[0], self._windows.expected(lane, -1) + beside_m[1]
-        turn = self.CROSSING_TURN if self._tracker.near_crossing else math.inf  # other roads' lines lie there
-        seen = self._windows.observe(lines, left, right, widening, turn)
+        seen = self._windows.observe(lines, left, right, widening)
         if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
             lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
-            seen = self._windows.observe(lines, left, right, widening, turn)
+            seen = self._windows.observe(lines, left, right, widening)
         if not scan.covered.any():
             return seen
         keep = [scan.free(lane.nearest_s(points)) for points in (seen.left_m, seen.right_m)]

@@ -58,15 +58,6 @@ class LanePrior:
     sigma: FloatArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bearing:
-    """A measurement of the lane's direction [rad] in the body frame at arc length s from the reference point's foot."""
-
-    s_m: float
-    theta_rad: float
-    sigma_rad: float
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaneSolution:
     """Parameters (d, theta0, kappa.., w, w'), their information matrix, and which samples were inliers (n,)."""
@@ -177,17 +168,11 @@ class LaneFit:
         samples: LineSamples,
         prior: LanePrior,
         rounds: int = 3,
-        bearing: Bearing | None = None,
         guess: FloatArray | None = None,
     ) -> LaneSolution:
-        """Fit `samples`, and a bearing of the lane, with a prior; starts at `guess` or at the prior's mean."""
+        """Fit `samples` with a prior; starts at `guess` or at the prior's mean."""
         unit = self.config.lane_width_m
         fixed, pull = _fixed(self._smooth, prior.mean, prior.sigma)
-        if bearing is not None:
-            row = np.zeros(self.size)
-            row[1], row[2:-2] = 1.0, _hat_integrals(self.nodes_m, np.array([bearing.s_m]))[0]
-            fixed = fixed + np.outer(row, row) / bearing.sigma_rad**2
-            pull = pull + row * (bearing.theta_rad / bearing.sigma_rad**2)
         config = self.config
         parameters, information, inliers = _robust_fit(
             prior.mean if guess is None else guess,

@@ -10,7 +10,6 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.lanes import LaneShape
 from automodel.estimation.polynomial.lane_fit import (
-    Bearing,
     LaneFit,
     LaneFitConfig,
     LanePrior,
@@ -37,9 +36,8 @@ class LaneTracker:
     """One lane, tracked from frame to frame.
 
     The camera sees the ground only ahead of the car. So that points lie beside the car too, the nearest ones are
-    remembered and moved by the odometry. The last solution, moved, is the prior of the next. At a crossing the lane is
-    expected to be straight and perpendicular to it. `parameters` is None while there is no lane; `shape` is theirs.
-    `blind_m` is the distance driven since a line was seen.
+    remembered and moved by the odometry. The last solution, moved, is the prior of the next. `parameters` is None while
+    there is no lane; `shape` is theirs. `blind_m` is the distance driven since a line was seen.
     """
 
     KEEP_EVERY_LANES = 0.06  # distance between two rounds of remembering
@@ -48,9 +46,6 @@ class LaneTracker:
     # Sigmas that the curvature [1 / lane width] gains over a lane width: near the car, where it was seen before, and
     # far ahead.
     KAPPA_NEAR, KAPPA_FAR = 0.3, 1.5
-    CROSSING_LANES = 3.3  # length of a crossing along the lane
-    CROSSING_TURN_RAD = 0.2  # most turn of the lane within a crossing
-    CROSSING_BEARING_RAD = 0.06  # standard deviation of the lane's direction by a crossing's edge
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
         self.fit = LaneFit(config)
@@ -84,20 +79,16 @@ class LaneTracker:
         self._motion_known = False
         self._step_m = 0.0
         self.blind_m = 0.0
-        self._crossing: Bearing | None = None
-        self._crossing_s_m = -np.inf
 
     def move(self, after_from_before: SE2, distance_m: float, known: bool) -> None:
         """Move lane and points into the body frame after a motion; an unknown motion drops the points."""
         if self.parameters is not None:
             self.parameters = self.fit.moved(self.parameters, self.shape, after_from_before)
             self.shape = self.fit.shape(self.parameters)
-        self._crossing_s_m -= distance_m
         self._motion_known = known
         self._step_m = abs(distance_m)
         self.blind_m += abs(distance_m)
         if not known:
-            self._crossing_s_m = -np.inf
             self._memory = self._memory[:0]
             return
         self._since_kept += abs(distance_m)
@@ -121,60 +112,24 @@ class LaneTracker:
         self._keep(samples, solution.inliers)
         return solution, _support(seen, solution.inliers)
 
-    def add_crossing(self, distance_m: float, theta_rad: float) -> None:
-        """Take a crossing into account: its distance ahead [m], the direction perpendicular to it [rad], body frame."""
-        since_m = distance_m - self._crossing_s_m
-        if abs(since_m) < self.CROSSING_LANES * self.unit:  # the known crossing: its near or far edge
-            expected = float(np.interp(distance_m, self.shape.s_m, self.shape.theta_rad))
-            if abs(theta_rad - expected) > self.CROSSING_TURN_RAD:
-                return
-        elif self.parameters is not None:
-            after = self.parameters.copy()  # a bend before a crossing does not continue behind it
-            after[2:-2][self.fit.nodes_m > distance_m] = 0.0
-            self._take(after)
-        if not 0.5 * self.unit < since_m < self.CROSSING_LANES * self.unit:
-            self._crossing_s_m = distance_m
-        self._crossing = Bearing(s_m=distance_m, theta_rad=theta_rad, sigma_rad=self.CROSSING_BEARING_RAD)
-
-    @property
-    def near_crossing(self) -> bool:
-        """Whether the car is shortly before a crossing, in it, or shortly behind it."""
-        return -(self.CROSSING_LANES + 2.0) * self.unit < self._crossing_s_m < 2.0 * self.unit
-
     def update(self, seen: Observation) -> tuple[LaneSolution, Support]:
         """Update the lane by one frame's points; raises ValueError without a lane."""
         if self.parameters is None:
             raise ValueError("update: nothing is tracked; call start first")
         samples, fresh = _samples(seen, self._memory), slice(len(seen.left_m) + len(seen.right_m))
-        crossing, sigma_m = self._in_crossing(samples.points_m[fresh]), samples.sigma_m[fresh]
-        sigma_m[crossing] = 4.0 * sigma_m[crossing] + 0.03 * self.unit
-        bearing, self._crossing = self._crossing, None
-        solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS, bearing)
+        solution = self.fit.solve(samples, self._prior(self.parameters), self.ROUNDS)
         self._take(solution.parameters)
-        self._keep(samples, solution.inliers[fresh] & ~crossing)
+        self._keep(samples, solution.inliers[fresh])
         support = _support(seen, solution.inliers)
         if max(support.left, support.right) >= 2:
             self.blind_m = 0.0
         return solution, support
-
-    def _in_crossing(self, points_m: FloatArray) -> Bools:
-        """Which points lie inside a crossing, where the road has no lines and what looks like one weighs little."""
-        if self._crossing_s_m < self.fit.grid_m[0] - 2.0 * self.CROSSING_LANES * self.unit:  # long passed, or none yet
-            return np.zeros(len(points_m), np.bool_)
-        s = self.shape.nearest_s(points_m) - self._crossing_s_m
-        return np.asarray((s > 0.0) & (s < (self.CROSSING_LANES - 0.6) * self.unit))
 
     def _prior(self, parameters: FloatArray) -> LanePrior:
         mean, sigma = parameters.copy(), self._loose_sigma
         if self._motion_known:  # a random walk over the distance
             sigma = self._sigma * min(max(math.sqrt(self._step_m / self.unit), 0.1), 1.0)
         mean[-1] *= math.exp(-self._step_m / (TAPER_LANES * self.unit))
-        nodes, start, length_m = self.fit.nodes_m, self._crossing_s_m, self.CROSSING_LANES * self.unit
-        if start + length_m > nodes[0]:
-            straight = (nodes > start - 0.15 * self.unit) & (nodes < start + length_m)
-            mean[2:-2][straight] = 0.0
-            sigma = sigma.copy()
-            sigma[2:-2][straight] = 0.15 / self.unit
         return LanePrior(mean=mean, sigma=sigma)
 
     def _take(self, parameters: FloatArray | None) -> None:

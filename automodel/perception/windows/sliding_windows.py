@@ -114,17 +114,13 @@ class SlidingWindows:
         )
         self._warm_up()
 
-    def follow(
-        self, lines: Image, expected_y_m: FloatArray, widening: float = 1.0, max_turn: float = math.inf
-    ) -> FloatArray:
+    def follow(self, lines: Image, expected_y_m: FloatArray, widening: float = 1.0) -> FloatArray:
         """Line points (n, 2) [m] in a filtered binary view (h, w), near to far.
 
         `expected_y_m` (12,) is the line's lateral place at `centre_x_m`, NaN where it is not expected in the view.
-        `widening` multiplies the windows' width, for a line whose place is uncertain. A line whose slope dy/dx differs
-        from the expected one by more than `max_turn` is not extrapolated.
+        `widening` multiplies the windows' width, for a line whose place is uncertain.
         """
-        max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
-        return _followed(lines, expected_y_m, self._windows, round(self._half * widening), max_turn_px)
+        return _followed(lines, expected_y_m, self._windows, round(self._half * widening))
 
     def observe(
         self,
@@ -132,12 +128,10 @@ class SlidingWindows:
         left_y_m: FloatArray,
         right_y_m: FloatArray,
         widening: float = 1.0,
-        max_turn: float = math.inf,
     ) -> Observation:
         """The points of both lines; all arguments as in `follow`."""
-        max_turn_px = max_turn * self.view.m_per_row / self.view.m_per_px
         left, right, left_sigma, right_sigma = _observed(
-            lines, left_y_m, right_y_m, self._windows, round(self._half * widening), max_turn_px
+            lines, left_y_m, right_y_m, self._windows, round(self._half * widening)
         )
         return Observation(left_m=left, right_m=right, left_sigma_m=left_sigma, right_sigma_m=right_sigma)
 
@@ -160,17 +154,16 @@ class SlidingWindows:
 
 @compiled
 def _observed(
-    lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, windows: Windows, half_px: int, max_turn_px: float
+    lines: Image, left_y_m: FloatArray, right_y_m: FloatArray, windows: Windows, half_px: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """The points of both lines, as `_followed`, and their standard deviations."""
-    left = _followed(lines, left_y_m, windows, half_px, max_turn_px)
-    right = _followed(lines, right_y_m, windows, half_px, max_turn_px)
+    left, right = _followed(lines, left_y_m, windows, half_px), _followed(lines, right_y_m, windows, half_px)
     left_sigma = windows.sigma_m + 0.01 * np.maximum(left[:, 0] - windows.near_m, 0.0)
     return left, right, left_sigma, windows.sigma_m + 0.01 * np.maximum(right[:, 0] - windows.near_m, 0.0)
 
 
 @compiled
-def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px: int, max_turn_px: float) -> FloatArray:
+def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px: int) -> FloatArray:
     """As `SlidingWindows.follow`; windows `half_px` wide to each side, slopes in columns a row."""
     count = len(windows.centre)
     expected = (windows.left_m - expected_y_m) / windows.column_m - 0.5
@@ -200,8 +193,6 @@ def _followed(lines: Image, expected_y_m: FloatArray, windows: Windows, half_px:
             continue  # more than one line
         column, row, slope, reach = low + m10 / area, far + m01 / area, tilt, 2.5 * (near - far)
         sloping = along > windows.long * (near - far) ** 2 / 12.0 * area
-        if sloping and max_turn_px < math.inf:  # NaN: nothing is expected there
-            sloping = not abs(slope - _expected_slope(expected, windows.centre, k)) > max_turn_px
         beside = column - expected[k] if math.isfinite(expected[k]) else 0.0
         points[found, 0] = windows.far_m - (row + 0.5) * windows.row_m
         points[found, 1] = windows.left_m - (column + 0.5) * windows.column_m
@@ -223,13 +214,6 @@ def moments(lines: Image, far: int, near: int, low: int, high: int) -> tuple[flo
         m00, m10, m20 = m00 + count, m10 + across, m20 + square
         m01, m11, m02 = m01 + i * count, m11 + i * across, m02 + i * i * count
     return float(m00), float(m10), float(m01), float(m20), float(m11), float(m02)
-
-
-@compiled
-def _expected_slope(expected: FloatArray, rows: FloatArray, k: int) -> float:
-    """The expected line's slope at a window [columns a row], NaN where it is not known."""
-    k = min(max(k, 1), len(rows) - 2)
-    return float((expected[k + 1] - expected[k - 1]) / (rows[k + 1] - rows[k - 1]))
 
 
 @compiled

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from automodel.estimation.polynomial.lane_fit import Bearing, LaneFit, LaneFitConfig, LanePrior, LineSamples
+from automodel.estimation.polynomial.lane_fit import LaneFit, LaneFitConfig, LineSamples
 from tests.support.fitted_lanes import FIT, LANES, REFERENCE_M, S0, WIDTH_M, loose_prior, samples_of, true_parameters
 from tests.support.world_lanes import WorldLane
 
@@ -98,40 +98,6 @@ def test_the_fit_is_unbiased_under_noise() -> None:
 
 
 NOTHING = LineSamples(points_m=np.empty((0, 2)), side=np.empty(0), sigma_m=np.empty(0))
-
-
-@pytest.mark.parametrize("s_m", [0.0, 0.5, 1.2])
-def test_a_bearing_is_a_measurement_of_the_direction(s_m: float) -> None:
-    prior = LanePrior(
-        mean=FIT.start(0.02, 0.1, 0.5, WIDTH_M),
-        sigma=np.concatenate(([0.01, 0.1], np.full(len(FIT.nodes_m), 0.8), [0.01, 0.003])),
-    )
-    before = FIT.solve(NOTHING, prior)
-    bearing = Bearing(s_m=s_m, theta_rad=0.0, sigma_rad=0.07)
-    after = FIT.solve(NOTHING, prior, bearing=bearing)
-    # what a Kalman filter makes of one scalar measurement; the direction's slope by differences
-    origin = FIT.direction(np.zeros(FIT.size), s_m)
-    slope = np.array([FIT.direction(e, s_m) - origin for e in np.eye(FIT.size)])
-    spread = float(slope @ np.linalg.solve(before.information, slope))
-    expected = FIT.direction(before.parameters, s_m)
-    expected += spread / (spread + 0.07**2) * (0.0 - expected)
-    assert FIT.direction(after.parameters, s_m) == pytest.approx(expected, abs=1e-9)
-    left = slope @ np.linalg.solve(after.information, slope)
-    assert left == pytest.approx(spread * 0.07**2 / (spread + 0.07**2), rel=1e-6)
-
-
-def test_a_bearing_straightens_what_no_point_shows() -> None:
-    lane = LANES["into a bend"]  # and out of it again, unseen
-    samples = samples_of(lane, lane.car(S0, 0.0, 0.0, REFERENCE_M), to_m=0.5)
-    prior = LanePrior(
-        mean=FIT.start(0.0, 0.0, 0.0, WIDTH_M),
-        sigma=np.concatenate(([0.02, 0.1], np.full(len(FIT.nodes_m), 1.0), [0.01, 0.003])),
-    )
-    for theta in (-0.4, 0.3):
-        found = FIT.solve(samples, prior, 6, Bearing(s_m=1.3, theta_rad=theta, sigma_rad=0.02))
-        assert FIT.direction(found.parameters, 1.3) == pytest.approx(theta, abs=0.04)
-        assert found.offset_m == pytest.approx(0.0, abs=0.002)
-        assert found.heading_rad == pytest.approx(0.0, abs=math.radians(1.5))
 
 
 def test_without_points_the_prior_stays() -> None:

@@ -175,32 +175,6 @@ def test_points_far_from_the_lane_do_not_support_it() -> None:
     assert solution.width_m == pytest.approx(0.4, abs=0.01)
 
 
-@pytest.mark.parametrize("bend", [0.8, -0.8])
-def test_a_crossing_lets_the_lane_go_on_straight(bend: float) -> None:
-    lane = WorldLane(lambda s: np.where(s < 2.9, bend, 0.0), 6.0, 0.4)  # a bend that ends where a crossing begins
-    errors_rad, bends = {}, {}
-    for crossing in (False, True):
-        drive = Driven(lane)
-        while drive.s_m < 2.3:
-            drive.go()
-            if crossing and drive.s_m > 2.2:
-                drive.tracker.add_crossing(3.0 - drive.s_m, float(lane.theta(3.0)) - drive.car.yaw_rad)
-            seen = ahead_of(drive.lane, drive.car, drive.s_m)
-            short = [points[points[:, 0] < 0.7] for points in (seen.left_m, seen.right_m)]  # nothing of what comes
-            drive.tracker.update(observation(short[0], short[1]))
-        parameters = drive.tracker.parameters
-        assert parameters is not None
-        along = 3.6 - drive.s_m
-        beyond = drive.tracker.fit.direction(parameters, along) + drive.car.yaw_rad
-        errors_rad[crossing] = abs(beyond - float(lane.theta(3.6)))
-        assert abs(drive.errors()[0]) < 0.01
-        bends[crossing] = abs(drive.tracker.fit.curvature(parameters, 3.4 - drive.s_m))
-    assert errors_rad[True] < math.radians(8.0)
-    assert bends[True] < 0.25 * abs(bend)
-    assert bends[True] < 0.5 * bends[False]
-    assert errors_rad[True] < 0.6 * errors_rad[False]
-
-
 def test_update_without_a_lane_is_a_mistake() -> None:
     tracker = LaneTracker(CONFIG, NEAR_M)
     assert tracker.parameters is None
