@@ -24,7 +24,7 @@ DISSENT, ASKED = 6, 20
 class CheckedOdometry:
     """The motion as given; the ground's own where none is given, or where the ground contradicts it.
 
-    `wrong`: the step found that the odometry is. `right`: it found that the odometry is, and the lines are not.
+    `wrong`: the step found that the odometry is.
     """
 
     def __init__(self, camera: GroundCamera, lane_width_m: float) -> None:
@@ -38,9 +38,9 @@ class CheckedOdometry:
     def reset(self) -> None:
         """Forget the last frame; the odometry is trusted."""
         self._images.reset()
-        self.wrong = self.right = False
+        self.wrong = False
         self._dissent: int | None = None  # frames that contradict it, while it is suspected
-        self._asked, self._alone = 0, False
+        self._asked = 0
         self._rejected_ns: int | None = None
 
     @property
@@ -48,19 +48,14 @@ class CheckedOdometry:
         """Whether the odometry is used."""
         return self._rejected_ns is None
 
-    def suspect(self, by_lines: bool = False) -> None:
-        """What is seen in a frame contradicts the motion up to it; the next frames' ground is asked.
-
-        `by_lines`: where they tell so clearly that the odometry is wrong unless the ground bears it out.
-        """
+    def suspect(self) -> None:
+        """What is seen in a frame contradicts the motion up to it; the next frames' ground is asked."""
         if self._dissent is None:
-            self._dissent, self._asked, self._alone = 0, 0, False
-        if by_lines and not self._alone:
-            self._dissent, self._alone = self._dissent + DISSENT // 2, True
+            self._dissent, self._asked = 0, 0
 
     def step(self, frame: Frame, motion: Motion) -> Motion:
         """The motion up to a frame: the odometry's, or the ground's; unknown where too little is seen of that."""
-        self.wrong = self.right = False
+        self.wrong = False
         if motion.known:
             if self._rejected_ns is not None and not 0 <= frame.t_ns - self._rejected_ns < RETRY_NS:
                 again = self._images.agrees(frame, motion) is False and frame.t_ns > self._rejected_ns
@@ -75,8 +70,7 @@ class CheckedOdometry:
         """Judge a suspected odometry by the ground between the last frame and this one."""
         assert self._dissent is not None
         agrees = self._images.agrees(frame, motion)
-        self.right = bool(agrees) and self._alone
-        self._dissent += not agrees and (self._alone or agrees is not None)
+        self._dissent += agrees is False
         self._asked += 1
         self.wrong = self._dissent >= DISSENT
         if self.wrong:

@@ -20,7 +20,6 @@ from automodel.config import CarConfig
 from automodel.curves import DeferredCurve
 from automodel.estimation.clothoid.clothoid_pair import ClothoidPair, PairShape
 from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, TrackerConfig
-from automodel.estimation.odometry_monitor import OdometryMonitor
 from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
@@ -124,7 +123,6 @@ class Contour:
         spacing = max(options.piece_lanes * unit, float(nodes[-1]) / self.PIECES)
         away = np.tile(nodes + reference - car.camera.extrinsics.x_m, 2)
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
-        self._monitor = OdometryMonitor(sigma, 2 * SEEN)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
             TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
@@ -140,7 +138,6 @@ class Contour:
             self._look_for(self._width.width_m, dark)
         if self._camera is not self._tracking.camera:
             self._see_with(self._tracking.camera, dark)
-        self._monitor.reset()
         self._forget()
 
     @property
@@ -178,7 +175,7 @@ class Contour:
             tracked = self._restart(frame.image, turned)
         else:
             # Projection of the nodes, ridges about them, robust least squares; repeated until the pair is settled.
-            tracked = self._track(frame.image, self.ROUNDS, self._tracking.reckons)
+            tracked = self._track(frame.image, self.ROUNDS)
         followed = self._followed(tracked, self._seen(tracked))
         if gentle is not None:  # which looks at more rows than there are nodes
             left = replace(followed.left, points_m=gentle.left_m, seen=True)
@@ -204,7 +201,7 @@ class Contour:
         self._tracker.start(np.array((0.0, 0.0, 0.0, self._unit)), np.diag(np.full(4, self._settled_m**2)))
         self._tracker.move(0.0, 0.0, True)
         self._tracker.pose()
-        tracked = self._track(nothing, 1, True)
+        tracked = self._track(nothing, 1)
         tracked.counts()
         self._search.learn(tracked.measured, tracked.inliers)
         tracked.measured.points(tracked.shape, tracked.inliers, self._tracker.half_m())
@@ -249,17 +246,15 @@ class Contour:
         areas = self._white_areas.step(view)
         return self._reflections.step(view, areas.lines, self._paint_check.step(areas)), areas.bright
 
-    def _track(self, image: Image, rounds: int, predicted: bool = False) -> Tracked:
-        """Measure the pair and correct it, up to `rounds` times; `predicted`: the odometry is checked against it."""
+    def _track(self, image: Image, rounds: int) -> Tracked:
+        """Measure the pair and correct it, up to `rounds` times."""
         tracker, stages = self._tracker, self.stages
-        for k in range(rounds):
+        for _ in range(rounds):
             shape = tracker.shape()
             stages.lap("projection")
             sigma_m, half_m = tracker.sigma_m(shape), tracker.half_m()
             seen = self._search.look(image, shape, half_m, tracker.config.gate * sigma_m)
             self._without_reflections(image, shape, seen, half_m)
-            if predicted and k == 0 and self._monitor.contradicted(sigma_m, seen.nodes, seen.residual, seen.found):
-                self._tracking.contradict_odometry()
             stages.lap("search")
             inliers = tracker.update(shape, seen.nodes, seen.residual, seen.found)
             stages.lap("update")

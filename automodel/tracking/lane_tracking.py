@@ -221,10 +221,6 @@ class LaneTracking:
         if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
             since_s = (frame.t_ns - self._learnt_ns) * 1e-9  # its lines bore out the motion
             self._doubt(self._belief.without_road().moved(0.0, 0.0, since_s, False))
-        elif (
-            self._belief is not None and self._odometry.right and not self.in_doubt
-        ):  # so the lines are another thing's
-            self._doubt(self._belief.without_road())
         return moved
 
     def turn_camera(self) -> LaneBelief | None:
@@ -268,10 +264,6 @@ class LaneTracking:
         self._belief = self._belief.beside_it(side)
         self._profile.change_lane(side)
         self._innovations.reset()
-
-    def contradict_odometry(self) -> None:
-        """The estimator's lines lie far from where the motion puts them: one of the two is wrong."""
-        self._odometry.suspect(by_lines=True)
 
     def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.

@@ -593,9 +593,12 @@ def test_the_road_that_was_seen_is_forgotten_where_its_lines_contradict_the_esti
     assert drive.tracking._reckoned.covariance.diagonal()[ROAD + 4] > 2.0 * known
 
 
-def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen() -> None:
+def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     drive = driving()
-    drive.tracking.contradict_odometry()  # and no image says otherwise
+    monkeypatch.setattr(drive.tracking._odometry._images, "agrees", lambda frame, motion: False)
+    drive.tracking._odometry.suspect()
     for _ in range(DISSENT):
         drive.predict()
     assert drive.doubted
@@ -647,7 +650,9 @@ def compiled_late() -> dict[str, int]:
     drive = driving(0.02)
     for _ in range(6):
         drive.follow(said(0.0, NONE), sights(0.0, (LEFT,)))
-    drive.tracking.contradict_odometry()
+    belief = drive.tracking._belief
+    assert belief is not None
+    drive.tracking._contradict(belief)
     for _ in range(6):
         drive.follow(said(0.0), sights(0.0, (LEFT, RIGHT, LEFT_FAR)), known=False)
     late = {name: len(one.signatures) - before[name] for name, one in functions.items()}
@@ -662,10 +667,12 @@ def test_nothing_is_compiled_while_a_car_drives() -> None:
     assert told.stdout == "{}\n"
 
 
-def test_without_a_lane_a_wrong_odometry_is_no_matter() -> None:
+def test_without_a_lane_a_wrong_odometry_is_no_matter(monkeypatch: pytest.MonkeyPatch) -> None:
     drive = Drive()
     drive.predict()
-    drive.tracking.contradict_odometry()
+    odometry = drive.tracking._odometry
+    monkeypatch.setattr(odometry, "step", lambda frame, motion: motion)
+    odometry.wrong = True
     drive.predict()
     assert not drive.doubted
 
@@ -832,17 +839,6 @@ def test_a_car_that_stands_gathers_no_evidence_from_the_same_view(speed_mps: flo
         assert drive.tracking.start(drive.t_ns, line) is None
     best = drive.tracking._hypotheses.all[0]
     assert (best.log_odds > 2.0 * best.news) is gathers
-
-
-def test_where_the_ground_bears_out_the_odometry_the_lines_are_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
-    drive = driving()
-    monkeypatch.setattr(drive.tracking._odometry._images, "agrees", lambda frame, motion: True)
-    drive.predict()
-    assert not drive.doubted
-    drive.tracking.contradict_odometry()
-    drive.predict()
-    assert drive.doubted
-    assert drive.tracking.reckons  # the odometry is used on
 
 
 def country_road(offset_m: float, mirrored: bool = False) -> tuple[SightedLine, ...]:
