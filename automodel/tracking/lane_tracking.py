@@ -166,6 +166,8 @@ class LaneTracking:
         self._innovations.reset()
         self.in_doubt = False
         self.reckons = False  # whether the last frame's motion is the odometry's
+        self._marked: LaneBelief | None = None  # where its lines began to look as if they were not parallel
+        self._marked_m = 0.0  # driven since then
         self._story: LaneBelief | None = None  # in doubt, what is likelier than what the estimator says
         self._outvoted = False  # whether the estimator's pose differs from what is believed
         self._blind_m = 0.0
@@ -212,6 +214,7 @@ class LaneTracking:
                 self._reckoned = self._reckoned.moved(*step)
             driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
+            self._marked_m += moved.distance_m  # an unknown motion tells nothing
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed
@@ -226,18 +229,34 @@ class LaneTracking:
     def turn_camera(self) -> LaneBelief | None:
         """What is believed by the camera as it is, where the lane has shown that it is not as it was taken to be.
 
-        `camera` is that from then on, and a pipeline must measure by it anew.
+        Its lines are not parallel ahead of the car, nor has the lane got as much wider or narrower as they say by the
+        time that the car is there: then it would be the road. `camera` is that from then on, and a pipeline must
+        measure by it anew.
         """
-        if self._belief is None or self.in_doubt:
+        belief, marked = self._belief, self._marked
+        if belief is None or self.in_doubt:
+            self._marked = None
             return None
-        pitch, sigma = self._belief.pitch_rad
+        pitch, sigma = belief.pitch_rad
         if abs(pitch) < max(K * sigma, SLIGHT * ANGLE_RAD) or abs(self.pitch_rad + pitch) > FAR_OFF * ANGLE_RAD:
+            self._marked = None
+            return None
+        if marked is None:
+            self._marked, self._marked_m = belief, 0.0
+            return None
+        told_m = belief.width_m * pitch / belief.road.eye_m[1] * self._marked_m
+        variance = belief.sigma(Part.WIDTH) ** 2 + marked.sigma(Part.WIDTH) ** 2
+        odds = told_m * (0.5 * told_m - (belief.width_m - marked.width_m)) / variance  # that it is not the road
+        if abs(odds) < self.config.exists:
+            return None
+        self._marked = None
+        if odds < 0.0:
             return None
         try:
             self._see_with(self.camera.pitched(pitch))
         except ValueError:  # it would see no ground
             return None
-        self._belief = self._belief.pitched()
+        self._belief = belief.pitched()
         return self._belief
 
     def _see_with(self, camera: GroundCamera) -> None:

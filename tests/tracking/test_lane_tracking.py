@@ -134,28 +134,43 @@ def seen_by(camera: GroundCamera, points_m: FloatArray) -> FloatArray:
     return GroundCamera.from_config(CAR.camera).px_to_ground(pixels[camera.camera.inside(pixels)])
 
 
-def pitched_wrongly(down_deg: float, frames: int = 40) -> Drive:
-    """A car whose camera looks further down than configured, which nobody has been told yet."""
+def pitched_wrongly(down_deg: float, narrower: float = 0.0, frames: int = 60) -> tuple[Drive, list[LaneBelief]]:
+    """A car whose camera looks further down than configured, and how it was turned, while both lines are seen.
+
+    `narrower`: by so many of its widths the lane gets narrower per metre.
+    """
     drive, real = Drive(), GroundCamera.from_config(CAR.camera).pitched(math.radians(down_deg))
-    lines = tuple(replace(line, points_m=seen_by(real, line.points_m)) for line in sights(0.0))
-    told = said(0.0)
-    left, right = (
-        replace(line, points_m=seen.points_m) for line, seen in zip((told.left, told.right), lines, strict=True)
-    )
-    drive.predict()
-    assert drive.tracking.start(drive.t_ns, lines) is not None
-    for _ in range(frames):
+    turned = []
+    for k in range(frames):
+        points = [line.points_m for line in sights(0.0)]
+        widths = [1.0 - narrower * (1e-9 * STEP_NS * k * SPEED_MPS + one[:, 0]) for one in points]
+        lines = tuple(
+            replace(line, points_m=seen_by(real, np.column_stack((one[:, 0], one[:, 1] * width))))
+            for line, one, width in zip(sights(0.0), points, widths, strict=True)
+        )
+        told = said(0.0, width_m=LANE_M * float(1.0 - narrower * 1e-9 * STEP_NS * k * SPEED_MPS))
+        left, right = (
+            replace(line, points_m=seen.points_m) for line, seen in zip((told.left, told.right), lines, strict=True)
+        )
+        if k == 0:
+            drive.predict()
+            assert drive.tracking.start(drive.t_ns, lines) is not None
+            continue
         drive.follow(replace(told, left=left, right=right), lines)
-    return drive
+        believed = drive.tracking.turn_camera()
+        if believed is not None:
+            turned.append(believed)
+            break
+    return drive, turned
 
 
 @pytest.mark.parametrize("down_deg", [1.2, -1.2])
 def test_lines_that_are_not_parallel_tell_the_cameras_pitch(down_deg: float) -> None:
-    drive = pitched_wrongly(down_deg)
+    drive, turned = pitched_wrongly(down_deg)
     tracking, configured = drive.tracking, CAR.camera.extrinsics.pitch_rad
-    believed = tracking.turn_camera()
-    assert believed is not None
-    assert math.degrees(tracking.pitch_rad) == pytest.approx(down_deg, abs=0.3)
+    assert len(turned) == 1
+    assert turned[0].width_m == pytest.approx(LANE_M, abs=0.02)
+    assert math.degrees(tracking.pitch_rad) == pytest.approx(down_deg, abs=0.4)
     assert tracking.camera.extrinsics.pitch_rad == configured + tracking.pitch_rad
     assert f"pitch_rad = {configured:.3f}: the lane's lines are parallel at" in tracking.warning
     assert tracking.turn_camera() is None  # once
@@ -163,19 +178,30 @@ def test_lines_that_are_not_parallel_tell_the_cameras_pitch(down_deg: float) -> 
     assert (tracking.pitch_rad, tracking.warning) == (0.0, "")
 
 
+@pytest.mark.parametrize("narrower", [0.06, -0.06])
+def test_a_lane_that_gets_narrower_is_no_camera(narrower: float) -> None:
+    drive, turned = pitched_wrongly(0.0, narrower)
+    assert not turned
+    belief = drive.tracking._belief
+    assert belief is not None
+    assert abs(math.degrees(belief.pitch_rad[0])) > 0.5  # though its lines say so
+
+
 def test_a_camera_is_not_turned_by_little_nor_in_doubt_nor_by_lines_that_no_mount_explains() -> None:
-    assert driving().tracking.turn_camera() is None
-    assert pitched_wrongly(0.2).tracking.turn_camera() is None
-    drive = pitched_wrongly(1.2)
+    assert not pitched_wrongly(0.0)[1]
+    assert not pitched_wrongly(0.2)[1]
+    drive, _ = pitched_wrongly(1.2, frames=8)
     while not drive.doubted:
         drive.follow(said(0.3, (LEFT,)))
     assert drive.tracking.turn_camera() is None
-    drive = pitched_wrongly(0.0)
-    while drive.tracking.turn_camera() is not None or drive.tracking.pitch_rad == 0.0:
-        belief = drive.tracking._belief  # what a camera that fell down shows, little by little
+    tracking = driving().tracking
+    for _ in range(20):
+        belief = tracking._belief  # what a camera that fell down shows, little by little
         assert belief is not None
         belief.state[lane_path.PITCH], belief.covariance[lane_path.PITCH, lane_path.PITCH] = 2.0, 0.01
-    assert math.degrees(drive.tracking.pitch_rad) == pytest.approx(2.4)
+        tracking.turn_camera()
+        tracking._marked_m = 10.0
+    assert math.degrees(tracking.pitch_rad) == pytest.approx(2.4)
 
 
 @pytest.mark.parametrize("width", [0.7, 1.3])
