@@ -31,10 +31,6 @@ class CheckedOdometry:
         self._images = ImageMotion(camera, lane_width_m)
         self.reset()
 
-    def see_with(self, camera: GroundCamera) -> None:
-        """From now on the camera is set so."""
-        self._images.see_with(camera)
-
     def reset(self) -> None:
         """Forget the last frame; the odometry is trusted."""
         self._images.reset()
@@ -42,6 +38,11 @@ class CheckedOdometry:
         self._dissent: int | None = None  # frames that contradict it, while it is suspected
         self._asked = 0
         self._rejected_ns: int | None = None
+
+    def see_with(self, camera: GroundCamera) -> None:
+        """From now on the camera is set so; by the ground as it was seen before, no odometry is wrong."""
+        self._images.see_with(camera)
+        self._dissent = self._rejected_ns = None
 
     @property
     def trusted(self) -> bool:

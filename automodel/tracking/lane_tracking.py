@@ -135,7 +135,8 @@ class LaneTracking:
         self._profile = RoadProfile()
         self._odometry = CheckedOdometry(camera, self._unit)
         self._see_with(camera)
-        self._motions, self._innovations = FrameMotions(self._unit), Innovations()
+        self._motions, self._given = FrameMotions(self._unit), FrameMotions(self._unit)
+        self._innovations = Innovations()
         self._hypotheses = Hypotheses(self.config.hypotheses)
         warm_up()
         self.reset()
@@ -146,6 +147,7 @@ class LaneTracking:
             self._see_with(self._as_configured)
         self._odometry.reset()
         self._motions.reset()
+        self._given.reset()
         self._bends.reset()
         self._profile.reset()
         self._lines_seen = 0  # of the lane's, in the last frame
@@ -200,9 +202,10 @@ class LaneTracking:
         It is that of the ground in the images where no odometry gives it, or where that is wrong.
         """
         self._t_ns = frame.t_ns
+        given = self._given.step(frame.t_ns, motion)
         motion = self._odometry.step(frame, motion)
         moved = self._motions.step(frame.t_ns, motion)
-        if moved is None:
+        if moved is None or given is None:
             self.forget()
             return None
         if self._hypotheses.all or self._belief is not None:  # a lane, or what may become one
@@ -214,7 +217,8 @@ class LaneTracking:
                 self._reckoned = self._reckoned.moved(*step)
             driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
-            self._marked_m += moved.distance_m  # an unknown motion tells nothing
+            # By a wrong pitch the ground contradicts an odometry that is right; an unknown motion tells nothing.
+            self._marked_m += (moved if moved.known else given).distance_m
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed

@@ -83,6 +83,12 @@ def test_time_that_jumps_gives_another_chance(by_ns: int) -> None:
     assert odometry.trusted
 
 
+def test_by_another_camera_it_is_trusted_again() -> None:
+    odometry, _ = suspected(2.0)
+    odometry.see_with(CAMERA.pitched(0.02))
+    assert odometry.trusted
+
+
 def test_after_a_reset_it_is_trusted() -> None:
     odometry, _ = suspected(2.0)
     odometry.reset()

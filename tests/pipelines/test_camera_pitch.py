@@ -33,7 +33,7 @@ def test_a_wrong_pitch_is_found_and_measured_by(name: str, wrong_deg: float) -> 
         check_sound(one.estimate, one.frame.t_ns)
     settled = seen[2 * len(seen) // 3 :]
     assert np.degrees(settled[-1].estimate.camera_pitch_rad) == pytest.approx(-wrong_deg, abs=0.4)
-    assert np.mean([abs(one.offset_error_m) for one in settled]) < 0.005
+    assert np.mean([abs(one.offset_error_m) for one in settled]) < 0.007
     assert np.degrees(np.mean([abs(one.heading_error_rad) for one in settled])) < 0.8
     assert "[camera.extrinsics] pitch_rad = " in getattr(pipeline, "warning", "")
     pipeline.reset()

@@ -14,7 +14,7 @@ import pytest
 
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve
-from automodel.estimation.checked_odometry import DISSENT
+from automodel.estimation.checked_odometry import DISSENT, CheckedOdometry
 from automodel.estimation.road import MAX_GAP_S
 from automodel.geometry import GroundCamera, lane_path
 from automodel.geometry.lane_path import ROAD
@@ -176,6 +176,16 @@ def test_lines_that_are_not_parallel_tell_the_cameras_pitch(down_deg: float) -> 
     assert tracking.turn_camera() is None  # once
     tracking.reset()
     assert (tracking.pitch_rad, tracking.warning) == (0.0, "")
+
+
+def test_the_pitch_is_told_by_the_way_that_an_odometry_gives_though_the_ground_contradicts_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def contradicted(odometry: CheckedOdometry, frame: Frame, motion: Motion) -> Motion:
+        return replace(motion, speed_mps=0.0, source=MotionSource.NONE)
+
+    monkeypatch.setattr(CheckedOdometry, "step", contradicted)
+    assert pitched_wrongly(1.2)[1]
 
 
 @pytest.mark.parametrize("narrower", [0.06, -0.06])
