@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from automodel.estimation.image_motion import ImageMotion
+import numpy as np
+
+from automodel.estimation.image_motion import ImageMotion, ImageMotionConfig
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 
@@ -35,14 +37,14 @@ class CheckedOdometry:
         """Forget the last frame; the odometry is trusted."""
         self._images.reset()
         self.wrong = False
-        self._dissent: int | None = None  # frames that contradict it, while it is suspected
-        self._asked = 0
+        self._others: list[tuple[float, float]] | None = None  # speeds by it and by the ground that contradicts it
+        self._asked = 0  # frames, while it is suspected
         self._rejected_ns: int | None = None
 
     def see_with(self, camera: GroundCamera) -> None:
         """From now on the camera is set so; by the ground as it was seen before, no odometry is wrong."""
         self._images.see_with(camera)
-        self._dissent = self._rejected_ns = None
+        self._others = self._rejected_ns = None
 
     @property
     def trusted(self) -> bool:
@@ -51,8 +53,8 @@ class CheckedOdometry:
 
     def suspect(self) -> None:
         """What is seen in a frame contradicts the motion up to it; the next frames' ground is asked."""
-        if self._dissent is None:
-            self._dissent, self._asked = 0, 0
+        if self._others is None:
+            self._others, self._asked = [], 0
 
     def step(self, frame: Frame, motion: Motion) -> Motion:
         """The motion up to a frame: the odometry's, or the ground's; unknown where too little is seen of that."""
@@ -61,7 +63,7 @@ class CheckedOdometry:
             if self._rejected_ns is not None and not 0 <= frame.t_ns - self._rejected_ns < RETRY_NS:
                 again = self._images.agrees(frame, motion) is False and frame.t_ns > self._rejected_ns
                 self._rejected_ns = frame.t_ns if again else None
-            elif self._rejected_ns is None and self._dissent is not None:
+            elif self._rejected_ns is None and self._others is not None:
                 self._ask(frame, motion)
         if motion.known and self._rejected_ns is not None:
             motion = replace(motion, speed_mps=0.0, yaw_rate_radps=0.0, source=MotionSource.NONE)
@@ -69,12 +71,21 @@ class CheckedOdometry:
 
     def _ask(self, frame: Frame, motion: Motion) -> None:
         """Judge a suspected odometry by the ground between the last frame and this one."""
-        assert self._dissent is not None
+        assert self._others is not None
         agrees = self._images.agrees(frame, motion)
-        self._dissent += agrees is False
+        if agrees is False:
+            self._others.append((motion.speed_mps, float(self._images.most[0])))
         self._asked += 1
-        self.wrong = self._dissent >= DISSENT
+        self.wrong = len(self._others) >= DISSENT and _is_one(self._others)
         if self.wrong:
             self._rejected_ns = frame.t_ns
         if self.wrong or agrees or self._asked >= ASKED:
-            self._dissent = None
+            self._others = None
+
+
+def _is_one(speeds_mps: list[tuple[float, float]]) -> bool:
+    """Whether the ground tells one other speed, and not another in each frame, as that below a nodding body does."""
+    odometry, ground = np.array(speeds_mps).T
+    low, high = np.quantile(ground - odometry, (0.25, 0.75))
+    fastest = max(np.median(np.abs(odometry)), np.median(np.abs(ground)))
+    return bool(0.5 * (high - low) <= ImageMotionConfig().length * fastest)

@@ -90,6 +90,7 @@ class ImageMotion:
 
     def reset(self) -> None:
         """Forget the last image and motion."""
+        self.most: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s] by most corners, in the last `agrees`
         self._last: Frame | None = None
         self._given: Motion | None = None  # of the last frame, where it came with one
         self._mean: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s]
@@ -128,7 +129,7 @@ class ImageMotion:
         """Whether the ground between the last frame and this one, before its `step`, moved as given.
 
         None where there is no last frame, too little to see, or it moved about so: a camera that is set a little wrong,
-        or nods, sees that of a right motion.
+        or nods, sees that of a right motion. `most` is then what most corners say.
         """
         last, config = self._last, self.config
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
@@ -142,6 +143,7 @@ class ImageMotion:
         if not len(start):
             return None
         most = self._consensus(start, end)
+        self.most = most / dt_s
         near = [np.count_nonzero(self._near(start, end, each)) for each in (expected, most)]
         if near[0] >= max(config.agree * near[1], config.least):
             return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from functools import lru_cache
 
+import numpy as np
 import pytest
 
 from automodel.estimation import checked_odometry
@@ -61,6 +62,20 @@ def test_a_right_one_is_kept_also_where_the_ground_says_nothing(contrast: float)
     assert odometry.trusted
 
 
+@pytest.mark.parametrize(("ground", "trusted"), [((1.0, 1.1), False), ((-1.0, 3.0), True)])
+def test_ground_that_tells_another_speed_in_each_frame_tells_none(
+    monkeypatch: pytest.MonkeyPatch, ground: tuple[float, float], trusted: bool
+) -> None:
+    """As that below a body that nods."""
+    odometry = CheckedOdometry(CAMERA, LANE)
+    monkeypatch.setattr(odometry._images, "agrees", lambda frame, motion: False)
+    odometry.suspect()
+    for frame in drive():
+        odometry._images.most = np.array((ground[frame.index % 2] * SPEED, 0.0))
+        odometry.step(frame, told(frame, 2.0))
+    assert odometry.trusted is trusted
+
+
 def later(frame: Frame, by_ns: int) -> Frame:
     return dataclasses.replace(frame, t_ns=frame.t_ns + by_ns)
 
@@ -110,6 +125,6 @@ def test_a_suspicion_that_nothing_bears_out_is_dropped() -> None:
         odometry.step(frame, told(frame, 1.0))
         if frame.index == 2:
             odometry.suspect()
-        asked.append(odometry._dissent is not None)
+        asked.append(odometry._others is not None)
     assert asked == [2 <= index < 2 + ASKED for index in range(len(seen))]
     assert odometry.trusted

@@ -563,6 +563,11 @@ BOUNDS = (
         ("a-pixel-is-a-point", "noise[k] = 1.0 + prior.pixel_share * (", "noise[k] = 1.0 + 0.0 * ("),
     ),
     *_of(
+        "automodel/estimation/checked_odometry.py",
+        "tests/estimation/test_checked_odometry.py",
+        ("a-nod-is-a-speed", "len(self._others) >= DISSENT and _is_one(self._others)", "len(self._others) >= DISSENT"),
+    ),
+    *_of(
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
