@@ -670,6 +670,7 @@ class LaneTracking:
         elif {role for _, role in assigned} >= {LEFT, RIGHT}:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
         self._belief, self._reckoned, self.in_doubt = belief, None, False
+        self._marked = None  # it may be another lane's width
         self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start(())
         self._innovations.reset()

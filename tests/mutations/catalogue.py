@@ -565,7 +565,11 @@ BOUNDS = (
     *_of(
         "automodel/estimation/checked_odometry.py",
         "tests/estimation/test_checked_odometry.py",
-        ("a-nod-is-a-speed", "len(self._others) >= DISSENT and _is_one(self._others)", "len(self._others) >= DISSENT"),
+        (
+            "a-nod-is-a-speed",
+            "len(self._others) >= DISSENT and self._tell_one_speed(self._others)",
+            "len(self._others) >= DISSENT",
+        ),
     ),
     *_of(
         "automodel/tracking/lane_tracking.py",

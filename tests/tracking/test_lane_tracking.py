@@ -188,6 +188,15 @@ def test_the_pitch_is_told_by_the_way_that_an_odometry_gives_though_the_ground_c
     assert pitched_wrongly(1.2)[1]
 
 
+def test_the_width_of_another_lane_tells_no_pitch() -> None:
+    tracking = driving().tracking
+    belief = tracking._belief
+    assert belief is not None
+    tracking._marked = belief
+    tracking._believe(belief.beside_it(+1))
+    assert tracking._marked is None
+
+
 @pytest.mark.parametrize("narrower", [0.06, -0.06])
 def test_a_lane_that_gets_narrower_is_no_camera(narrower: float) -> None:
     drive, turned = pitched_wrongly(0.0, narrower, frames=110)
