@@ -13,6 +13,7 @@ import numpy as np
 
 from automodel.bench.accuracy import Row
 from automodel.bench.tusimple import Label, read_labels
+from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings.binary_views import adaptive_threshold
 from automodel.perception.markings.unet import MarkingNetwork
 from automodel.sources.images import read_image
@@ -30,6 +31,8 @@ def measure(root: Path, network: MarkingNetwork) -> Row:
     `far_pct`: marked pixels far from every label, from the highest labelled row down; `points_pct`: labelled rows with
     a marked pixel near; `lanes_pct`: lanes with such a pixel on at least a fifth of their rows. Raises ConfigError.
     """
+    if network.from_above:
+        raise ConfigError(f"--size {network.size}: no camera is given to see the images of --root from above")
     counts, shares = np.zeros(4), list[float]()
     labels = read_labels(root)
     for label in labels:
@@ -51,7 +54,7 @@ def measure(root: Path, network: MarkingNetwork) -> Row:
             shares.append(float(near.mean()))
     far_marks, marks, near_rows, rows = counts.tolist()
     return {
-        "size": f"{network.width_px}x{network.height_px}",
+        "size": network.size,
         "images": len(labels),
         "lanes": len(shares),
         "far_pct": 100.0 * far_marks / max(marks, 1.0),

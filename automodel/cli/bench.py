@@ -233,7 +233,7 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 @command.command("network")
 @click.option("--model", type=FILE, help="An ONNX file.  [default: the one that ships for the size]")
 @click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
-              help="The network's input.")  # fmt: skip
+              help="The picture that the network sees, or the road from above.")  # fmt: skip
 @click.option("--images", type=click.IntRange(1), default=100, show_default=True, help="Drawn images of each class.")
 @FIRST_SEED
 @click.option("--root", type=FILE, help="Labelled highway images instead: a folder with label_data.json and clips/.")

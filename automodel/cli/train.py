@@ -15,7 +15,7 @@ from automodel.cli.options import ABOVE_ZERO, finite
 from automodel.config.extras import need_extra
 from automodel.config.toml_reader import ConfigError
 from automodel.console.tables import show
-from automodel.perception.markings.unet import SIZES
+from automodel.perception.markings.unet import BIRDSEYE, SIZES
 
 MINUTES = 60.0
 
@@ -24,7 +24,8 @@ MINUTES = 60.0
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("trained"), show_default=True,
               help="Folder for the network, its metrics and its model card.")  # fmt: skip
 @click.option("--data", type=click.Path(path_type=Path, file_okay=False), default=None,
-              help="Folder for the drawn samples, 262 kB each, kept for next time.  [default: OUT/data]")  # fmt: skip
+              help="Folder for the drawn samples, 262 or (birdseye) 61 kB each, kept for next time."
+              "  [default: OUT/data, or OUT/views]")  # fmt: skip
 @click.option("--samples", type=click.IntRange(1, 10_000_000), default=12_000, show_default=True,
               help="Drawn samples to learn from.")  # fmt: skip
 @click.option("--validation", type=click.IntRange(1, 100_000), default=256, show_default=True,
@@ -37,10 +38,10 @@ MINUTES = 60.0
 @click.option("--rate", type=ABOVE_ZERO, callback=finite, default=3e-3, show_default=True,
               help="Of learning, at its peak; a larger batch allows a larger one.")  # fmt: skip
 @click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
-              help="The network's input.")  # fmt: skip
+              help="The picture that the network sees, or the road from above.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2000), default=0, show_default=True, help="Of samples and training.")
 @click.option("--resume", type=click.Path(path_type=Path), default=None,
-              help="Start with the weights of this .pt file, of either size.")  # fmt: skip
+              help="Start with the weights of this .pt file, of any size.")  # fmt: skip
 @click.option("--continue", "proceed", is_flag=True, help="Go on with the training that was interrupted in OUT.")
 @click.option("--workers", type=click.IntRange(1), default=None, help="Processes and threads.  [default: all cores]")
 @click.option("--json", "as_json", is_flag=True, help="Results as JSON on stdout.")
@@ -74,7 +75,8 @@ def command(
 
     minutes = MINUTES if steps is None and minutes is None else minutes
     workers = workers or os.cpu_count() or 1
-    config = SessionConfig(out=out, data=data or out / "data", minutes=minutes, steps=steps, workers=workers, **rest)
+    data = data or out / ("views" if rest["size"] == BIRDSEYE else "data")
+    config = SessionConfig(out=out, data=data, minutes=minutes, steps=steps, workers=workers, **rest)
     row, usable = run_session(config)
     show("train", [row], as_json)
     return 0 if usable else 1

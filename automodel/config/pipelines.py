@@ -32,7 +32,7 @@ class CenterlineConfig:
     """`centerline` (Cudrano et al. 2020). Lengths are multiples of the lane's width, so that they hold at any scale."""
 
     markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
-    network: str = "512x256"  # size of the network's input: 512x256, or 256x128 for a small board
+    network: str = "birdseye"  # it sees the picture at 512x256 or 256x128, or "birdseye": the road from above
     model: str = ""  # an ONNX file; empty: the weights that are shipped
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order of `NETWORK_PROVIDERS`
     threads: int = 0  # of the network on the CPU; 0: half of the cores
@@ -45,7 +45,7 @@ class CenterlineConfig:
 
     def __post_init__(self) -> None:
         one_of("markings", self.markings, ("unet", "ridge"))
-        one_of("network", self.network, ("512x256", "256x128"))
+        one_of("network", self.network, ("512x256", "256x128", "birdseye"))
         for name in self.providers:
             one_of("providers", name, NETWORK_PROVIDERS)
         positive(self, "threshold", "view_ahead_lanes", "view_half_lanes", "marking_px")

@@ -244,7 +244,8 @@ def _network_findings(car: CarConfig) -> Iterator[Finding]:
     what = f"{options.network}, self-test passed, ready in {tried.started_s:.2f} s, "
     what += f"{tried.image_s * 1e3:.1f} ms an image"
     if tried.image_s * car.camera.rate_hz > 1.0:
-        do = f'set [pipeline.centerline] network = "256x128": a frame comes every {1e3 / car.camera.rate_hz:.1f} ms'
+        every = f"a frame comes every {1e3 / car.camera.rate_hz:.1f} ms"
+        do = f'set [pipeline.centerline] network = "birdseye", or [pipeline] name = "contour": {every}'
         yield warn("network", what, do)
     else:
         yield okay("network", what)

@@ -17,12 +17,13 @@ from automodel.estimation.road import BEHIND
 from automodel.estimation.theta.pose_filter import LEAST_WIDTH
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
-from automodel.geometry import GroundCamera
+from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view, share_above
+from automodel.perception.markings.birdseye_network import network_view
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.ridge import RidgeFilter
-from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
+from automodel.perception.markings.unet import BIRDSEYE, MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing
 from automodel.perception.windows.window_tracker import ExpectedLine
 from automodel.pipelines.stages import SEEN, StageClock
@@ -36,7 +37,10 @@ NO_POINTS: FloatArray = np.empty((0, 2))
 
 
 class Markings(Protocol):
-    """Finds line markings: a grey image (h, w) -> a mask of any size, the probability of a marking, 0 .. 255."""
+    """Finds line markings: a grey image (h, w) -> a mask of any size, the probability of a marking, 0 .. 255.
+
+    The image is the camera's, or the bird's-eye view for a network that looks from above.
+    """
 
     def step(self, grey: Image) -> Image:
         """The mask of one image."""
@@ -60,7 +64,7 @@ def make_markings(car: CarConfig) -> Markings:
 
 
 def network_config(car: CarConfig) -> UnetConfig:
-    """The network of car.toml; it looks at the image's rows that show the road up to the far end of the view."""
+    """The network of car.toml; of a picture it sees the rows that show the road up to the far end of the view."""
     options, unit, camera = car.pipeline.centerline, car.lane.width_m, GroundCamera.from_config(car.camera)
     view = road_view(camera, options.view_ahead_lanes * unit, options.view_half_lanes * unit, car.lane.marking_width_m)
     return UnetConfig(
@@ -68,7 +72,7 @@ def network_config(car: CarConfig) -> UnetConfig:
         size=options.network,
         providers=options.providers,
         threads=options.threads,
-        above=share_above(camera, view),
+        above=0.0 if options.network == BIRDSEYE else share_above(camera, view),
     )
 
 
@@ -101,8 +105,18 @@ class Centerline:
         """From now on the camera is set so."""
         self._camera = camera
         self._width.see_with(camera)
+        self._above = self._network_birdseye(camera)
         self._gentle = GentleStart(self._car, camera, self._options.view_ahead_lanes)
         self._look_for(self._marking_m)
+
+    def _network_birdseye(self, camera: GroundCamera) -> BirdsEye | None:
+        """The view that the network sees, if it looks from above."""
+        if not (isinstance(self._markings, MarkingNetwork) and self._markings.from_above):
+            return None
+        ahead_m, half_m = (
+            self._unit * lanes for lanes in (self._options.view_ahead_lanes, self._options.view_half_lanes)
+        )
+        return BirdsEye(camera, network_view(camera.first_visible_x_m(), ahead_m, half_m))
 
     def _look_for(self, marking_m: float) -> None:
         """Look for markings of this width from now on."""
@@ -194,13 +208,13 @@ class Centerline:
             self._lane.move(moved.after_from_before, moved.distance_m, moved.dt_s, moved.known)
 
     def _line_mask(self, image: Image) -> Image:
-        grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-        return self._markings.step(np.asarray(grey, dtype=np.uint8))
+        grey = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        return self._markings.step(grey if self._above is None else self._above.warp(grey))
 
     def _feature_points(self, mask: Image) -> Image:
         if isinstance(self._markings, MarkingNetwork):
             mask = adaptive_threshold(mask)
-        return self._features.step(mask)
+        return self._features.step(mask) if self._above is None else self._features.of_view(mask)
 
     def _begin(self, image: Image) -> tuple[TrackedLane, Lines] | None:
         """A lane from the lines of a start from the whole image."""

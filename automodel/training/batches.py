@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from automodel.perception.markings.onnx_check import STRIDE
-from automodel.training.dataset import HEIGHT_PX, WIDTH_PX, Samples
+from automodel.training.dataset import Samples
 from automodel.types import IntArray
 
 ZOOM, STRETCH = 1.7, 1.25  # largest enlargement of a part of a sample, and how much wider or higher it may become
@@ -28,17 +28,24 @@ class Batches:
     """Endless batches (n, 2, rows, w) uint8, image and mask, of samples in random order, each once a round.
 
     Half of them are mirrored, half are parts enlarged up to `ZOOM` times, most have a random gain and gamma and some
-    noise. Half of the batches lack rows at the top. `start` is the number of the first batch. On a GPU all samples are
-    kept in its memory where they fit.
+    noise. A batch has one of the shares `shown` of the rows. `start` is the number of the first batch. On a GPU all
+    samples are kept in its memory where they fit.
     """
 
     def __init__(
-        self, samples: Samples, width_px: int, height_px: int, batch: int, seed: int, device: str = "cpu"
+        self,
+        samples: Samples,
+        width_px: int,
+        height_px: int,
+        batch: int,
+        seed: int,
+        device: str = "cpu",
+        shown: tuple[float, ...] = SHOWN,
     ) -> None:
         if not len(samples):
             raise ValueError("there are no samples to learn from")
         self._samples, self._batch, self._seed = samples, batch, seed
-        self._width_px, self._height_px = width_px, height_px
+        self._width_px, self._height_px, self._shown = width_px, height_px, shown
         self._device = torch.device(device)
         self.start = 0
         self._resident = self._all_samples() if self._fits() else None
@@ -70,10 +77,10 @@ class Batches:
         if self._device.type != "cuda":
             return False
         free, _ = torch.cuda.mem_get_info(self._device)
-        return len(self._samples) * 2 * WIDTH_PX * HEIGHT_PX < MOST_OF_MEMORY * free
+        return len(self._samples) * self._samples[0].size < MOST_OF_MEMORY * free
 
     def _all_samples(self) -> Tensor:
-        whole = torch.empty((len(self._samples), 2, HEIGHT_PX, WIDTH_PX), dtype=torch.uint8, device=self._device)
+        whole = torch.empty((len(self._samples), *self._samples[0].shape), dtype=torch.uint8, device=self._device)
         at = 0
         for part in self._samples.parts:
             whole[at : at + len(part)] = torch.from_numpy(np.array(part)).to(self._device)
@@ -94,7 +101,7 @@ class Batches:
         theta = np.stack((np.stack((mirror * across, zero, left), -1), np.stack((zero, down, top), -1)), -2)
         matrix = torch.from_numpy(theta.astype(np.float32)).to(self._device)
         size = [count, 2, self._height_px, self._width_px]
-        shown = round(rng.choice(SHOWN) * self._height_px) // STRIDE * STRIDE
+        shown = round(rng.choice(self._shown) * self._height_px) // STRIDE * STRIDE
         grid = functional.affine_grid(matrix, size, align_corners=False)[:, self._height_px - shown :]
         out = functional.grid_sample(samples.float(), grid, "bilinear", "border", align_corners=False)
         grey, mask = out[:, :1], out[:, 1:]

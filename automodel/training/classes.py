@@ -22,6 +22,7 @@ from automodel.training.metrics import measured
 from automodel.training.roads import LineStyle, Road, painted, random_ribbon
 from automodel.training.scenes import Ground, Layers, Sample, augmented, lit_ground
 from automodel.training.shapes import Ink, Ribbon, Stripe
+from automodel.training.views import from_above
 from automodel.types import FloatImage, Image
 
 Rng = np.random.Generator
@@ -29,13 +30,17 @@ Rng = np.random.Generator
 CLASSES = ("ordinary", "thin", "wide", "horizontal", "dashed", "dark tape", "lamp", "blur")
 WIDTHS = {"thin": (0.008, 0.02), "wide": (0.12, 0.28)}  # of lines [lane widths]
 ORDINARY = (0.04, 0.1)
+FROM_ABOVE_PX = (640, 360)  # of the picture that is seen from above
 COLUMNS = ("size", "class", "images", "near_precision", "near_recall", "f1")
 
 
-def class_sample(name: str, seed: int) -> Sample:
-    """The image of a class and a seed, the same for the same seed; raises ValueError for an unknown class."""
+def class_sample(name: str, seed: int, above: bool = False) -> Sample:
+    """The image of a class and a seed, the same for the same seed; its bird's-eye view if `above`.
+
+    Raises ValueError for an unknown class.
+    """
     rng = np.random.default_rng((seed, CLASSES.index(name)))
-    camera = random_camera(rng, Kind.SCALE, WIDTH_PX, HEIGHT_PX)
+    camera = random_camera(rng, Kind.SCALE, *(FROM_ABOVE_PX if above else (WIDTH_PX, HEIGHT_PX)))
     road, dark = _road(rng, name), name == "dark tape"
     ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes), dark)
     layers = ground.image, ground.mask, ground.seen, ground.whole
@@ -43,7 +48,8 @@ def class_sample(name: str, seed: int) -> Sample:
         layers = _with_lamps(ground, camera, rng)
     elif name == "blur":
         layers = _moved(ground, rng)
-    return augmented(layers, int(rng.integers(2**62)), dark)
+    sample = augmented(layers, int(rng.integers(2**62)), dark)
+    return from_above(rng, camera, sample) if above else sample
 
 
 def _road(rng: Rng, name: str) -> Road:
@@ -87,15 +93,14 @@ def _moved(ground: Ground, rng: Rng) -> Layers:
 
 def measure(network: MarkingNetwork, images: int, seed: int, classes: Iterable[str] = ()) -> list[dict[str, object]]:
     """A row of `COLUMNS` for each class, of `images` images from `seed` on, at a probability of one half."""
-    size = f"{network.width_px}x{network.height_px}"
     rows: list[dict[str, object]] = []
     for name in classes or CLASSES:
-        draw: Callable[[int], Sample] = functools.partial(class_sample, name)
+        draw: Callable[[int], Sample] = functools.partial(class_sample, name, above=network.from_above)
         samples = (np.stack((sample.image, sample.mask)) for sample in map(draw, range(seed, seed + images)))
         found = measured(network.step, (resized(each, network.width_px, network.height_px) for each in samples))
         rows.append(
             {
-                "size": size,
+                "size": network.size,
                 "class": name,
                 "images": images,
                 "near_precision": found.near_precision,

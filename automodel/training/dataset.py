@@ -21,7 +21,7 @@ from automodel.output_files import output_path, output_text
 from automodel.training.scenes import make_sample
 from automodel.types import Image
 
-WIDTH_PX, HEIGHT_PX = 512, 256  # of the stored samples; they are resized for a smaller network
+WIDTH_PX, HEIGHT_PX = 512, 256  # of the stored pictures; they are resized for a smaller network
 SHARD = 128
 INDEX = "data.json"
 FIRST_TRAINING_SEED = 1_000_000  # seeds below are for validation
@@ -46,11 +46,18 @@ Maker = Callable[[int], Drawn]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shard:
-    """One file with the samples of `count` seeds from `first_seed` on."""
+    """One file with the samples of `count` seeds from `first_seed` on, of `width_px` and `height_px`."""
 
     path: Path
     first_seed: int
     count: int
+    width_px: int = WIDTH_PX
+    height_px: int = HEIGHT_PX
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of its samples."""
+        return self.count, 2, self.height_px, self.width_px
 
 
 def data_version(make: Maker = make_sample) -> str:
@@ -62,10 +69,18 @@ def data_version(make: Maker = make_sample) -> str:
     return digest.hexdigest()[:12]
 
 
-def shards(folder: Path, first_seed: int, count: int) -> list[Shard]:
+def shards(
+    folder: Path, first_seed: int, count: int, width_px: int = WIDTH_PX, height_px: int = HEIGHT_PX
+) -> list[Shard]:
     """The shards with the samples of `count` seeds from `first_seed` on."""
     return [
-        Shard(path=folder / f"{first_seed + at:09d}.npy", first_seed=first_seed + at, count=min(SHARD, count - at))
+        Shard(
+            path=folder / f"{first_seed + at:09d}.npy",
+            first_seed=first_seed + at,
+            count=min(SHARD, count - at),
+            width_px=width_px,
+            height_px=height_px,
+        )
         for at in range(0, count, SHARD)
     ]
 
@@ -80,7 +95,7 @@ def write_shard(shard: Shard, make: Maker = make_sample, tick: Callable[[float],
 
     `tick` gets the share of the shard that each sample is.
     """
-    samples = np.empty((shard.count, 2, HEIGHT_PX, WIDTH_PX), np.uint8)
+    samples = np.empty(shard.shape, np.uint8)
     for row, seed in zip(samples, range(shard.first_seed, shard.first_seed + shard.count), strict=True):
         sample = make(seed)
         row[0], row[1] = sample.image, sample.mask
@@ -138,7 +153,7 @@ def _opened(shard: Shard) -> Image:
         samples = np.load(shard.path, mmap_mode="r", allow_pickle=False)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{shard.path}: cannot be read: {error}; delete it, it is drawn again") from None
-    if samples.shape != (shard.count, 2, HEIGHT_PX, WIDTH_PX) or samples.dtype != np.uint8:
+    if samples.shape != shard.shape or samples.dtype != np.uint8:
         raise ConfigError(f"{shard.path}: holds {samples.shape} {samples.dtype}; delete it, it is drawn again")
     return samples
 

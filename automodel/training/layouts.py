@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from automodel.training.cameras import Kind
 from automodel.training.roads import LineStyle, Road, edge_style, inner_style, painted, paved, random_ribbon
-from automodel.training.shapes import Ribbon, Stripe
+from automodel.training.shapes import Ink, Patch, Ribbon, Stripe, box
 from automodel.types import FloatArray
 
 _LANE_CHANCES = {
@@ -18,12 +18,14 @@ _LANE_CHANCES = {
     Kind.ROAD: (0.1, 0.3, 0.25, 0.2, 0.15),
     Kind.CIRCUIT: (0.9, 0.1, 0.0, 0.0, 0.0),
 }
+_INTERRUPTED = 0.12  # share of the roads with parallel lines whose lines are interrupted for a zebra crossing
+_CROSSED_ON_FOOT = 0.4  # share of the crossings of two roads with zebra crossings around them
 
 
 def random_road(rng: np.random.Generator, kind: Kind) -> Road:
     """A random road with its lines, sometimes without any."""
     rarer = 0.5 if kind is Kind.ROAD else 0.0 if kind is Kind.CIRCUIT else 1.0
-    chances = np.array([0.15 * rarer, 0.14 * rarer, 0.04 * rarer, 0.05 * rarer, 0.065])
+    chances = np.array([0.15 * rarer, 0.14 * rarer, 0.04 * rarer, 0.05 * rarer, 0.1])
     layouts: list[Callable[[np.random.Generator, Kind], Road]] = [_crossing, _corner, _roundabout, _strands, _bare]
     draw = rng.choice(6, p=[*chances, 1.0 - chances.sum()])
     road = _lanes(rng, kind) if draw == 5 else layouts[draw](rng, kind)
@@ -48,6 +50,8 @@ def _lanes(rng: np.random.Generator, kind: Kind) -> Road:
     ribbon = random_ribbon(rng, kind, float(np.abs(offsets).max()))
     stripes: list[Stripe] = []
     squeeze = _squeeze(rng, ribbon)
+    open_from, open_to, bars = _zebra(rng, ribbon, offsets)
+    through = (ribbon.s < open_from) | (ribbon.s > open_to)
     same = inner_style(rng, kind)
     outer = edge_style(rng, kind)
     for k, offset in enumerate(offsets):
@@ -60,7 +64,9 @@ def _lanes(rng: np.random.Generator, kind: Kind) -> Road:
         drift = rng.normal(0.0, 0.03) if rng.random() < 0.12 else 0.0
         keep = _kept(rng, ribbon)
         d = offset * squeeze + drift * np.clip(ribbon.s, 0.0, 15.0)
-        stripes += painted(rng, style, ribbon.place(ribbon.s, d)[keep])
+        points = ribbon.place(ribbon.s, d)
+        for piece in (keep,) if through.all() else (keep & (ribbon.s < open_from), keep & (ribbon.s > open_to)):
+            stripes += painted(rng, style, points[piece])
     if kind is not Kind.CIRCUIT and rng.random() < 0.1:
         stripes += _fork(rng, ribbon, offsets, outer)
     return Road(
@@ -70,7 +76,25 @@ def _lanes(rng: np.random.Generator, kind: Kind) -> Road:
         right=float(-offsets[0]),
         reach=float(ribbon.s[-1]),
         stripes=tuple(stripes),
+        bars=bars,
     )
+
+
+def _zebra(rng: np.random.Generator, ribbon: Ribbon, offsets: FloatArray) -> tuple[float, float, tuple[Patch, ...]]:
+    """Where the lines are interrupted for a zebra crossing, from and to, and its bars; mostly there is none.
+
+    The bars lie at any place across, so that some continue a line.
+    """
+    if rng.random() > _INTERRUPTED:
+        return math.inf, math.inf, ()
+    start, long, clear = rng.uniform(-0.3, 4.0), rng.uniform(0.2, 1.2), rng.uniform(0.0, 0.3)
+    bar = rng.uniform(0.06, 0.2)
+    pitch = bar * rng.uniform(1.5, 2.5)
+    across = np.arange(float(offsets[0]) - rng.uniform(0.0, pitch), float(offsets[-1]) + 0.5 * pitch, pitch)
+    outlines = [box(start, start + long, d, d + bar) for d in across]
+    ink = Ink.PAINT if rng.random() < 0.75 else Ink.SECOND_PAINT
+    bars = Patch(outlines=tuple(ribbon.place(each[:, 0], each[:, 1]) for each in outlines), ink=ink)
+    return start - clear, start + long + clear, (bars,)
 
 
 def _squeeze(rng: np.random.Generator, ribbon: Ribbon) -> FloatArray:
@@ -143,6 +167,8 @@ def _crossing(rng: np.random.Generator, kind: Kind) -> Road:
     radius = 0.0 if rng.random() < 0.5 else rng.uniform(0.1, 1.5)
     arms = [bool(rng.random() < 0.85) for _ in range(3)]  # left, right, straight on
     outer, inner = edge_style(rng, kind), inner_style(rng, kind)
+    clear, long = rng.uniform(0.05, 0.4), rng.uniform(0.2, 0.8) if rng.random() < _CROSSED_ON_FOOT else 0.0
+    held = clear + long + 0.1 if long else 0.0
     stripes: list[Stripe] = []
 
     def line(style: LineStyle, points: FloatArray) -> None:
@@ -159,18 +185,37 @@ def _crossing(rng: np.random.Generator, kind: Kind) -> Road:
                     line(outer, _straight(np.array([half, 0.0]), np.array([half + skew * away, away])))
                     continue
                 line(outer, _rounded(corner, np.array([beyond, d]), np.array([end * half + skew * away, away]), radius))
-            gap = side * (edge + radius + rng.uniform(0.0, 0.3))
+            gap = side * (edge + max(radius + rng.uniform(0.0, 0.3), held))
             line(inner, _straight(np.array([skew * gap, gap]), np.array([skew * away, away])))
         else:
             line(outer, _straight(np.array([-at - 3.0, d]), np.array([far if arms[2] else half, d])))
             if not arms[2]:
                 line(outer, _straight(np.array([half, d]), np.array([half, 0.0])))
     for d in offsets[1:-1]:
-        hold = half + radius * rng.uniform(0.0, 1.0)
+        hold = half + max(radius * rng.uniform(0.0, 1.0), held)
         line(inner, _straight(np.array([-at - 3.0, d]), np.array([-hold, d])))
         if arms[2]:
             line(inner, _straight(np.array([hold, d]), np.array([far, d])))
-    return Road(kind=kind, ribbon=ribbon, left=left, right=right, reach=at + far, stripes=tuple(stripes))
+    bars: tuple[Patch, ...] = ()
+    if long:
+        around = _bars_around(rng, (-half, half), (-right, left), clear, long)
+        outlines = [ribbon.local(at, outline) for outline in around]
+        bars = (Patch(outlines=tuple(outlines), ink=Ink.PAINT if rng.random() < 0.75 else Ink.SECOND_PAINT),)
+    return Road(kind=kind, ribbon=ribbon, left=left, right=right, reach=at + far, stripes=tuple(stripes), bars=bars)
+
+
+def _bars_around(
+    rng: np.random.Generator, along: tuple[float, float], across: tuple[float, float], clear: float, long: float
+) -> list[FloatArray]:
+    """The bars (4, 2), `clear` from it, of zebra crossings on all sides of the rectangle that two roads share."""
+    bar = rng.uniform(0.06, 0.2)
+    pitch = bar * rng.uniform(1.5, 2.5)
+    outlines = []
+    for low, high in ((along[0] - clear - long, along[0] - clear), (along[1] + clear, along[1] + clear + long)):
+        outlines += [box(low, high, d, d + bar) for d in np.arange(across[0] + 0.5 * pitch, across[1] - bar, pitch)]
+    for low, high in ((across[0] - clear - long, across[0] - clear), (across[1] + clear, across[1] + clear + long)):
+        outlines += [box(s, s + bar, low, high) for s in np.arange(along[0] + 0.5 * pitch, along[1] - bar, pitch)]
+    return outlines
 
 
 def _corner(rng: np.random.Generator, kind: Kind) -> Road:
@@ -244,6 +289,7 @@ def _strands(rng: np.random.Generator, kind: Kind) -> Road:
 
 
 def _bare(rng: np.random.Generator, kind: Kind) -> Road:
-    """A floor without lines."""
-    ribbon = random_ribbon(rng, kind, 0.6)
-    return Road(kind=kind, ribbon=ribbon, left=0.5, right=0.5, reach=float(ribbon.s[-1]))
+    """A floor or a street without lines."""
+    left, right = rng.uniform(0.4, 1.5, 2).tolist()
+    ribbon = random_ribbon(rng, kind, max(left, right))
+    return Road(kind=kind, ribbon=ribbon, left=left, right=right, reach=float(ribbon.s[-1]))

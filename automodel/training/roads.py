@@ -9,7 +9,7 @@ import numpy as np
 
 from automodel.geometry import SE2
 from automodel.training.cameras import Kind
-from automodel.training.shapes import Ink, Ribbon, Stripe
+from automodel.training.shapes import Ink, Patch, Ribbon, Stripe
 from automodel.types import FloatArray
 
 _BEHIND = 4.0  # length of a road behind the car
@@ -19,7 +19,8 @@ _BEHIND = 4.0  # length of a road behind the car
 class Road:
     """A road around the car: its curve, the extent of its lanes to the left and right, and its stripes.
 
-    `paved` are the stripes that its surface covers; empty for a road without a surface of its own.
+    `paved` are the stripes that its surface covers; empty for a road without a surface of its own. `bars` are painted
+    where its lines are interrupted.
     """
 
     kind: Kind
@@ -29,6 +30,7 @@ class Road:
     reach: float
     stripes: tuple[Stripe, ...] = ()
     paved: tuple[Stripe, ...] = field(default=())
+    bars: tuple[Patch, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -137,14 +137,23 @@ class Sample:
 def make_sample(seed: int, width_px: int = 512, height_px: int = 256) -> Sample:
     """The training sample of a seed, the same for the same seed."""
     rng = np.random.default_rng(seed)
-    kind = (Kind.SCALE, Kind.ROAD, Kind.CIRCUIT)[int(rng.choice(3, p=(0.5, 0.38, 0.12)))]
-    camera = random_camera(rng, kind, width_px, height_px)
+    kind = random_kind(rng)
+    return drawn_scene(rng, kind, random_camera(rng, kind, width_px, height_px), uneven=0.25)
+
+
+def random_kind(rng: Rng) -> Kind:
+    """The kind of a scene to draw."""
+    return (Kind.SCALE, Kind.ROAD, Kind.CIRCUIT)[int(rng.choice(3, p=(0.5, 0.38, 0.12)))]
+
+
+def drawn_scene(rng: Rng, kind: Kind, camera: GroundCamera, uneven: float) -> Sample:
+    """What a camera sees of a random scene; the share `uneven` of them is not flat."""
     road = random_road(rng, kind)
     dark = kind is Kind.SCALE and rng.random() < _DARK
-    ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.stripes), dark)
+    ground = lit_ground(rng, camera, road, (*random_distractors(rng, road), *road.bars, *road.stripes), dark)
     draw_objects(ground.image, ground.mask, camera, rng, min(road.reach, 60.0))
     layers = ground.image, ground.mask, ground.seen, ground.whole
-    if rng.random() < 0.25:
+    if rng.random() < uneven:
         layers = _warped(rng, layers)
     return augmented(layers, int(rng.integers(2**62)), dark)
 

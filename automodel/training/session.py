@@ -9,6 +9,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -17,23 +18,26 @@ from automodel.config.toml_reader import ConfigError
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, complete
 from automodel.output_files import output_path, output_text
-from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig
+from automodel.perception.markings.unet import BIRDSEYE, SIZES, MarkingNetwork, UnetConfig
 from automodel.training import dataset, train
-from automodel.training.batches import Batches
+from automodel.training.batches import SHOWN, Batches
 from automodel.training.metrics import NEAR_PX, Metrics
+from automodel.training.scenes import make_sample
 from automodel.training.unet import MarkingNet, with_metadata
+from automodel.training.views import make_view
 from automodel.viewer.plots import plotted
 
 HEADER = f"""\
 # The marking networks
 
 They find lane markings in grey images. Input `image`, uint8 (1, 1, rows, width); output `marking`, uint8 of the
-same shape: the probability of "lane marking" of each pixel times 255. The number of rows is open (a multiple of 8): in
-the car a network sees the rows that show the road, of an image stretched to its size.
+same shape: the probability of "lane marking" of each pixel times 255. The number of rows is open (a multiple of 8).
+"birdseye" sees the road from above, as wide and deep as the bird's-eye view of the pipeline; the others see the rows of
+the picture that show the road, of a picture stretched to their size.
 
 - **Made by** `automodel train`: a U-Net of two levels on the image packed to half size
   (`automodel/training/unet.py`), after P. Cudrano et al. 2020.
-- **Data**: drawn images only, none of them real (`automodel/training/scenes.py`).
+- **Data**: drawn images only, none of them real (`automodel/training/scenes.py`, from above `views.py`).
 - **For** lane markings on the ground, seen by a car's camera that looks ahead. Not for anything else.
 
 Precision, recall and IoU count pixels of held-out drawn images, at a probability of one half. The "near" metrics
@@ -115,7 +119,8 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
         say(f"going on from step {training.steps}")
     device = _device_name(training.device)
     say(f"training on {device} with {config.workers} threads")
-    batches = Batches(learn, width, height, config.batch, config.seed, training.device.type)
+    shown = (1.0,) if config.size == BIRDSEYE else SHOWN
+    batches = Batches(learn, width, height, config.batch, config.seed, training.device.type, shown)
     batches.start = training.steps
     truth = [dataset.resized(measure[at], width, height) for at in range(len(measure))]
 
@@ -137,19 +142,25 @@ def run_session(config: SessionConfig) -> tuple[dict[str, object], bool]:
 
 def _samples(config: SessionConfig) -> tuple[dataset.Samples, dataset.Samples, str]:
     """(to learn from, to measure with, data version); draws those that are not in the folder yet."""
-    version = dataset.data_version()
+    version = dataset.data_version(_maker(config.size))
     dataset.claim_folder(config.data, version)
-    measure = dataset.shards(config.data, 0, config.validation)
-    learn = dataset.shards(config.data, dataset.FIRST_TRAINING_SEED * (config.seed + 1), config.samples)
+    size = SIZES[BIRDSEYE] if config.size == BIRDSEYE else (dataset.WIDTH_PX, dataset.HEIGHT_PX)
+    measure = dataset.shards(config.data, 0, config.validation, *size)
+    learn = dataset.shards(config.data, dataset.FIRST_TRAINING_SEED * (config.seed + 1), config.samples, *size)
     missing = dataset.missing(measure + learn)
     if missing:
         say(f"drawing {sum(shard.count for shard in missing)} samples into {config.data}")
-    complete("drawing", _draw, missing, Sweep(jobs=config.workers))
+    complete("drawing", partial(_draw, config.size), missing, Sweep(jobs=config.workers))
     return dataset.Samples(learn), dataset.Samples(measure), version
 
 
-def _draw(shard: dataset.Shard, tick: Callable[[float], None]) -> None:
-    dataset.write_shard(shard, tick=tick)
+def _maker(size: str) -> dataset.Maker:
+    """What draws the samples for a network of that size."""
+    return make_view if size == BIRDSEYE else make_sample
+
+
+def _draw(size: str, shard: dataset.Shard, tick: Callable[[float], None]) -> None:
+    dataset.write_shard(shard, _maker(size), tick)
 
 
 def _write(config: SessionConfig, kept: train.Kept, origin: Origin) -> None:

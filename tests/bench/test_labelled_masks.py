@@ -12,6 +12,9 @@ import pytest
 
 from automodel.bench.labelled_masks import COLUMNS, measure
 from automodel.config.toml_reader import ConfigError
+from tests.support.command_line import Cli, cli
+
+__all__ = ["cli"]
 
 ROWS = list(range(100, 256, 10))
 
@@ -30,7 +33,7 @@ def marks(*columns: int, rows: slice = slice(None)) -> SimpleNamespace:
     mask = np.zeros((256, 512), np.uint8)
     for column in columns:
         mask[rows, column] = 255
-    return SimpleNamespace(width_px=512, height_px=256, step=lambda _: mask)
+    return SimpleNamespace(size="512x256", from_above=False, step=lambda _: mask)
 
 
 @pytest.mark.parametrize(
@@ -57,3 +60,9 @@ def test_the_shares_of_known_masks(tmp_path: Path, network: SimpleNamespace, fig
 def test_a_folder_without_labels_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="label_data"):
         measure(tmp_path, marks())  # type: ignore[arg-type]
+
+
+def test_a_network_that_looks_from_above_needs_a_camera(tmp_path: Path, cli: Cli) -> None:
+    said = cli("bench", "network", "--size", "birdseye", "--root", tmp_path)
+    assert said.code == 2
+    assert "no camera is given" in said.line()

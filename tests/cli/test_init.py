@@ -19,7 +19,6 @@ BOARD = {
     "link.port": "/dev/ttyUSB0",
     "control.speed_mps": 0.5,
     "safety.speed_max_mps": 1.0,
-    "pipeline.centerline.network": "256x128",
 }
 CAMERA_AND_BOARD = {**BOARD, "camera.source": "csi", "camera.sensor_mode": 4}
 RIGHT_CAMERA = SecondCamera(device=1, extrinsics=Extrinsics(y_m=-0.125))
@@ -81,7 +80,7 @@ UNITS = {  # the ending of a key -> how its comment begins
     "_radps": "[rad/s]", "_s": "[s]", "_us": "[us]", "_v": "[V]", "_per_m": "[1/m]",
 }  # fmt: skip
 WITHOUT_A_UNIT = {"source", "device", "colour", "name", "markings", "providers", "controller", "kind", "port"} | {
-    "directory", "image", "left", "right", "flip", "pixel_format"
+    "directory", "image", "left", "right", "flip", "pixel_format", "network"
 }  # fmt: skip
 
 

@@ -165,13 +165,19 @@ def shipped() -> Centerline:
 
 
 @pytest.fixture(scope="module")
+def picture() -> Centerline:
+    """The pipeline with the network that sees the picture instead of the road from above."""
+    return Centerline(car_with(network="512x256"))
+
+
+@pytest.fixture(scope="module")
 def by_ridge() -> Centerline:
     pipeline = Centerline(car_with(markings="ridge"))
     assert isinstance(pipeline._markings, RidgeFilter)
     return pipeline
 
 
-@pytest.fixture(params=["shipped", "by_ridge"])
+@pytest.fixture(params=["shipped", "picture", "by_ridge"])
 def either(request: pytest.FixtureRequest) -> Centerline:
     pipeline: Centerline = request.getfixturevalue(request.param)
     pipeline.reset()
@@ -232,6 +238,20 @@ def test_colour_is_as_good_as_grey(either: Centerline) -> None:
         assert other.estimate.pose is not None
         assert other.estimate.pose.offset_m == pytest.approx(one.estimate.pose.offset_m, abs=0.003)
         assert other.estimate.pose.heading_rad == pytest.approx(one.estimate.pose.heading_rad, abs=0.01)
+
+
+def test_the_network_that_ships_sees_the_road_from_above(shipped: Centerline) -> None:
+    network = shipped._markings
+    assert isinstance(network, MarkingNetwork)
+    assert network.from_above
+    assert network.first_row == 0
+
+
+def test_a_view_of_another_depth_and_width_is_stretched_to_the_network() -> None:
+    """Three quarters as wide, four thirds as deep."""
+    pipeline = Centerline(car_with(view_half_lanes=1.35, view_ahead_lanes=4.0))
+    drive = RenderedDrive(track=road(line(6.0)), pipeline=pipeline, rate_hz=20.0)
+    check(drive.run(0.8, 2.3), skip=8)
 
 
 def test_two_networks_run_alike() -> None:

@@ -70,6 +70,11 @@ def test_some_batches_show_only_the_lower_rows(samples: Samples, monkeypatch: py
     assert rows == {round(share * H) for share in SHOWN}
 
 
+def test_a_view_is_shown_whole(samples: Samples) -> None:
+    found = Batches(samples, W, H, 2, 0, shown=(1.0,))
+    assert {batch.shape[2] for batch in itertools.islice(found, 12)} == {H}
+
+
 def test_a_batch_has_the_size_of_the_network(samples: Samples) -> None:
     for batch in itertools.islice(Batches(samples, 256, 128, 5, 0), 6):
         assert batch.shape[:2] == (5, 2)

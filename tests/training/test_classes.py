@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from automodel.perception.markings.unet import BIRDSEYE, SIZES
 from automodel.training import classes
 from automodel.training.classes import CLASSES, COLUMNS, class_sample, measure
 from automodel.training.scenes import Sample
@@ -65,21 +66,28 @@ def test_the_image_of_dark_tape_is_the_negative_that_the_network_gets() -> None:
 def test_a_perfect_network_gets_all(monkeypatch: pytest.MonkeyPatch) -> None:
     truth = np.zeros((256, 512), np.uint8)
     truth[:, 100:110] = 255
-    monkeypatch.setattr(classes, "class_sample", lambda name, seed: SimpleNamespace(image=truth, mask=truth))
-    network = SimpleNamespace(width_px=512, height_px=256, step=lambda grey: grey)
+    monkeypatch.setattr(classes, "class_sample", lambda name, seed, above: SimpleNamespace(image=truth, mask=truth))
+    network = SimpleNamespace(size="512x256", from_above=False, width_px=512, height_px=256, step=lambda grey: grey)
     rows = measure(network, 2, 0)  # type: ignore[arg-type]
     assert [row["class"] for row in rows] == list(CLASSES)
     assert all(set(row) == set(COLUMNS) and row["f1"] == 1.0 for row in rows)
 
 
+def test_a_class_can_be_seen_from_above() -> None:
+    sample = class_sample("ordinary", 1, above=True)
+    assert sample.image.shape == sample.mask.shape == SIZES[BIRDSEYE][::-1]
+    assert (sample.mask >= 128).sum() > 100
+
+
 def test_the_command_measures_the_network_that_ships(cli: Cli, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(classes, "CLASSES", ("ordinary", "blur"))
-    said = cli("bench", "network", "--size", "256x128", "--images", 2, "--json")
-    assert said.code == 0, said.err
-    assert [(row["size"], row["class"], row["images"]) for row in said.rows] == [
-        ("256x128", "ordinary", 2),
-        ("256x128", "blur", 2),
-    ]
+    for size in ("256x128", BIRDSEYE):
+        said = cli("bench", "network", "--size", size, "--images", 2, "--json")
+        assert said.code == 0, said.err
+        assert [(row["size"], row["class"], row["images"]) for row in said.rows] == [
+            (size, "ordinary", 2),
+            (size, "blur", 2),
+        ]
 
 
 def test_a_model_that_is_missing_is_reported(cli: Cli, tmp_path: Path) -> None:

@@ -73,3 +73,14 @@ def test_the_smaller_size_keeps_the_share_of_marking(samples: Samples) -> None:
     small = dataset.resized(samples[3], 256, 128)
     assert small.shape == (2, 128, 256)
     assert small[1].mean() == pytest.approx(samples[3][1].mean(), abs=0.5)
+
+
+def test_samples_may_have_another_size(tmp_path: Path) -> None:
+    def view(seed: int) -> SimpleNamespace:
+        return SimpleNamespace(image=np.full((8, 16), seed, np.uint8), mask=np.zeros((8, 16), np.uint8))
+
+    shards = dataset.shards(tmp_path, 5, 3, 16, 8)
+    dataset.write_shard(shards[0], view)
+    assert not dataset.missing(shards)
+    assert Samples(shards)[2].shape == (2, 8, 16)
+    assert dataset.missing(dataset.shards(tmp_path, 5, 3)) == dataset.shards(tmp_path, 5, 3)

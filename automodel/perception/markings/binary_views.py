@@ -99,12 +99,20 @@ class FeaturePoints:
     def step(self, mask: Image) -> Image:
         """The binary view (h, w), 0 or 255, of a mask (rows, columns), 0 .. 255."""
         rows, columns = mask.shape
-        birdseye = self._birdseye((columns, rows))
-        lines = cv2.threshold(birdseye.warp(mask), self._level, 255, cv2.THRESH_BINARY)[1]
+        return self._clean(self._birdseye((columns, rows)).warp(mask))
+
+    def of_view(self, mask: Image) -> Image:
+        """The binary view (h, w), 0 or 255, of a mask 0 .. 255 of the view at any size."""
+        size = (self.view.width_px, self.view.height_px)
+        return self._clean(np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8))
+
+    def _clean(self, mask: Image) -> Image:
+        """The binary view (h, w), 0 or 255, of a mask (h, w), 0 .. 255."""
+        lines = cv2.threshold(mask, self._level, 255, cv2.THRESH_BINARY)[1]
         if self._cleaning is not None:
             lines = cv2.morphologyEx(lines, cv2.MORPH_CLOSE, self._cleaning)
             lines = cv2.morphologyEx(lines, cv2.MORPH_OPEN, self._cleaning)
-        return np.asarray(cv2.bitwise_and(lines, birdseye.mask), dtype=np.uint8)
+        return np.asarray(cv2.bitwise_and(lines, self.visible), dtype=np.uint8)
 
     def _birdseye(self, size_px: tuple[int, int]) -> BirdsEye:
         if size_px not in self._birdseyes:

@@ -25,7 +25,8 @@ from automodel.perception.markings.onnx_check import INPUT, OUTPUT, ROWS, STRIDE
 from automodel.perception.markings.openvino_session import OpenvinoSession
 from automodel.types import Image
 
-SIZES = {"512x256": (512, 256), "256x128": (256, 128)}  # width, height [px]
+BIRDSEYE = "birdseye"  # the network that sees the bird's-eye view of the road, not the picture
+SIZES = {"512x256": (512, 256), "256x128": (256, 128), BIRDSEYE: (192, 160)}  # width, height [px]
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
 OPENVINO = "openvino"  # which is no part of onnxruntime
 MAX_BYTES = 8_000_000
@@ -41,7 +42,7 @@ class UnetConfig:
     """Which network runs, and where."""
 
     model: str = ""  # an ONNX file; empty: the one that ships for this size
-    size: str = "512x256"  # the network's input; "256x128" is for small boards
+    size: str = BIRDSEYE  # the network's input, of `SIZES`
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order of `NETWORK_PROVIDERS`
     threads: int = 0  # on the CPU; 0: half of the cores
     above: float = 0.0  # share of the image's height, from its top, in which no marking is looked for
@@ -66,8 +67,8 @@ class MarkingNetwork:
     """A network, loaded and tested at construction; `step` computes the mask of an image of any size.
 
     `provider` runs the network, `notice` says in one line which one and why; `faults` counts unusable outputs, for each
-    of which `step` returned an empty mask. Raises ConfigError when the file is not a network that may be loaded, or
-    fails the test on all providers.
+    of which `step` returned an empty mask. A network `from_above` takes bird's-eye views (`network_view`). Raises
+    ConfigError when the file is not a network that may be loaded, or fails the test on all providers.
 
     The network knows light `markings`; for "dark" ones it gets the negative, for "both" it runs on both, and the larger
     probability counts. It sees the rows from `first_row` on, above which the mask is empty: those that `config.above`
@@ -78,6 +79,7 @@ class MarkingNetwork:
         config = config or UnetConfig()
         self._markings = markings
         self.width_px, self.height_px = SIZES[config.size]
+        self.size, self.from_above = config.size, config.size == BIRDSEYE
         self.faults = 0
         name, data = read_network(config)
         try:
@@ -159,7 +161,8 @@ def _first_session(config: UnetConfig, name: str, data: bytes, first_row: int) -
             continue
         try:
             session = open_session(data, provider, config.threads, config.engine_cache, rows=height - first_row)
-            self_test(functools.partial(run_network, session), width, height, first_row)
+            drawn = drawn_view(width, height) if config.size == BIRDSEYE else drawn_lines(width, height)
+            self_test(functools.partial(run_network, session), *drawn, first_row)
         except session_errors() as error:
             failed.append(f"{provider}: {' '.join(str(error).split())[:300]}")
             continue
@@ -235,12 +238,12 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def self_test(network: Callable[[Image], Image], width_px: int, height_px: int, first_row: int = 0) -> None:
-    """Raise ValueError unless `network` marks the lines of `drawn_lines` and little else, and nothing in black.
+def self_test(network: Callable[[Image], Image], drawn: Image, marked: Image, first_row: int = 0) -> None:
+    """Raise ValueError unless `network` marks the lines of a drawn image (h, w) and little else, and nothing in black.
 
-    It is shown the rows from `first_row` on.
+    It is shown the rows from `first_row` on. `marked` (h, w) is 255 on the lines, else 0.
     """
-    image, lines = (np.ascontiguousarray(whole[first_row:]) for whole in drawn_lines(width_px, height_px))
+    image, lines = (np.ascontiguousarray(whole[first_row:]) for whole in (drawn, marked))
     mask = network(image)
     around = cv2.dilate(lines, np.ones((9, 9), np.uint8))
     found = float((mask[lines > 0] >= _MARKING).mean())
@@ -272,6 +275,20 @@ def drawn_lines(width_px: int, height_px: int) -> tuple[Image, Image]:
             ((top_u - half_top) * width_px, top),
         ]
         cv2.fillConvexPoly(lines, np.round(corners).astype(np.int32), 255)
+    grey = np.where(lines > 0, 205.0, grey)
+    grey = cv2.GaussianBlur(grey, (3, 3), 0.0) + rng.normal(0.0, 3.0, grey.shape)
+    return np.clip(grey, 0, 255).astype(np.uint8), lines
+
+
+def drawn_view(width_px: int, height_px: int) -> tuple[Image, Image]:
+    """The view (h, w) from above of a grey floor with the two bright lines of a lane, and the lines alone."""
+    rng = np.random.default_rng(1)
+    rows = np.arange(height_px)[:, None] + np.zeros((1, width_px))
+    grey = 70.0 + 25.0 * rows / height_px
+    lines: Image = np.zeros((height_px, width_px), np.uint8)
+    half_lane, half_line = width_px // 7, width_px // 96
+    for middle in (width_px // 2 - half_lane, width_px // 2 + half_lane):
+        lines[:, middle - half_line : middle + half_line] = 255
     grey = np.where(lines > 0, 205.0, grey)
     grey = cv2.GaussianBlur(grey, (3, 3), 0.0) + rng.normal(0.0, 3.0, grey.shape)
     return np.clip(grey, 0, 255).astype(np.uint8), lines

@@ -15,10 +15,19 @@ import numpy as np
 import onnxruntime
 import pytest
 
+from automodel.config import CenterlineConfig
 from automodel.config.toml_reader import ConfigError
 from automodel.perception.markings import onnx_check, unet
 from automodel.perception.markings.openvino_session import OpenvinoSession
-from automodel.perception.markings.unet import SIZES, MarkingNetwork, UnetConfig, drawn_lines, self_test
+from automodel.perception.markings.unet import (
+    BIRDSEYE,
+    SIZES,
+    MarkingNetwork,
+    UnetConfig,
+    drawn_lines,
+    drawn_view,
+    self_test,
+)
 from tests.support import onnx_files as files
 
 SMALL = (files.HEIGHT, files.WIDTH)
@@ -239,10 +248,21 @@ def test_the_self_test_refuses_marks_on_black() -> None:
         return drawn_lines(256, 128)[1] if grey.any() else np.full(SMALL, 255, np.uint8)
 
     with pytest.raises(ValueError, match="marks a black image"):
-        self_test(network, 256, 128)
+        self_test(network, *drawn_lines(256, 128))
 
 
-@pytest.mark.parametrize("size", SIZES.values())
+def test_the_lane_of_the_drawn_view_is_as_wide_as_the_pipelines() -> None:
+    width, height = SIZES[BIRDSEYE]
+    view, lines = drawn_view(width, height)
+    assert view.shape == lines.shape == (height, width)
+    left, right = (int(np.flatnonzero(half[0]).mean()) for half in (lines[:, : width // 2], lines[:, width // 2 :]))
+    lane_px = right + width // 2 - left
+    assert lane_px == pytest.approx(width / (2.0 * CenterlineConfig().view_half_lanes), abs=2)
+    assert (lines == lines[0]).all()
+    assert view[lines > 0].mean() > view[lines == 0].mean() + 80
+
+
+@pytest.mark.parametrize("size", [size for name, size in SIZES.items() if name != BIRDSEYE])
 def test_the_drawn_lines_run_together_ahead(size: tuple[int, int]) -> None:
     picture, lines = drawn_lines(*size)
     assert picture.shape == lines.shape == size[::-1]
@@ -281,7 +301,7 @@ def test_openvino_gives_the_masks_of_onnxruntime(size: str, above: float) -> Non
     )
     assert theirs.provider == "openvino"
     assert theirs.first_row == ours.first_row
-    picture, lines = drawn_lines(*SIZES[size])
+    picture, lines = (drawn_view if size == BIRDSEYE else drawn_lines)(*SIZES[size])
     for image in (picture, picture[:, ::-1].copy(), random.integers(0, 256, picture.shape).astype(np.uint8)):
         expected, got = ours.step(image).astype(int), theirs.step(image).astype(int)
         assert np.abs(got - expected).max() <= 2  # of 255: the order of sums is another one
@@ -343,7 +363,7 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"size": "100x100"}, "size: '100x100' is none of 512x256, 256x128"),
+        ({"size": "100x100"}, "size: '100x100' is none of 512x256, 256x128, birdseye"),
         ({"providers": ()}, "providers: "),
         ({"providers": ("cpu", "tpu")}, "providers: "),
         ({"threads": -1}, "threads: expected a number >= 0, got -1"),
