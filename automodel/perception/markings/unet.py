@@ -7,6 +7,7 @@ A U-Net, as in Cudrano et al. 2020, section IV. The network's file is not truste
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.resources
 import importlib.util
 import os
@@ -27,6 +28,11 @@ from automodel.types import Image
 
 BIRDSEYE = "birdseye"  # the network that sees the bird's-eye view of the road, not the picture
 SIZES = {"512x256": (512, 256), "256x128": (256, 128), BIRDSEYE: (192, 160)}  # width, height [px]
+SHIPPED = {  # SHA-256 of the networks that ship
+    "512x256": "0bc37d088444c2b40d553906539656c0a5c1b43db28e7f62f6ab483a34ee91d5",
+    "256x128": "412acde9f75b5083f769dd91ec19087cd685dd94700b2982e7cd63f0ebf9f88a",
+    BIRDSEYE: "26a14a61aa1a85a73f6cf63e5e2605cc138aac5e5d21560cdc6e903e66207584",
+}
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
 OPENVINO = "openvino"  # which is no part of onnxruntime
 MAX_BYTES = 8_000_000
@@ -130,7 +136,10 @@ class MarkingNetwork:
 
 
 def read_network(config: UnetConfig) -> tuple[str, bytes]:
-    """The name and the bytes of the network's file; raises ConfigError when it cannot be read or is too large."""
+    """The name and the bytes of the network's file.
+
+    Raises ConfigError when it cannot be read or is too large, or is meant to be one that ships and is not.
+    """
     if config.model:
         name, file = config.model, Path(config.model)
     else:
@@ -145,6 +154,8 @@ def read_network(config: UnetConfig) -> tuple[str, bytes]:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from None
     if len(data) > MAX_BYTES:
         raise ConfigError(f"{name}: larger than {MAX_BYTES // 1_000_000} MB, which no mask network is")
+    if not config.model and hashlib.sha256(data).hexdigest() != SHIPPED[config.size]:
+        raise ConfigError(f"{name}: is not the network that ships (another SHA-256); install automodel again")
     return name, data
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import importlib.util
 import os
 import subprocess
@@ -391,6 +392,23 @@ def test_the_networks_that_ship_find_lines(size: str) -> None:
     assert found[lines == 0].mean() < 0.02
     _, data = unet.read_network(UnetConfig(size=size))
     assert len(data) < 2_000_000
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_network_that_ships_and_was_damaged_is_refused(
+    size: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, data = unet.read_network(UnetConfig(size=size))
+    (tmp_path / "weights").mkdir()
+    damaged = tmp_path / "weights" / f"marking_{size}.onnx"
+    monkeypatch.setattr(importlib.resources, "files", lambda package: tmp_path)
+    damaged.write_bytes(data)
+    assert MarkingNetwork(UnetConfig(size=size, providers=("cpu",), threads=1)).faults == 0
+    at = len(data) // 2
+    damaged.write_bytes(data[:at] + bytes((data[at] ^ 1,)) + data[at + 1 :])
+    with pytest.raises(ConfigError, match="is not the network that ships") as error:
+        MarkingNetwork(UnetConfig(size=size, providers=("cpu",), threads=1))
+    assert "\n" not in str(error.value)
 
 
 def test_the_networks_that_ship_are_described() -> None:
