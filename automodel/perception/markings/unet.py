@@ -31,7 +31,7 @@ SIZES = {"512x256": (512, 256), "256x128": (256, 128), BIRDSEYE: (192, 160)}  # 
 SHIPPED = {  # SHA-256 of the networks that ship
     "512x256": "0bc37d088444c2b40d553906539656c0a5c1b43db28e7f62f6ab483a34ee91d5",
     "256x128": "412acde9f75b5083f769dd91ec19087cd685dd94700b2982e7cd63f0ebf9f88a",
-    BIRDSEYE: "26a14a61aa1a85a73f6cf63e5e2605cc138aac5e5d21560cdc6e903e66207584",
+    BIRDSEYE: "df67ca60a030f73055b9ab80b434ddac797f0509e8889d0d40d485506d56ef4d",
 }
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
 OPENVINO = "openvino"  # which is no part of onnxruntime
