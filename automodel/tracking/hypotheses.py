@@ -8,6 +8,7 @@ decide (Reid 1979; here with one target and shared measurements).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -54,6 +55,12 @@ class Hypothesis:
     def line(self, role: float) -> tuple[SightedLine, ...]:
         """The lines of the last frame that play a role."""
         return tuple(line for line, its in self.assigned if its == role)
+
+    @property
+    def bounds_a_lane(self) -> bool:
+        """Whether the last frame showed both lines of a lane, the own one or a neighbour."""
+        roles = sorted({role for _, role in self.assigned})
+        return any(left - right == 1.0 for right, left in itertools.pairwise(roles))
 
     def merged(self, other: Hypothesis) -> Hypothesis:
         """This hypothesis with the doubt that a less likely one casts on it: the moments of both beliefs by their odds.

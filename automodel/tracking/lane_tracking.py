@@ -305,7 +305,7 @@ class LaneTracking:
         roles = {role for _, role in best.assigned}
         if self._sure(best):
             self._believe(best.belief)
-        elif roles in ({LEFT}, {RIGHT}) and self._alone(best):
+        elif roles & {LEFT, RIGHT} and not best.bounds_a_lane and self._alone(best):
             self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
         else:
             return None
@@ -368,7 +368,7 @@ class LaneTracking:
         agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
         clear = not self._confusable(self._reckoned)  # so that even one line is enough
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
-        told = told and (clear or len({role for _, role in best.assigned}) > 1)
+        told = told and (clear or best.bounds_a_lane)
         better = self._place_variance(best.belief) < self._place_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
@@ -417,9 +417,10 @@ class LaneTracking:
     def _sure(self, best: Hypothesis) -> bool:
         """Whether one hypothesis is left, too certain to be taken for another, and two lines of this frame bear it out.
 
-        A single piece of a line can be anything; two at the distance of a lane's lines seldom are.
+        A single piece of a line can be anything; two at the distance of a lane's lines seldom are. At twice that
+        distance they may be the lines of one wide lane, or a street's kerbs.
         """
-        own = bool(best.line(LEFT) or best.line(RIGHT)) and len({role for _, role in best.assigned}) > 1
+        own = bool(best.line(LEFT) or best.line(RIGHT)) and best.bounds_a_lane
         width = best.belief.width_m / self._unit
         lane = max(width, 1.0 / width) < math.exp(3.0 * self._bends.road.width_sigma) if width > 0.0 else False
         return self._alone(best) and own and lane and not self._confusable(best.belief)

@@ -236,15 +236,26 @@ def test_a_lane_that_got_narrower_or_wider_while_one_line_was_seen_is_found_by_t
     assert found.offset_m == pytest.approx(0.5 * (width - 1.0) * LANE_M, abs=0.02)
 
 
-@pytest.mark.parametrize("roles", [(LEFT, RIGHT_FAR), (LEFT_FAR, LEFT, RIGHT_FAR), (LEFT_FAR, RIGHT)])
-def test_lines_on_both_sides_of_the_car_are_a_lane_at_once(roles: tuple[float, ...]) -> None:
-    """A lamp may hide a line of the lane; a person has put the car there, and the next line tells the same."""
+@pytest.mark.parametrize("roles", [(LEFT_FAR, LEFT, RIGHT_FAR), (LEFT_FAR, RIGHT, RIGHT_FAR)])
+def test_both_lines_of_the_next_lane_and_the_far_one_are_a_lane_at_once(roles: tuple[float, ...]) -> None:
+    """A lamp may hide a line of the lane; a person has put the car there, and the next lane tells the same."""
     drive = Drive()
     drive.predict()
     start = drive.tracking.start(drive.t_ns, sights(0.05, roles))
     assert start is not None
     assert start.offset_m == pytest.approx(0.05, abs=0.01)
     assert bound(drive.tracking.follow(drive.frame, said(start.offset_m))) < LANE_M
+
+
+@pytest.mark.parametrize("roles", [(LEFT, RIGHT_FAR), (LEFT_FAR, RIGHT)])
+def test_lines_two_lanes_apart_may_be_those_of_one_wide_lane_or_two_kerbs(roles: tuple[float, ...]) -> None:
+    drive = Drive()
+    for _ in range(10):
+        drive.predict()
+        start = drive.tracking.start(drive.t_ns, sights(0.05, roles))
+        assert start is not None
+        assert start.offset_m == pytest.approx(0.05, abs=0.01)
+        assert bound(drive.tracking.follow(drive.frame, said(start.offset_m))) > LANE_M
 
 
 @pytest.mark.parametrize("roles", [(), (RIGHT_FAR,), (LEFT_FAR,)])
