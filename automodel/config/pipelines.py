@@ -32,7 +32,7 @@ class CenterlineConfig:
     """`centerline` (Cudrano et al. 2020). Lengths are multiples of the lane's width, so that they hold at any scale."""
 
     markings: str = "unet"  # what finds the markings: the network, or the classical "ridge" filter
-    network: str = "birdseye"  # it sees the picture at 512x256 or 256x128, or "birdseye": the road from above
+    network: str = "birdseye"  # sees the road from above; "512x256" and "256x128" see the picture, at that size [px]
     model: str = ""  # an ONNX file; empty: the weights that are shipped
     providers: tuple[str, ...] = ("tensorrt", "cuda", "cpu")  # tried in the order of `NETWORK_PROVIDERS`
     threads: int = 0  # of the network on the CPU; 0: half of the cores
