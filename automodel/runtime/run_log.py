@@ -10,7 +10,7 @@ from automodel.runtime.clocks import NS_PER_S
 from automodel.runtime.run_types import TickRecord
 from automodel.signals import Event, VehicleState
 
-QUIET_S = 1.0  # least time between two events of the same kind
+QUIET_S = 1.0  # least time between two events of the same kind and cause
 EVENTS_KEPT = 10_000  # in memory, the newest; the recording has them all
 
 
@@ -24,7 +24,7 @@ class RunLog:
         self._pending: list[Event] = []
         self._news: list[Event] = []
         self._kept: deque[Event] = deque(maxlen=EVENTS_KEPT)
-        self._reported_ns: dict[str, int] = {}
+        self._reported_ns: dict[tuple[str, str], int] = {}
 
     @property
     def events(self) -> tuple[Event, ...]:
@@ -45,12 +45,15 @@ class RunLog:
         if self._works:
             self._pending.append(event)
 
-    def report(self, kind: str, text: str, t_ns: int) -> bool:
-        """Take in what may go wrong again and again: the same kind at most once a second; whether it was taken in."""
-        last_ns = self._reported_ns.get(kind)
+    def report(self, kind: str, text: str, t_ns: int, cause: str = "") -> bool:
+        """Take in what may go wrong again and again; whether it was taken in.
+
+        The same kind with the same `cause` is taken in at most once a second.
+        """
+        last_ns = self._reported_ns.get((kind, cause))
         if last_ns is not None and t_ns - last_ns < QUIET_S * NS_PER_S:
             return False
-        self._reported_ns[kind] = t_ns
+        self._reported_ns[kind, cause] = t_ns
         self.note(Event(t_ns=t_ns, kind=kind, text=text))
         return True
 

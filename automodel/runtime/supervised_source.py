@@ -59,7 +59,8 @@ class SupervisedSource:
         except (OSError, ValueError) as error:
             self._stalled = True
             self._failed = self._failed or not isinstance(error, SourceStalled) or error.lasting
-            self._run_log.report("source-failed", str(error), self._clock.now_ns())
+            cause = "failed" if self._failed else "stalled"  # a stall does not keep quiet what the camera died of
+            self._run_log.report("source-failed", str(error), self._clock.now_ns(), cause)
             self._clock.sleep(timeout_s)  # a broken source fails at once
             return None
         if frame is not None and (self._failed or self._stalled or self._awaited):

@@ -98,11 +98,14 @@ def test_frames_of_gstreamer_are_driven_on_and_a_killed_one_is_started_again(
     monkeypatch.setattr(csi, "GstPipeSource", Kept)
     path = car_toml(tmp_path, port.path)
     path.write_text(path.read_text().replace('source = "usb"', 'source = "csi"\nrate_hz = 30\nlatency_s = 0.02'))
-    flowing, again, before = settled(60), settled(60), list[int]()  # the last: how many events, when it was killed
+    again, before = settled(60), list[int]()  # the latter: how many events, when it was killed
+    flowing = {"turns": 0, "events": 0}  # turns since the newest event, of which there were so many
 
     def until(events: list[Event]) -> bool:
-        if flowing(True) and not before:
-            os.kill(sources[0]._process.pid, signal.SIGKILL)
+        turns = flowing["turns"] + 1 if flowing["events"] == len(events) else 0
+        flowing.update(turns=turns, events=len(events))
+        if turns >= 60 and not before:
+            os.kill(sources[-1]._process.pid, signal.SIGKILL)
             before.append(len(events))
         return again(bool(before) and "source-back" in [event.kind for event in events[before[0] :]])
 
@@ -111,10 +114,8 @@ def test_frames_of_gstreamer_are_driven_on_and_a_killed_one_is_started_again(
     failed = next(i for i, event in enumerate(events) if "CSI camera 0: no more frames" in event.text)
     assert kinds[failed] == "source-failed"
     assert "source-back" in kinds[failed:]
-    assert len(sources) == 2
-    assert sources[0]._process.poll() is not None
-    assert sources[1]._process.poll() is not None  # nothing is left behind
-    assert row["camera_restarts"] == 1
+    assert all(source._process.poll() is not None for source in sources)  # nothing is left behind
+    assert row["camera_restarts"] == len(sources) - 1 >= 1  # one for want of frames may have come before
     assert isinstance(row["camera_hz"], float)
     frames = [message.value for message in Recording(tmp_path / "run.mcap") if isinstance(message.value, Frame)]
     assert len(frames) > 20

@@ -89,6 +89,20 @@ def test_a_stall_is_reported_at_once_and_the_camera_opened_again_where_it_lasts(
     assert [event.text for event in log.events][-1] == "frames come again; arm to drive on"
 
 
+def test_what_a_camera_died_of_is_told_though_a_stall_was_told_just_before() -> None:
+    clock, log = VirtualClock(), RunLog(None, None)
+
+    class Dying(Starting):
+        def read(self, timeout_s: float) -> Frame | None:
+            stalled = clock.now_ns() < 0.5 * NS_PER_S
+            raise SourceStalled("no frame for 0.1 s", lasting=False) if stalled else SourceError("unplugged")
+
+    source = SupervisedSource(Dying(clock), clock, log, None)
+    for _ in range(40):
+        assert source.read(0.02, at_rest=True) is None
+    assert [event.text for event in log.events] == ["no frame for 0.1 s", "unplugged"]
+
+
 class PairOfCameras:
     """A pair that gives what it is told to give: pairs, or frames of one camera for a reason."""
 
