@@ -20,8 +20,8 @@ from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view, share_above
-from automodel.perception.markings.birdseye_network import network_view
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.network_view import network_view
 from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.unet import BIRDSEYE, MarkingNetwork, UnetConfig
 from automodel.perception.windows.line_following import FollowedLine, LineFollowing

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from automodel.geometry import BirdsEye, GroundCamera
-from automodel.perception.markings.birdseye_network import network_view
+from automodel.perception.markings.network_view import network_view
 from automodel.training.cameras import random_camera
 from automodel.training.scenes import Rng, Sample, drawn_scene, random_kind
 from automodel.training.shapes import UNKNOWN

@@ -535,6 +535,11 @@ BOUNDS = (
         ("worn-paint-is-specks", "self._pieces(lines, (near & paint) | lines)", "self._pieces(lines, lines)"),
     ),
     *_of(
+        "automodel/perception/markings/unet.py",
+        "tests/perception/markings/test_unet.py",
+        ("a-damaged-network-drives", "!= SHIPPED[config.size]", "== data"),
+    ),
+    *_of(
         "automodel/pipelines/contour.py",
         "tests/pipelines/test_contour_surroundings.py",
         ("a-doubtful-streak-is-paint", "on_streaks(image, points, self.PAINT)", "on_streaks(image, points, 0.0)"),
@@ -545,6 +550,11 @@ BOUNDS = (
         ("picking-has-no-price", "math.lgamma(things + 0.5) - math.lgamma(things - lines + 0.5)", "0.0"),
         ("a-speck-is-a-line", "odds += sum(config.length(each.line.painted_m / unit) for each in both)", "pass"),
         ("a-second-sight-is-a-witness", "counted + news * (odds - story.odds)", "counted + (odds - story.odds)"),
+    ),
+    *_of(
+        "automodel/tracking/hypotheses.py",
+        "tests/tracking/test_lane_tracking.py",
+        ("two-lanes-apart-are-a-lane", "any(left - right == 1.0", "any(left - right <= 2.0"),
     ),
     *_of(
         "automodel/tracking/seen_places.py",

@@ -18,6 +18,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from automodel.config.extras import missing_extra, need_extra
 from automodel.config.pipelines import NETWORK_PROVIDERS
@@ -271,7 +272,6 @@ def self_test(network: Callable[[Image], Image], drawn: Image, marked: Image, fi
 
 def drawn_lines(width_px: int, height_px: int) -> tuple[Image, Image]:
     """An image (h, w) of a grey floor below a brighter wall with two bright converging lines, and the lines alone."""
-    rng = np.random.default_rng(1)
     horizon = 0.3 * height_px
     rows = np.arange(height_px)[:, None] + np.zeros((1, width_px))
     grey = np.where(rows < horizon, 135.0, 70.0 + 25.0 * rows / height_px)
@@ -286,20 +286,22 @@ def drawn_lines(width_px: int, height_px: int) -> tuple[Image, Image]:
             ((top_u - half_top) * width_px, top),
         ]
         cv2.fillConvexPoly(lines, np.round(corners).astype(np.int32), 255)
-    grey = np.where(lines > 0, 205.0, grey)
-    grey = cv2.GaussianBlur(grey, (3, 3), 0.0) + rng.normal(0.0, 3.0, grey.shape)
-    return np.clip(grey, 0, 255).astype(np.uint8), lines
+    return _painted(grey, lines), lines
 
 
 def drawn_view(width_px: int, height_px: int) -> tuple[Image, Image]:
     """The view (h, w) from above of a grey floor with the two bright lines of a lane, and the lines alone."""
-    rng = np.random.default_rng(1)
     rows = np.arange(height_px)[:, None] + np.zeros((1, width_px))
     grey = 70.0 + 25.0 * rows / height_px
     lines: Image = np.zeros((height_px, width_px), np.uint8)
     half_lane, half_line = width_px // 7, width_px // 96
     for middle in (width_px // 2 - half_lane, width_px // 2 + half_lane):
         lines[:, middle - half_line : middle + half_line] = 255
+    return _painted(grey, lines), lines
+
+
+def _painted(grey: NDArray[np.float64], lines: Image) -> Image:
+    """The floor `grey` (h, w) with bright `lines`, a little blurred and with a camera's noise; the same each time."""
     grey = np.where(lines > 0, 205.0, grey)
-    grey = cv2.GaussianBlur(grey, (3, 3), 0.0) + rng.normal(0.0, 3.0, grey.shape)
-    return np.clip(grey, 0, 255).astype(np.uint8), lines
+    noise = np.random.default_rng(1).normal(0.0, 3.0, grey.shape)
+    return np.clip(cv2.GaussianBlur(grey, (3, 3), 0.0) + noise, 0, 255).astype(np.uint8)
