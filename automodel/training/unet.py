@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from automodel.perception.markings.onnx_check import INPUT, OPSET, OUTPUT, ROWS
+from automodel.perception.markings.onnx_check import DIGEST, INPUT, OPSET, OUTPUT, ROWS, graph_digest
 
 CHANNELS = (16, 48, 96)  # at 1/2, 1/4 and 1/8 of the image size; multiples of 16 fill the vector registers
 DILATIONS = (1, 2, 4, 8, 4, 2)  # of the blocks at the bottom
@@ -161,9 +161,10 @@ def onnx_bytes(net: MarkingNet, width_px: int, height_px: int, metadata: Mapping
 
 
 def with_metadata(data: bytes, metadata: Mapping[str, object]) -> bytes:
-    """The same network with other metadata."""
+    """The same network with other metadata, and with the digest by which the car knows that it is undamaged."""
     import onnx
 
     model = onnx.load_from_string(data)
-    onnx.helper.set_model_props(model, {key: str(value) for key, value in metadata.items()})
+    whole = {**metadata, DIGEST: graph_digest(model.SerializeToString())}
+    onnx.helper.set_model_props(model, {key: str(value) for key, value in whole.items()})
     return model.SerializeToString()

@@ -44,6 +44,11 @@ def weights(name: str, values: NDArray[np.float32]) -> bytes:
     return dims + field(2, FLOAT) + field(8, name) + field(9, values.astype("<f4").tobytes())
 
 
+def integers(name: str, values: Sequence[int]) -> bytes:
+    packed = np.array(values, "<i8").tobytes()
+    return field(1, len(values)) + field(2, INT64) + field(8, name) + field(9, packed)
+
+
 def scalar(name: str, value: float) -> bytes:
     return weights(name, np.float32(value).reshape(()))
 

@@ -11,7 +11,7 @@ import pytest
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
 
-from automodel.perception.markings.onnx_check import OPSET, check_onnx
+from automodel.perception.markings.onnx_check import DIGEST, OPSET, check_onnx, graph_digest
 from automodel.perception.markings.unet import SIZES, open_session, run_network
 from automodel.training.metrics import Metrics
 from automodel.training.session import Origin, write_card, write_metrics
@@ -69,14 +69,23 @@ def test_the_file_is_one_plain_graph(exported: tuple[bytes, int, int]) -> None:
     kinds = {node.op_type for node in model.graph.node}
     assert "Conv" in kinds
     assert "BatchNormalization" not in kinds
-    assert {each.key: each.value for each in model.metadata_props} == {"seed": "7"}
+    assert {each.key: each.value for each in model.metadata_props} == {"seed": "7", DIGEST: graph_digest(exported[0])}
 
 
 def test_other_metadata_leaves_the_network_as_it_is(exported: tuple[bytes, int, int]) -> None:
     again = onnx.load_from_string(with_metadata(exported[0], {"steps": 3}))
     before = onnx.load_from_string(exported[0])
     assert again.graph == before.graph
-    assert [(each.key, each.value) for each in again.metadata_props] == [("steps", "3")]
+    assert {each.key: each.value for each in again.metadata_props} == {"steps": "3", DIGEST: graph_digest(exported[0])}
+
+
+def test_a_network_with_one_flipped_bit_is_refused(exported: tuple[bytes, int, int]) -> None:
+    data, width, height = exported
+    weight = max(onnx.load_from_string(data).graph.initializer, key=lambda each: len(each.raw_data)).raw_data
+    flipped = bytearray(data)
+    flipped[data.index(weight) + 1] ^= 1  # of a mantissa: no mask would tell
+    with pytest.raises(ValueError, match="is damaged: its layers have another SHA-256 than it states"):
+        check_onnx(bytes(flipped), width, height)
 
 
 def test_exporting_leaves_the_network_as_it_was() -> None:

@@ -13,6 +13,7 @@ one is expected (protobuf would merge or replace).
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -21,6 +22,7 @@ import numpy as np
 INPUT, OUTPUT = "image", "marking"
 ROWS = "rows"  # a height of this name is open: the network takes any multiple of STRIDE
 STRIDE = 8  # rows: the coarsest level of a network has one row for so many of the image
+DIGEST = "graph_sha256"
 OPSET = 17
 OPSETS = range(11, 24)
 UINT8, FLOAT = 2, 1
@@ -44,7 +46,10 @@ MAX_PARTS = 200_000  # of one file at all levels; a network of 100 layers has a 
 VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 
 _MODEL = {"ir_version": 1, "graph": 7, "opset_import": 8}
-_MODEL_KNOWN = frozenset((*range(1, 9), 14))  # 20 training_info, 25 functions, 26 configuration: not in a mask network
+_METADATA = 14
+_MODEL_KNOWN = frozenset(
+    (*range(1, 9), _METADATA)
+)  # 20 training_info, 25 functions, 26 configuration: not in a mask network
 _GRAPH_KNOWN = frozenset((1, 2, 5, 10, 11, 12, 13, 14, 16))  # 15 sparse_initializer
 _NODE_KNOWN = frozenset((*range(1, 8), 9))  # 8 overload, 10 device_configurations
 _ATTRIBUTE_KNOWN = frozenset((1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 20))  # 6, 11: graphs; 21: of a function
@@ -54,7 +59,8 @@ _TENSOR_KNOWN = frozenset((1, 2, 4, 5, 7, 8, 9, 10, 11, 12, 14, 16))  # 3 segmen
 def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
     """Whether the network's height is open; it is for images of that width and that height, or of `ROWS` rows.
 
-    Raises ValueError with one line that says what is wrong where `data` is no such network.
+    Raises ValueError with one line that says what is wrong where `data` is no such network, or has another digest than
+    it states (`graph_digest`, which `automodel train` writes).
     """
     if data[4:8] == b"ORTM":
         raise MalformedError("is in onnxruntime's own format; give an ONNX file")
@@ -64,6 +70,9 @@ def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
     _only(model, _MODEL_KNOWN)
     _check_opsets(model)
     graph = model.message(_MODEL["graph"], "the graph")
+    stated = {entry.text(1): entry.text(2) for entry in model.messages(_METADATA, "its metadata")}.get(DIGEST)
+    if stated is not None and stated != graph_digest(data):
+        raise MalformedError("is damaged: its layers have another SHA-256 than it states")
     _only(graph, _GRAPH_KNOWN)
     for node in graph.messages(1, "a node"):
         _check_node(node)
@@ -75,6 +84,12 @@ def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
     _check_value(inputs, "input", INPUT, shape)
     _check_value(outputs, "output", OUTPUT, shape)
     return is_open
+
+
+def graph_digest(data: bytes) -> str:
+    """The SHA-256 of a network's layers and weights, to be kept in its metadata under `DIGEST`."""
+    model = Message(memoryview(data), "the file", PartBudget())
+    return hashlib.sha256(model.blob(_MODEL["graph"], "the graph")).hexdigest()
 
 
 def _only(message: Message, known: frozenset[int]) -> None:
@@ -209,6 +224,20 @@ class Message:
         value = found[0] if found else 0
         assert isinstance(value, int)
         return value
+
+    def numbers(self, number: int) -> list[int]:
+        """A repeated field of integers, given one by one or packed."""
+        found: list[int] = []
+        for _, value in self._parts.get(number, []):
+            if isinstance(value, int):
+                found.append(value)
+                continue
+            at = 0
+            while at < len(value):
+                self._budget.take()
+                one, at = _varint(value, at, self.what)
+                found.append(one)
+        return found
 
     def _of_kind(self, number: int, wanted: int) -> list[int | memoryview]:
         parts = self._parts.get(number, [])

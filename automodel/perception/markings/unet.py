@@ -1,7 +1,7 @@
 """The marking network in the car: a grey image in, each pixel's probability of being a lane marking out.
 
 A U-Net, as in Cudrano et al. 2020, section IV. The network's file is not trusted: it is read once and checked
-(`onnx_check`), and only the checked bytes go to onnxruntime. Then it must find two lines in a drawn image.
+(`onnx_check`, `onnx_cost`), and only the checked bytes go to onnxruntime. Then it must find two lines in a drawn image.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from automodel.config.extras import missing_extra, need_extra
 from automodel.config.pipelines import NETWORK_PROVIDERS
 from automodel.config.toml_reader import ConfigError, not_negative
 from automodel.perception.markings.onnx_check import INPUT, OUTPUT, ROWS, STRIDE, check_onnx
+from automodel.perception.markings.onnx_cost import check_cost
 from automodel.perception.markings.openvino_session import OpenvinoSession
 from automodel.types import Image
 
@@ -91,6 +92,7 @@ class MarkingNetwork:
         name, data = read_network(config)
         try:
             is_open = check_onnx(data, self.width_px, self.height_px)
+            check_cost(data, functools.partial(inferred_outputs, rows=self.height_px))
         except ValueError as error:
             raise ConfigError(f"{name}: {error}") from None
         self.first_row = config.first_row if is_open else 0
@@ -200,7 +202,6 @@ def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "
     if provider == OPENVINO:
         return OpenvinoSession(data, threads, rows)
     onnxruntime = _runtime()
-    onnxruntime.set_default_logger_severity(_ERRORS)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = threads, 1
     options.log_severity_level = _ERRORS
@@ -218,6 +219,22 @@ def open_session(data: bytes, provider: str, threads: int, engine_cache: str = "
     if session.get_providers()[0] != PROVIDERS[provider]:  # onnxruntime drops one whose libraries are missing
         raise RuntimeError("its libraries cannot be loaded")
     return session
+
+
+def inferred_outputs(data: bytes, rows: int) -> Any:
+    """What a network of checked bytes gives for `rows` of an image, as onnxruntime infers it without running anything.
+
+    Raises ValueError where it cannot.
+    """
+    onnxruntime = _runtime()
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _ERRORS
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL  # which would run constants
+    options.add_free_dimension_override_by_name(ROWS, rows)
+    try:
+        return onnxruntime.InferenceSession(data, options, ["CPUExecutionProvider"]).get_outputs()
+    except session_errors() as error:
+        raise ValueError(f"onnxruntime cannot read it: {' '.join(str(error).split())[:300]}") from None
 
 
 def run_network(session: Any, grey: Image) -> Image:
@@ -242,6 +259,7 @@ def _runtime() -> Any:
     import onnxruntime
 
     onnxruntime.disable_telemetry_events()
+    onnxruntime.set_default_logger_severity(_ERRORS)
     return onnxruntime
 
 

@@ -18,7 +18,7 @@ import pytest
 
 from automodel.config import CenterlineConfig
 from automodel.config.toml_reader import ConfigError
-from automodel.perception.markings import onnx_check, unet
+from automodel.perception.markings import onnx_check, onnx_cost, unet
 from automodel.perception.markings.openvino_session import OpenvinoSession
 from automodel.perception.markings.unet import (
     BIRDSEYE,
@@ -201,7 +201,7 @@ def test_random_bytes_are_refused(tmp_path: Path, seed: int) -> None:
 
 
 def test_a_hostile_file_never_reaches_onnxruntime(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unet, "open_session", lambda *_: pytest.fail("was given to onnxruntime"))
+    monkeypatch.setattr(unet, "_runtime", lambda: pytest.fail("was given to onnxruntime"))
     assert "'Evil'" in refusal(path, with_nodes(*files.NODES, files.node("Evil", "grey", "x")))
 
 
@@ -229,7 +229,68 @@ def test_the_bytes_that_were_checked_are_those_that_are_loaded(path: Path, monke
     ids=["no such value", "no kernel", "a loop", "another shape", "another type", "no layers"],
 )
 def test_a_graph_that_makes_no_sense_is_refused(path: Path, data: bytes) -> None:
-    assert "runs on none of the configured providers: cpu: " in refusal(path, data, providers=("cpu",))
+    said = refusal(path, data, providers=("cpu",))
+    assert said.startswith(("onnxruntime cannot read it: ", "runs on none of the configured providers: cpu: "))
+
+
+def resized(sizes: str, source: str, result: str) -> bytes:
+    """A node that makes a picture as large as the weight `sizes` says."""
+    return b"".join(files.field(1, name) for name in (source, "", "", sizes)) + files.field(2, result) + RESIZE
+
+
+RESIZE = files.field(4, "Resize")
+HUGE = files.integers("huge", (1, 1, 40_000, 40_000))
+USUAL = files.integers("usual", (1, 1, *SMALL))
+GREY, MARKING = files.node("Cast", "image", "grey", to=files.FLOAT), files.node("Cast", "back", "marking", to=2)
+LARGE = (GREY, resized("huge", "grey", "large"), resized("usual", "large", "back"), MARKING)
+SLOW = [
+    files.node("AveragePool", f"p{i}", f"p{i + 1}", kernel_shape=(127, 255), pads=(63, 127, 63, 127)) for i in range(20)
+]
+BY_IMAGE = (
+    GREY,
+    files.node("ReduceMax", "grey", "brightest", keepdims=0),
+    files.node("Cast", "brightest", "size", to=files.INT64),
+    files.node("Unsqueeze", "size zero", "some"),
+    files.node("Concat", "ones some some", "sizes", axis=0),
+    resized("sizes", "grey", "large"),
+    resized("usual", "large", "back"),
+    MARKING,
+)
+ZERO, ONES = files.integers("zero", (0,)), files.integers("ones", (1, 1))
+
+
+@pytest.mark.parametrize(
+    ("graph", "said"),
+    [
+        (files.graph(LARGE, (HUGE, USUAL)), "takes 6400 MB for one image; 1000 MB are allowed"),
+        (
+            files.graph(LARGE, (HUGE, USUAL), more=files.field(13, files.value("large", files.FLOAT))),
+            "'large' has no size that is known before it runs",
+        ),
+        (files.graph(BY_IMAGE, (USUAL, ZERO, ONES)), "'large' has no size that is known before it runs"),
+        (
+            files.graph(
+                (files.node("Cast", "image", "p0", to=files.FLOAT), *SLOW, files.node("Cast", "p20", "marking", to=2))
+            ),
+            "takes 21e9 multiplications for one image; 20e9 are allowed",
+        ),
+    ],
+    ids=["memory", "a size that is a lie", "a size by the image", "work"],
+)
+def test_a_small_file_that_asks_for_much_is_refused_before_it_runs(
+    path: Path, monkeypatch: pytest.MonkeyPatch, graph: bytes, said: str
+) -> None:
+    monkeypatch.setattr(unet, "open_session", lambda *_: pytest.fail("was to be run"))
+    assert said in refusal(path, files.model(graph))
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_networks_that_ship_cost_a_tenth_of_what_is_allowed(size: str) -> None:
+    _, data = unet.read_network(UnetConfig(size=size))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(onnx_cost, "MAX_MB", 0.1 * onnx_cost.MAX_MB + 1.0)
+        patch.setattr(onnx_cost, "MAX_WORK", 0.1 * onnx_cost.MAX_WORK)
+        onnx_cost.check_cost(data, lambda given: unet.inferred_outputs(given, SIZES[size][1]))
 
 
 @pytest.mark.parametrize(
@@ -357,6 +418,7 @@ def test_a_provider_that_onnxruntime_drops_is_not_taken_for_it(path: Path, monke
     network = MarkingNetwork(config(path, engine_cache="engines"))
     assert network.notice.count("its libraries cannot be loaded") == 2
     assert network.provider == "cpu"
+    given = given[1:]  # the first only tells the shapes
     assert given[0][0] == (ALL[0], {"trt_engine_cache_enable": True, "trt_engine_cache_path": "engines"})
     assert given[1:] == [ALL[1:], ALL[2:]]
 
