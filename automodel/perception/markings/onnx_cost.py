@@ -15,7 +15,7 @@ MAX_MB = 1000  # of all layers' outputs together, of which a runtime keeps a par
 MAX_WORK = (
     20e9  # multiplications for one image: 0.1 s on the old Nano's GPU at its best (472 GFLOP/s, in half precision)
 )
-# The networks that `automodel train` makes at 512x256 take 100 MB and 0.9e9.
+# The networks that `automodel train` makes at 512x256 take 100 MB and 0.3e9.
 
 _GRAPH, _NODE, _WEIGHT, _OUTPUT = 7, 1, 5, 12  # field numbers of onnx.proto
 _BYTES = {
