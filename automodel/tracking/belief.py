@@ -38,7 +38,7 @@ class RoadModel:
     `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch and of its
     nod, by which what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the
     curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's
-    tightest has 2.5) that begins or ends every five or six; `Bends` learns the real one. `line_sigma`: error common to
+    tightest has 2.5) that begins or ends every `bend_lanes`; `Bends` learns the real one. `line_sigma`: error common to
     a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's with two
     degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours' errors are
     alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`, `turn_rad`:
@@ -58,6 +58,7 @@ class RoadModel:
     pitch_rad: float = 0.0
     pixel_rad: float = 0.0
     bend_walk: float = 0.02
+    bend_lanes: float = 5.5
     line_sigma: float = 0.02
     point_markings: float = 0.1
     step: float = 0.01
@@ -202,6 +203,14 @@ class LaneBelief:
     def without_road(self) -> LaneBelief:
         """What is believed of the lane beside the car alone."""
         return LaneBelief.arc(*self._beside_car(), self.road, self.reference_x_m)
+
+    def of_new_bend(self) -> LaneBelief:
+        """What is believed of the lane beside the car, on a road whose bend begins or ends at once.
+
+        Within a lane width its curvature changes as much as it does in `bend_lanes` on average.
+        """
+        bending = replace(self.road, bend_walk=self.road.bend_lanes * self.road.bend_walk)
+        return LaneBelief.arc(*self._beside_car(), bending, self.reference_x_m).on(self.road)
 
     def of_any_width(self) -> LaneBelief:
         """What is believed of a lane whose width may be any: a line that was seen stays where it is."""

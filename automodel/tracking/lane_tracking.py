@@ -495,7 +495,8 @@ class LaneTracking:
         self._around_m = 0.0
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self._bends.road)
-        others = known.without_road(), known.of_any_width()  # its bends may be another thing's, and roads get narrower
+        # Its bends may be another thing's, a new one may begin at once, and roads get narrower.
+        others = known.without_road(), known.of_new_bend(), known.of_any_width()
         around.start(((known, 0.0), *((other, -self.config.exists) for other in others)))
         around.update(self._together(lines, own), self._kinds, self._news_m / self._unit)
         best = around.all[0]
@@ -660,7 +661,7 @@ class LaneTracking:
 
     def _doubt(self, belief: LaneBelief) -> None:
         """From now on the estimator is not believed without a look at everything else."""
-        self._hypotheses.start(((belief, 0.0),))
+        self._hypotheses.start(((belief, 0.0), (belief.of_new_bend(), -self.config.exists)))
         self._reckoned, self._said = belief, 0.0
         self.in_doubt, self._story = True, belief
 

@@ -573,6 +573,11 @@ BOUNDS = (
         ("a-pixel-is-a-point", "noise[k] = 1.0 + prior.pixel_share * (", "noise[k] = 1.0 + 0.0 * ("),
     ),
     *_of(
+        "automodel/tracking/belief.py",
+        "tests/tracking/test_lane_tracking.py",
+        ("no-bend-begins", "bend_walk=self.road.bend_lanes * self.road.bend_walk", "bend_walk=self.road.bend_walk"),
+    ),
+    *_of(
         "automodel/estimation/checked_odometry.py",
         "tests/estimation/test_checked_odometry.py",
         (
@@ -593,7 +598,12 @@ BOUNDS = (
             "if belief is None or self.in_doubt:\n            self._marked = None",
             "if belief is None:\n            self._marked = None",
         ),
-        ("roads-never-get-narrower", "known.without_road(), known.of_any_width()", "(known.without_road(),)"),
+        ("roads-never-get-narrower", "known.of_new_bend(), known.of_any_width()", "known.of_new_bend()"),
+        (
+            "in-doubt-no-bend-begins",
+            "((belief, 0.0), (belief.of_new_bend(), -self.config.exists))",
+            "((belief, 0.0),)",
+        ),
         ("surer-than-its-lines", "d, width = d + 0.5 * line, width + 2.0 * line", "pass"),
         ("reckoned-to-the-next-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", ""),
         ("a-gap-may-be-a-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", "or self._confusable(reckoned, 1.0)"),
