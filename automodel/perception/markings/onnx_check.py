@@ -22,7 +22,7 @@ import numpy as np
 INPUT, OUTPUT = "image", "marking"
 ROWS = "rows"  # a height of this name is open: the network takes any multiple of STRIDE
 STRIDE = 8  # rows: the coarsest level of a network has one row for so many of the image
-DIGEST = "graph_sha256"
+DIGEST = "graph_sha256"  # name in the metadata
 OPSET = 17
 OPSETS = range(11, 24)
 UINT8, FLOAT = 2, 1
@@ -47,9 +47,7 @@ VARINT, FIXED64, BYTES, FIXED32 = 0, 1, 2, 5
 
 _MODEL = {"ir_version": 1, "graph": 7, "opset_import": 8}
 _METADATA = 14
-_MODEL_KNOWN = frozenset(
-    (*range(1, 9), _METADATA)
-)  # 20 training_info, 25 functions, 26 configuration: not in a mask network
+_MODEL_KNOWN = frozenset((*range(1, 9), _METADATA))  # 20 training_info, 25 functions, 26 configuration: never needed
 _GRAPH_KNOWN = frozenset((1, 2, 5, 10, 11, 12, 13, 14, 16))  # 15 sparse_initializer
 _NODE_KNOWN = frozenset((*range(1, 8), 9))  # 8 overload, 10 device_configurations
 _ATTRIBUTE_KNOWN = frozenset((1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 20))  # 6, 11: graphs; 21: of a function
