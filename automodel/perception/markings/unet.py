@@ -93,6 +93,8 @@ class MarkingNetwork:
         try:
             is_open = check_onnx(data, self.width_px, self.height_px)
             check_cost(data, functools.partial(inferred_outputs, rows=self.height_px))
+        except ConfigError:  # onnxruntime is not installed
+            raise
         except ValueError as error:
             raise ConfigError(f"{name}: {error}") from None
         self.first_row = config.first_row if is_open else 0
