@@ -661,7 +661,7 @@ class LaneTracking:
 
     def _doubt(self, belief: LaneBelief) -> None:
         """From now on the estimator is not believed without a look at everything else."""
-        self._hypotheses.start(((belief, 0.0), (belief.of_new_bend(), -self.config.exists)))
+        self._hypotheses.start(((belief, 0.0),))
         self._reckoned, self._said = belief, 0.0
         self.in_doubt, self._story = True, belief
 

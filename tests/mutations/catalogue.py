@@ -599,11 +599,6 @@ BOUNDS = (
             "if belief is None:\n            self._marked = None",
         ),
         ("roads-never-get-narrower", "known.of_new_bend(), known.of_any_width()", "known.of_new_bend()"),
-        (
-            "in-doubt-no-bend-begins",
-            "((belief, 0.0), (belief.of_new_bend(), -self.config.exists))",
-            "((belief, 0.0),)",
-        ),
         ("surer-than-its-lines", "d, width = d + 0.5 * line, width + 2.0 * line", "pass"),
         ("reckoned-to-the-next-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", ""),
         ("a-gap-may-be-a-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", "or self._confusable(reckoned, 1.0)"),

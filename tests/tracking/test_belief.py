@@ -364,7 +364,7 @@ def test_a_line_beyond_the_end_of_a_bend_is_explained_by_a_road_that_may_change_
 
 @pytest.mark.parametrize("side", [+1.0, -1.0])
 def test_a_tight_bend_that_begins_at_once_is_explained_by_a_road_with_a_new_bend(side: float) -> None:
-    """Of one and a half lane widths' radius, from a lane width ahead on: half of what the Carolo-Cup allows."""
+    """Of one and a half lane widths' radius, from a lane width ahead on; the Carolo-Cup's tightest has 2.5."""
     known, turned = belief(STRAIGHT, (0.003, 0.016, 0.1, 0.01)), np.linspace(0.0, 0.9, 8)
     outer_m = 1.5 * LANE_M + 0.5 * LANE_M
     y = 0.5 * LANE_M - outer_m * (1.0 - np.cos(turned))

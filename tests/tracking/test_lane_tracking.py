@@ -791,43 +791,22 @@ def test_lines_in_view_correct_a_bend_that_was_remembered_wrongly() -> None:
     assert abs(drive.tracking._belief.state[ROAD + 4]) < 0.5
 
 
-def bending(begins_m: float, role: float) -> SightedLine:
-    """A line of a road that turns left from there on, with a radius of one and a half lane widths at once."""
-    reference_x_m, radius_m = CAR.vehicle.reference_x_m, 1.5 * LANE_M
-    straight = np.linspace(0.1, begins_m, 4)
-    turned = np.linspace(0.15, 0.9, 6)
-    x = np.concatenate((straight, begins_m + (radius_m - role * LANE_M) * np.sin(turned)))
-    y = role * LANE_M + np.concatenate((np.zeros(4), (radius_m - role * LANE_M) * (1.0 - np.cos(turned))))
-    return sighted(np.column_stack((reference_x_m + x, y)))
-
-
-def bent_to_the_left(begins_m: float) -> float:
-    """How far the middle of that road is to the left, a metre along it."""
-    radius_m = 1.5 * LANE_M
-    return radius_m * (1.0 - math.cos((1.0 - begins_m) / radius_m))
-
-
 def test_a_tight_bend_that_begins_at_once_is_believed_in_the_frame_that_shows_it() -> None:
-    drive, begins_m = driving(), 1.2 * LANE_M
-    drive.follow(said(0.0, NONE), tuple(bending(begins_m, role) for role in BOTH))
+    """To the left, of one and a half lane widths' radius."""
+    drive, begins_m, radius_m = driving(), 1.2 * LANE_M, 1.5 * LANE_M
+
+    def bending(role: float) -> SightedLine:
+        straight, turned = np.linspace(0.1, begins_m, 4), np.linspace(0.15, 0.9, 6)
+        own_m = radius_m - role * LANE_M
+        x = np.concatenate((straight, begins_m + own_m * np.sin(turned)))
+        y = role * LANE_M + np.concatenate((np.zeros(len(straight)), own_m * (1.0 - np.cos(turned))))
+        return sighted(np.column_stack((CAR.vehicle.reference_x_m + x, y)))
+
+    drive.follow(said(0.0, NONE), tuple(bending(role) for role in BOTH))
     assert not drive.doubted
     assert drive.tracking._belief is not None
     (a_metre_on,), _, _ = drive.tracking._belief.beside(np.array([1.0]), 0.0)
-    assert a_metre_on[1] == pytest.approx(bent_to_the_left(begins_m), abs=0.03)
-
-
-def test_a_doubted_lane_is_the_one_whose_outer_line_alone_begins_to_bend() -> None:
-    drive, begins_m = driving(), 0.8 * LANE_M
-    assert drive.tracking._belief is not None
-    drive.tracking._contradict(drive.tracking._belief)
-    for _ in range(4):
-        outer = bending(begins_m, RIGHT)
-        drive.follow(said(0.0, NONE), (sighted(outer.points_m[3:]),))
-        begins_m -= SPEED_MPS * STEP_S
-    best = drive.tracking._hypotheses.all[0]
-    assert [role for _, role in best.assigned] == [RIGHT]
-    (a_metre_on,), _, _ = best.belief.beside(np.array([1.0]), 0.0)
-    assert a_metre_on[1] == pytest.approx(bent_to_the_left(begins_m + SPEED_MPS * STEP_S), abs=0.05)
+    assert a_metre_on[1] == pytest.approx(radius_m * (1.0 - math.cos((1.0 - begins_m) / radius_m)), abs=0.03)
 
 
 def test_an_estimator_that_drifts_after_a_wrong_line_is_noticed_by_the_lines_in_view() -> None:

@@ -70,7 +70,10 @@ def check_onnx(data: bytes, width_px: int, height_px: int) -> bool:
     graph = model.message(_MODEL["graph"], "the graph")
     stated = {entry.text(1): entry.text(2) for entry in model.messages(_METADATA, "its metadata")}.get(DIGEST)
     if stated is not None and stated != graph_digest(data):
-        raise MalformedError("is damaged: its layers have another SHA-256 than it states")
+        raise MalformedError(
+            "is damaged, or a tool has changed it: its layers have another SHA-256 than it states; give the file as "
+            f"it was trained, or take {DIGEST} out of its metadata"
+        )
     _only(graph, _GRAPH_KNOWN)
     for node in graph.messages(1, "a node"):
         _check_node(node)

@@ -285,11 +285,13 @@ def test_a_small_file_that_asks_for_much_is_refused_before_it_runs(
 
 
 @pytest.mark.parametrize("size", SIZES)
-def test_the_networks_that_ship_cost_a_tenth_of_what_is_allowed(size: str) -> None:
+def test_the_networks_that_ship_cost_far_less_than_is_allowed(size: str, monkeypatch: pytest.MonkeyPatch) -> None:
     _, data = unet.read_network(UnetConfig(size=size))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(onnx_cost, "MAX_MB", 0.1 * onnx_cost.MAX_MB + 1.0)
-        patch.setattr(onnx_cost, "MAX_WORK", 0.1 * onnx_cost.MAX_WORK)
+    monkeypatch.setattr(onnx_cost, "MAX_MB", 0.2 * onnx_cost.MAX_MB)
+    monkeypatch.setattr(onnx_cost, "MAX_WORK", 0.02 * onnx_cost.MAX_WORK)
+    onnx_cost.check_cost(data, lambda given: unet.inferred_outputs(given, SIZES[size][1]))
+    monkeypatch.setattr(onnx_cost, "MAX_WORK", 0.002 * onnx_cost.MAX_WORK)
+    with pytest.raises(ValueError, match="multiplications for one image"):
         onnx_cost.check_cost(data, lambda given: unet.inferred_outputs(given, SIZES[size][1]))
 
 
