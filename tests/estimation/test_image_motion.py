@@ -80,6 +80,23 @@ def test_noise_on_a_bare_floor_is_no_motion() -> None:
     assert not any(motion.known for motion in watched(frames(0.8, 0.3, 6, bare)))
 
 
+def bare_road() -> Image:
+    """A floor without texture on which two lines run as `frames` drives with no yaw rate."""
+    y, x = (np.mgrid[0:SIDE_PX, 0:SIDE_PX] - 0.5 * SIDE_PX) / PX_PER_M
+    aside = np.abs(np.abs(y * math.cos(0.4) - x * math.sin(0.4)) - 0.5 * LANE)  # from the middle of the nearest line
+    paint = np.clip((0.01 - aside) * PX_PER_M / 2.0 + 0.5, 0.0, 1.0)
+    return (110.0 + 120.0 * paint).round().astype(np.uint8)
+
+
+@pytest.mark.parametrize("speed", [0.4, 0.8, 1.6])
+def test_lines_on_a_bare_floor_do_not_say_that_the_car_stands(speed: float) -> None:
+    """They look the same from one frame to the next: no window tells how they move along themselves."""
+    seen = frames(speed, 0.0, 8, bare_road())
+    assert not any(motion.known for motion in watched(seen))
+    assert agrees(seen, speed, 0.0) <= {True, None}
+    assert agrees(seen, 0.0, 0.0) <= {False, None}
+
+
 def test_lamps_that_are_mirrored_in_the_floor_do_not_stop_the_car() -> None:
     seen = []
     for frame in frames(0.8, 0.4, 8, floor()):  # at the same places in each image
