@@ -224,17 +224,11 @@ class ImageMotion:
         start, differ = start[followed], differ.reshape(-1)[followed]
         places, ends = start.astype(np.float64), end.reshape(-1, 2)[followed].astype(np.float64)
         good = np.isfinite(self._image_of(places, expected)).all(axis=1)
-        good &= self._whole(places) & self._whole(ends)
         weak, strong = self._gradients(before, start)
         noise = np.minimum(differ, np.median(differ)).astype(np.float64)  # what got nearer differs by more than it
         variance = 0.25 * math.pi * noise**2  # by the mean difference
         good &= (weak > config.texture * variance) & (strong < config.edge * weak)
         return places[good], ends[good]
-
-    def _whole(self, places: FloatArray) -> Bools:
-        """Whether the windows about places (n, 2) lie in the image: where a line leaves it, a corner stays."""
-        half, (height, width) = self.config.window_px // 2, self._size
-        return np.asarray(((places >= half) & (places < (width - half, height - half))).all(axis=1))
 
     def _gradients(self, image: Image, places: Float32Array) -> tuple[FloatArray, FloatArray]:
         """Mean squares (n,) of the gradient along the weaker and the stronger direction in windows about places (n, 2).

@@ -97,6 +97,18 @@ def test_lines_on_a_bare_floor_do_not_say_that_the_car_stands(speed: float) -> N
     assert agrees(seen, 0.0, 0.0) <= {False, None}
 
 
+def test_spots_so_far_ahead_that_all_motions_agree_with_them_contradict_none() -> None:
+    """Two lamps that stand are not enough, and the spots add nothing to them."""
+    far = np.array([(1.35, 0.2 * i) for i in (-1.5, -0.5, 0.5, 1.5)])
+    pixels = CAMERA.ground_to_px(far)
+    assert np.hypot(*(CAMERA.ground_to_px(far - (0.2 / RATE_HZ, 0.0)) - pixels).T).max() < 1.0
+    image = np.full((HEIGHT, WIDTH), 90, np.uint8)
+    for u, v in (*pixels.round().astype(int).tolist(), (260, 250), (420, 250)):
+        cv2.circle(image, (u, v), 4, 160, -1)
+    seen = [Frame(t_ns=round(index * 1e9 / RATE_HZ), index=index, image=image) for index in range(4)]
+    assert agrees(seen, 0.2, 0.0) == {None}
+
+
 def test_lamps_that_are_mirrored_in_the_floor_do_not_stop_the_car() -> None:
     seen = []
     for frame in frames(0.8, 0.4, 8, floor()):  # at the same places in each image

@@ -590,7 +590,6 @@ BOUNDS = (
         "automodel/estimation/image_motion.py",
         "tests/estimation/test_image_motion.py",
         ("a-line-tells-its-own-way", "(strong < config.edge * weak)", "(strong < 1e9 * weak)"),
-        ("a-line-ends-at-the-border", "good &= self._whole(places) & self._whole(ends)", "pass"),
         ("noise-is-texture", "(weak > config.texture * variance)", "(weak > 0.0)"),
         ("far-ahead-all-motions-agree", "> 2.0 * config.sigma_px  # far", "> -1.0  # far"),
     ),
