@@ -27,21 +27,22 @@ class ImageMotionConfig:
     """Scales of `ImageMotion`; lengths in lane widths, pixels of an image of at most `width_px`.
 
     `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion;
-    fewer agree by chance. So many that move together, a third of those that move at all, show that the car does:
-    nothing moves while it stands. `sigma_px`: the error of following; a corner agrees up to twice that. `window_px`: of
-    the following; `texture`: least mean square of a window's gradient along its weaker direction, in variances of the
-    noise: noise alone has 0.5, and 0.7 to 1.5 where the strongest of it is chosen. `edge`: most that it may be along
-    the stronger direction, in those along the weaker: how a line moves along itself is not seen, and by how it gets
-    thinner ahead it stands. Of the corners of eight drives and a lap of a circuit that are left out by the two, 0 to
-    78 % agree with the motion, of the others 60 to 100 %. `systematic`: share of a motion by which a wrong camera
-    falsifies it. `acceleration` [1/s^2, rad/s^2]: what a driver and a steering do to speed and yaw rate, sigma after a
-    second. `speed` [1/s], `yaw_rate_radps`: largest sigmas of a motion that is told: those of the odometry that
-    dead reckoning expects at a few lane widths a second. `agree`: of the corners that agree on the motion that most
-    agree on, the share that must agree with a given one: in simulated drives with lamps they do in 90 to 100 % of
-    frames, in heavy noise in 45 %; with a speed that is wrong by half in at most 1 %. `length`, `aslant`: share of
-    its way by which a corner may be off along it and across: a camera that is set wrong by 2 deg or 10 % sees ways
-    that are as wrong. `most_yaw_rate_radps`: sigma of a car of which nothing is known, whose speed's is
-    `LOST_PACE`.
+    fewer agree by chance. So many that move together, most of those that move at all, show that the car does:
+    nothing moves while it stands. `sigma_px`: the error of following; a corner agrees up to twice that.
+    `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in them; noise
+    that was followed differs by 1.4. `texture`: least mean square of a window's gradient along its weaker
+    direction, in variances of the noise, that judges a given motion: noise alone has 0.5, and 0.7 to 1.5 where the
+    strongest of it is chosen. `edge`: most that it may be along the stronger direction, in those along the weaker:
+    how a line moves along itself is not seen, and by how it gets thinner ahead it stands. Of the corners of eight
+    drives and a lap of a circuit that are left out by the two, 0 to 78 % agree with the motion, of the others 60 to
+    100 %. `systematic`: share of a motion by which a wrong camera falsifies it. `acceleration` [1/s^2, rad/s^2]:
+    what a driver and a steering do to speed and yaw rate, sigma after a second. `speed` [1/s], `yaw_rate_radps`:
+    largest sigmas of a motion that is told: those of the odometry that dead reckoning expects at a few lane widths
+    a second. `agree`: of the corners that agree on the motion that most agree on, the share that must agree with a
+    given one: in simulated drives with lamps they do in 90 to 100 % of frames, in heavy noise in 45 %; with a speed
+    that is wrong by half in at most 1 %. `length`, `aslant`: share of its way by which a corner may be off along it
+    and across: a camera that is set wrong by 2 deg or 10 % sees ways that are as wrong. `most_yaw_rate_radps`:
+    sigma of a car of which nothing is known, whose speed's is `LOST_PACE`.
     """
 
     width_px: int = 720
@@ -51,6 +52,7 @@ class ImageMotionConfig:
     least: int = 6
     sigma_px: float = 0.5
     window_px: int = 17
+    alike: float = 0.9
     texture: float = 1.5
     edge: float = 16.0
     systematic: float = 0.05
@@ -144,7 +146,8 @@ class ImageMotion:
         if not (np.abs(told) <= self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))).all():  # nor NaN
             return False
         expected = told * dt_s
-        start, end = self._follow(self._small(last.image), self._small(frame.image), expected)
+        start, end, textured = self._follow(self._small(last.image), self._small(frame.image), expected)
+        start, end = start[textured], end[textured]
         if not len(start):
             return None
         most = self._consensus(start, end)
@@ -184,7 +187,7 @@ class ImageMotion:
 
     def _between(self, before: Image, after: Image, expected: FloatArray) -> Seen | None:
         """The motion from one small image to the next; None where too few corners agree on one."""
-        start, end = self._follow(before, after, expected)
+        start, end, _ = self._follow(before, after, expected)
         config = self.config
         still = np.hypot(*(end - start).T) < config.sigma_px
         moving = np.count_nonzero(~still)
@@ -192,7 +195,7 @@ class ImageMotion:
         if moving >= config.least:
             moved = self._consensus(start[~still], end[~still])
             together = np.count_nonzero(self._near(start[~still], end[~still], moved))
-            if together < max(config.least, moving // 3):
+            if together < max(config.least, moving // 2):
                 return None
             least = min(least, int(together))
         for _ in range(self.ROUNDS):
@@ -205,13 +208,13 @@ class ImageMotion:
         covariance = np.linalg.solve(jacobian.T @ jacobian, np.eye(2)) * sigma_px**2
         return Seen(moved, covariance + np.diag(np.square(config.systematic * moved)))
 
-    def _follow(self, before: Image, after: Image, expected: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Corners (n, 2) [px], and where they went."""
+    def _follow(self, before: Image, after: Image, expected: FloatArray) -> tuple[FloatArray, FloatArray, Bools]:
+        """Corners (n, 2) [px], where they went, and which (n,) have texture in both directions."""
         config = self.config
         apart = max(before.shape[1] / 80.0, 3.0)
         found = cv2.goodFeaturesToTrack(before, config.corners, self.QUALITY, apart, mask=self._mask)
         if found is None:
-            return np.empty((0, 2)), np.empty((0, 2))
+            return np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_)
         start = found.reshape(-1, 2).astype(np.float32)
         guess = self._image_of(start.astype(np.float64), expected)
         guess = np.clip(np.where(np.isfinite(guess), guess, start), -1e4, 1e4).astype(np.float32)
@@ -221,27 +224,30 @@ class ImageMotion:
         )
         followed = status.reshape(-1) > 0
         if not followed.any():
-            return np.empty((0, 2)), np.empty((0, 2))
+            return np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_)
         start, differ = start[followed], differ.reshape(-1)[followed]
         places, ends = start.astype(np.float64), end.reshape(-1, 2)[followed].astype(np.float64)
         good = np.isfinite(self._image_of(places, expected)).all(axis=1)
-        weak, strong = self._gradients(before, start)
+        contrast, weak, strong = self._windows(before, start)
+        good &= differ < config.alike * contrast
         noise = np.minimum(differ, np.median(differ)).astype(np.float64)  # what got nearer differs by more than it
         variance = 0.25 * math.pi * noise**2  # by the mean difference
-        good &= (weak > config.texture * variance) & (strong < config.edge * weak)
-        return places[good], ends[good]
+        textured = (weak > config.texture * variance) & (strong < config.edge * weak)
+        return places[good], ends[good], textured[good]
 
-    def _gradients(self, image: Image, places: Float32Array) -> tuple[FloatArray, FloatArray]:
-        """Mean squares (n,) of the gradient along the weaker and the stronger direction in windows about places (n, 2).
+    def _windows(self, image: Image, places: Float32Array) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Mean deviation (n,) from the mean in windows about places (n, 2), and mean squares (n,) of the gradient.
 
-        The eigenvalues of the structure tensor (Shi, Tomasi 1994, "Good Features to Track").
+        The latter along the weaker and the stronger direction: the eigenvalues of the structure tensor (Shi, Tomasi
+        1994, "Good Features to Track").
         """
         size = (self.config.window_px, self.config.window_px)
         windows = np.stack([cv2.getRectSubPix(image, size, (u, v)) for u, v in places.tolist()]).astype(np.float32)
+        contrast = np.abs(windows - windows.mean(axis=(1, 2), keepdims=True)).mean(axis=(1, 2))
         down, along = (gradient.reshape(len(places), -1) for gradient in np.gradient(windows, axis=(1, 2)))
         xx, xy, yy = ((one * other).mean(axis=1) for one, other in ((along, along), (along, down), (down, down)))
         middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-        return np.maximum(middle - half, 0.0), middle + half
+        return contrast, np.maximum(middle - half, 0.0), middle + half
 
     def _image_of(self, pixels: FloatArray, moved: FloatArray) -> FloatArray:
         """Where pixels (n, 2) of the ground go with a motion (distance, turn), in the small image."""
