@@ -34,15 +34,15 @@ class ImageMotionConfig:
     direction, in variances of the noise, that judges a given motion: noise alone has 0.5, and 0.7 to 1.5 where the
     strongest of it is chosen. `edge`: most that it may be along the stronger direction, in those along the weaker:
     how a line moves along itself is not seen, and by how it gets thinner ahead it stands. Of the corners of eight
-    drives and a lap of a circuit that are left out by the two, 0 to 78 % agree with the motion, of the others 60 to
-    100 %. `systematic`: share of a motion by which a wrong camera falsifies it. `acceleration` [1/s^2, rad/s^2]:
-    what a driver and a steering do to speed and yaw rate, sigma after a second. `speed` [1/s], `yaw_rate_radps`:
-    largest sigmas of a motion that is told: those of the odometry that dead reckoning expects at a few lane widths
-    a second. `agree`: of the corners that agree on the motion that most agree on, the share that must agree with a
-    given one: in simulated drives with lamps they do in 90 to 100 % of frames, in heavy noise in 45 %; with a speed
-    that is wrong by half in at most 1 %. `length`, `aslant`: share of its way by which a corner may be off along it
-    and across: a camera that is set wrong by 2 deg or 10 % sees ways that are as wrong. `most_yaw_rate_radps`:
-    sigma of a car of which nothing is known, whose speed's is `LOST_PACE`.
+    drives 73 to 92 % of those that judge agree with the true motion, of the others 8 to 63 %. `systematic`: share
+    of a motion by which a wrong camera falsifies it. `acceleration` [1/s^2, rad/s^2]: what a driver and a steering
+    do to speed and yaw rate, sigma after a second. `speed` [1/s], `yaw_rate_radps`: largest sigmas of a motion that
+    is told: those of the odometry that dead reckoning expects at a few lane widths a second. `agree`: of the
+    corners that agree on the motion that most agree on, the share that must agree with a given one: in simulated
+    drives with lamps they do in 90 to 100 % of frames, in heavy noise in 45 %; with a speed that is wrong by half
+    in at most 1 %. `length`, `aslant`: share of its way by which a corner may be off along it and across: a camera
+    that is set wrong by 2 deg or 10 % sees ways that are as wrong. `most_yaw_rate_radps`: sigma of a car of which
+    nothing is known, whose speed's is `LOST_PACE`.
     """
 
     width_px: int = 720
@@ -155,10 +155,10 @@ class ImageMotion:
         near = [np.count_nonzero(self._near(start, end, each)) for each in (expected, most)]
         if near[0] >= max(config.agree * near[1], config.least):
             return True
-        it, others = (self._image_of(start, each) for each in (expected, most))
+        by_it, by_most = (self._image_of(start, each) for each in (expected, most))
         with np.errstate(invalid="ignore"):
-            tell = np.hypot(*(it - others).T) > 2.0 * config.sigma_px  # far ahead no motion is seen
-        with_it, with_most = (tell & self._about(start, end, each) for each in (expected, most))
+            differ = np.hypot(*(by_it - by_most).T) > 2.0 * config.sigma_px  # far ahead both are the same
+        with_it, with_most = (differ & self._about(start, end, each) for each in (expected, most))
         alone, count = np.count_nonzero(with_it & ~with_most), np.count_nonzero(with_most)
         if alone >= config.least or count < config.least:  # what moves otherwise may be lamps in a shiny floor
             return None

@@ -89,7 +89,7 @@ def bare_road() -> Image:
 
 
 @pytest.mark.parametrize("speed", [0.4, 0.8, 1.6])
-def test_lines_on_a_bare_floor_bear_no_standing_out_and_contradict_no_driving(speed: float) -> None:
+def test_lines_on_a_bare_floor_contradict_no_right_motion_and_bear_out_no_standstill(speed: float) -> None:
     """They look the same from one frame to the next: no window tells how they move along themselves."""
     seen = frames(speed, 0.0, 8, bare_road())
     assert agrees(seen, speed, 0.0) <= {True, None}
