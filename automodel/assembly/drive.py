@@ -79,11 +79,15 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunReport:
-    """The results of a run: `row` holds its metrics, `ended` says in words how it went, `failed` whether it failed."""
+    """The results of a run: `row` holds its metrics, `ended` says in words how it went, `failed` whether it failed.
+
+    `loop_ns` are the loop's own times from a frame's delivery to its command on the wire, of a simulated car's frames.
+    """
 
     row: dict[str, Any]
     ended: str
     failed: bool
+    loop_ns: Sequence[int] = ()
 
 
 class Viewer(RunObserver, Protocol):
@@ -180,15 +184,16 @@ def drive_simulated(
         cores = leaving.enter_context(LoopCores()) if options.realtime else None
         key = leaving.enter_context(ArmKey(_DESK_PROMPT)).pressed if options.on_desk else None
         shown = leaving.enter_context(progress(f"run {options.track}", total_m))
-        watcher = Watcher(laps, shown, patient=not options.arms_itself)
+        keep_truth = options.truth is not None
+        watcher = Watcher(laps, shown, patient=not options.arms_itself, keep_truth=keep_truth)
         build = on_desk if options.on_desk else real_time if options.realtime else lock_step
         simulated = build(car, simulation, watcher.on_scene)
         leaving.callback(simulated.close)
         recorder = make_recorder(options.record, text, car) if options.record else None
         parts = build_run(
             car,
-            source=simulated.source if options.realtime else TimedSource(simulated.source, watch),
-            link=simulated.link if options.realtime else TimedLink(simulated.link, watch),
+            source=TimedSource(simulated.source, watch),
+            link=TimedLink(simulated.link, watch),
             clock=simulated.clock,
             loop=make_loop(car, checks=checks),
             recorder=recorder,
@@ -214,7 +219,8 @@ def drive_simulated(
     latencies_ms = (result.latency_ms(50), result.latency_ms(99)) if options.realtime else watch.percentiles_ms()
     row = watcher.row(result, latencies_ms) | simulated.metrics()
     missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
-    return RunReport(row=row, ended=watcher.ending(result), failed=bool(_broken(result) or missed))
+    failed = bool(_broken(result) or missed)
+    return RunReport(row=row, ended=watcher.ending(result), failed=failed, loop_ns=watch.latencies_ns)
 
 
 def drive_real(

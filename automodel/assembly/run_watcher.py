@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import math
 import time
+from array import array
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,25 +19,31 @@ from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import OVERLOADED, SafetyMode
 from automodel.signals import FALSE_LANE, Command, Frame, LanePose, StereoFrame, VehicleState
 from automodel.sim.world import Scene
-from automodel.types import Bools, FloatArray
 
 TRUTH_COLUMNS = (
     "t_s", "frame", "offset_m", "heading_rad", "curvature_per_m", "width_m", "x_m", "y_m", "yaw_rad"
 )  # fmt: skip
 GIVE_UP_S = 5.0  # a simulated car that stands for so long has failed
+_RECENT = 64  # scenes: the frame of an estimate is among the newest
 
 
 class Watcher:
     """Implements `RunObserver`, and takes the scenes of the simulator, which a real car does not have.
 
-    `patient`: a simulated car may stand for as long as it likes, because a person drives it.
+    It adds up as the run goes, so that an hour needs no more memory than a minute; only with `keep_truth` is each scene
+    kept, for `write_truth`. `patient`: a simulated car may stand for as long as it likes, because a person drives it.
     """
 
-    def __init__(self, laps: int | None, advance: Callable[..., None], *, patient: bool = False) -> None:
+    def __init__(
+        self, laps: int | None, advance: Callable[..., None], *, patient: bool = False, keep_truth: bool = False
+    ) -> None:
         self._laps, self._advance, self._patient = laps, advance, patient
-        self.scenes: list[Scene] = []
-        self._estimates: list[tuple[int, LanePose]] = []  # with their capture times [ns]
-        self._driving_from: int | None = None  # index of the first scene in which it was driving
+        self._start_ns: int | None = None  # of the first scene
+        self._recent: deque[Scene] = deque(maxlen=_RECENT)
+        self._truth: array[float] | None = array("d") if keep_truth else None
+        self._driven = _Driven()
+        self._estimated = _Estimated()
+        self._has_driven = False
         self._stood_since_ns: int | None = None
         self._now_ns = 0
         self._reason: str | None = None
@@ -43,22 +51,34 @@ class Watcher:
 
     def on_scene(self, scene: Scene) -> None:
         """The truth of a frame."""
-        if self.scenes:
-            before = self.scenes[-1]
+        if self._start_ns is None:
+            self._start_ns = scene.t_ns
+        else:
+            before = self._recent[-1]
             self._advance(max(scene.car.distance_m - before.car.distance_m, 0.0))
             if scene.truth.lap > before.truth.lap:
                 self._lap_times_ns.append(scene.t_ns)
-        self.scenes.append(scene)
+        self._recent.append(scene)
+        if self._has_driven:
+            self._driven.add(scene)
+        if self._truth is not None:
+            truth, car = scene.truth, scene.car
+            self._truth.extend((scene.t_ns * 1e-9, scene.index, truth.offset_m, truth.heading_rad))
+            self._truth.extend((truth.curvature_per_m, truth.width_m, car.x_m, car.y_m, car.yaw_rad))
 
     def on_tick(self, record: TickRecord) -> None:
         """A turn of the runner."""
-        if self.scenes and record.tick is not None and record.tick.estimate.pose is not None:
-            self._estimates.append((record.tick.estimate.t_ns, record.tick.estimate.pose))
-        driving = record.decision.mode in (SafetyMode.DRIVING, SafetyMode.HOLD)
-        if driving and self._driving_from is None:
-            self._driving_from = max(len(self.scenes) - 1, 0)
+        if record.tick is not None and record.tick.estimate.pose is not None:
+            t_ns = record.tick.estimate.t_ns
+            scene = next((scene for scene in reversed(self._recent) if scene.t_ns == t_ns), None)
+            if scene is not None:
+                self._estimated.add(record.tick.estimate.pose, scene)
+        if not self._has_driven and record.decision.mode in (SafetyMode.DRIVING, SafetyMode.HOLD):
+            self._has_driven = True
             self._lap_times_ns = [record.t_ns]
-        if self.scenes and abs(self.scenes[-1].car.speed_mps) >= 0.01:
+            if self._recent:
+                self._driven.add(self._recent[-1])
+        if self._recent and abs(self._recent[-1].car.speed_mps) >= 0.01:
             self._stood_since_ns = None
         elif self._stood_since_ns is None:
             self._stood_since_ns = record.t_ns
@@ -66,9 +86,9 @@ class Watcher:
 
     def finished(self) -> bool:
         """Whether the laps are driven, or the simulated car has given up."""
-        if not self.scenes:
+        if not self._recent:
             return False
-        if self._laps is not None and self.scenes[-1].truth.lap >= self._laps:
+        if self._laps is not None and self._recent[-1].truth.lap >= self._laps:
             return True
         return self.gave_up() is not None
 
@@ -81,19 +101,17 @@ class Watcher:
 
     def row(self, result: RunResult, latencies_ms: tuple[float | None, float | None]) -> dict[str, object]:
         """The figures of a simulated run."""
-        scenes = self._driven()
-        offsets = np.abs([scene.truth.offset_m for scene in scenes])
-        laps = np.diff(self._lap_times_ns) * 1e-9
+        driven, laps = self._driven, np.diff(self._lap_times_ns) * 1e-9
         return {
-            "laps": max((scene.truth.lap for scene in scenes), default=0),
+            "laps": driven.laps,
             "lap_s": float(laps.mean()) if len(laps) else None,
-            "max_abs_offset_m": float(offsets.max()) if len(offsets) else None,
-            "mae_offset_m": float(offsets.mean()) if len(offsets) else None,
-            "left_lane": len(self._departures()),
+            "max_abs_offset_m": driven.max_offset_m if driven.scenes else None,
+            "mae_offset_m": driven.offsets_m / driven.scenes if driven.scenes else None,
+            "left_lane": driven.departures,
             "stops": result.stops,
             "latency_p50_ms": latencies_ms[0],
             "latency_p99_ms": latencies_ms[1],
-            **self._estimated(),
+            **self._estimated.row(),
         }
 
     def ending(self, result: RunResult) -> str:
@@ -114,65 +132,29 @@ class Watcher:
             wrong.append(gave_up)
         if wrong:
             return "; ".join(wrong)
-        if not self.scenes:
+        if not self._recent:
             return f"{result.frames} frames, no stop"
-        if self._driving_from is None:
+        if not self._has_driven:
             return f"the car did not drive: {self._reason or 'it was not armed yet'}"
-        laps = self.scenes[-1].truth.lap
-        driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{self.scenes[-1].car.distance_m:.1f} m"
+        last = self._recent[-1]
+        laps = last.truth.lap
+        driven = f"{laps} lap{'s' if laps > 1 else ''}" if laps > 0 else f"{last.car.distance_m:.1f} m"
         return f"drove {driven} and stayed in its lane"
-
-    def _errors(self) -> FloatArray:
-        """Of the estimates of scenes (n, 6): time [s], errors of offset and heading, their bounds, lane width."""
-        truth = {scene.t_ns: scene.truth for scene in self.scenes}
-        rows = [
-            (
-                1e-9 * t_ns,
-                abs(pose.offset_m - true.offset_m),
-                abs(math.remainder(pose.heading_rad - true.heading_rad, math.tau)),
-                pose.offset_bound_m,
-                pose.heading_bound_rad,
-                true.width_m,
-            )
-            for t_ns, pose in self._estimates
-            if (true := truth.get(t_ns)) is not None
-        ]
-        return np.array(rows, dtype=np.float64).reshape(-1, 6)
-
-    def _estimated(self) -> dict[str, object]:
-        """How true the estimates were: mean error of the offset, shares that mislead or exceed a bound."""
-        if not len(errors := self._errors()):
-            return dict.fromkeys(("estimate_mae_m", "misled_pct", "bound_exceeded_pct"))
-        _, offset, heading, offset_bound, heading_bound, _ = errors.T
-        return {
-            "estimate_mae_m": float(offset.mean()),
-            "misled_pct": 100.0 * float(_misled(errors).mean()),
-            "bound_exceeded_pct": 100.0 * float(((offset > offset_bound) | (heading > heading_bound)).mean()),
-        }
 
     def _led_astray(self) -> list[str]:
         """The first estimate that misled, and how many did."""
-        errors = self._errors()
-        misled = np.flatnonzero(_misled(errors))
-        if not len(misled):
+        misled, first_ns = self._estimated.misled, self._estimated.misled_from_ns
+        if first_ns is None:
             return []
-        start_s = 1e-9 * self.scenes[0].t_ns
-        frames = f"{len(misled)} frame{'s' if len(misled) > 1 else ''}"
-        return [f"its estimate misled it in {frames}, from t = {errors[misled[0], 0] - start_s:.1f} s on"]
-
-    def _departures(self) -> list[Scene]:
-        """The scenes in which the body has just left the lane."""
-        scenes = self._driven()
-        outside = np.array([scene.reach_m > 0.5 * scene.truth.width_m for scene in scenes], dtype=np.int8)
-        return [scenes[index] for index in np.flatnonzero(np.diff(outside, prepend=0) == 1)]
+        frames = f"{misled} frame{'s' if misled > 1 else ''}"
+        return [f"its estimate misled it in {frames}, from t = {(first_ns - (self._start_ns or 0)) * 1e-9:.1f} s on"]
 
     def _left_lane(self) -> list[str]:
         """The first place where the body left the lane, and how often it did."""
-        departures = self._departures()
-        if not departures:
+        first, departures = self._driven.departure, self._driven.departures
+        if first is None:
             return []
-        first = departures[0]
-        often = f" (and {len(departures) - 1} more times)" if len(departures) > 1 else ""
+        often = f" (and {departures - 1} more times)" if departures > 1 else ""
         return [f"left its lane at t = {first.t_ns * 1e-9:.1f} s, s = {first.truth.s_m:.1f} m{often}"]
 
     def _stops(self, result: RunResult) -> list[str]:
@@ -181,27 +163,69 @@ class Watcher:
         if result.stops == 0 or stop is None:
             return []
         often = f" (and {result.stops - 1} more times)" if result.stops > 1 else ""
-        start_ns = self.scenes[0].t_ns if self.scenes else result.events[0].t_ns
+        start_ns = result.events[0].t_ns if self._start_ns is None else self._start_ns
         return [f"stopped at t = {(stop.t_ns - start_ns) * 1e-9:.1f} s: {stop.text}{often}"]
-
-    def _driven(self) -> list[Scene]:
-        return self.scenes[self._driving_from :] if self._driving_from is not None else []
 
     def write_truth(self, path: Path) -> None:
         """truth.csv: where the car really was, a row a frame; raises ConfigError where it cannot be written."""
+        assert self._truth is not None
+        rows = np.frombuffer(self._truth).reshape(-1, len(TRUTH_COLUMNS))
         with output_text(path) as file:
             table = csv.writer(file, lineterminator="\n")
             table.writerow(TRUTH_COLUMNS)
-            for scene in self.scenes:
-                truth, car = scene.truth, scene.car
-                values = (truth.offset_m, truth.heading_rad, truth.curvature_per_m, truth.width_m)
-                numbers = [f"{v:.6f}" for v in (*values, car.x_m, car.y_m, car.yaw_rad)]
-                table.writerow([f"{scene.t_ns * 1e-9:.9f}", scene.index, *numbers])
+            for t_s, index, *numbers in rows.tolist():
+                table.writerow([f"{t_s:.9f}", int(index), *(f"{number:.6f}" for number in numbers)])
 
 
-def _misled(errors: FloatArray) -> Bools:
-    """The rows (n,) of `Watcher._errors` off by more than `FALSE_LANE` of the lane's width while the bound is less."""
-    return np.asarray((errors[:, 1] > FALSE_LANE * errors[:, 5]) & ~(errors[:, 3] >= errors[:, 1]))
+class _Driven:
+    """What came of the scenes since the car began to drive."""
+
+    def __init__(self) -> None:
+        self.scenes, self.laps, self.departures = 0, 0, 0
+        self.offsets_m, self.max_offset_m = 0.0, 0.0
+        self.departure: Scene | None = None  # the first in which the body had left the lane
+        self._outside = False
+
+    def add(self, scene: Scene) -> None:
+        """One more."""
+        offset_m, outside = abs(scene.truth.offset_m), scene.reach_m > 0.5 * scene.truth.width_m
+        self.scenes += 1
+        self.laps = max(self.laps, scene.truth.lap)
+        self.offsets_m += offset_m
+        self.max_offset_m = max(self.max_offset_m, offset_m)
+        if outside and not self._outside:
+            self.departures += 1
+            self.departure = self.departure or scene
+        self._outside = outside
+
+
+class _Estimated:
+    """How true the poses were that were told."""
+
+    def __init__(self) -> None:
+        self.poses, self.errors_m, self.exceeded = 0, 0.0, 0
+        self.misled = 0  # off by more than `FALSE_LANE` of the lane's width while the bound is less
+        self.misled_from_ns: int | None = None
+
+    def add(self, pose: LanePose, scene: Scene) -> None:
+        """One more, and the truth of its frame."""
+        true = scene.truth
+        offset_m = abs(pose.offset_m - true.offset_m)
+        heading_rad = abs(math.remainder(pose.heading_rad - true.heading_rad, math.tau))
+        self.poses += 1
+        self.errors_m += offset_m
+        self.exceeded += offset_m > pose.offset_bound_m or heading_rad > pose.heading_bound_rad
+        if offset_m > FALSE_LANE * true.width_m and not pose.offset_bound_m >= offset_m:
+            self.misled += 1
+            self.misled_from_ns = scene.t_ns if self.misled_from_ns is None else self.misled_from_ns
+
+    def row(self) -> dict[str, object]:
+        """The mean error of the offset, shares that mislead or exceed a bound."""
+        keys = ("estimate_mae_m", "misled_pct", "bound_exceeded_pct")
+        if not self.poses:
+            return dict.fromkeys(keys)
+        figures = (self.errors_m, 100.0 * self.misled, 100.0 * self.exceeded)
+        return {key: figure / self.poses for key, figure in zip(keys, figures, strict=True)}
 
 
 def _holds(result: RunResult, word: str, reason: str) -> list[str]:
@@ -211,11 +235,11 @@ def _holds(result: RunResult, word: str, reason: str) -> list[str]:
 
 
 class Stopwatch:
-    """The loop's own time from a frame's delivery to its command on the wire, where the run lives on virtual time."""
+    """The loop's own time [ns] from a frame's delivery to its command on the wire, by the machine's clock."""
 
     def __init__(self) -> None:
         self._taken_ns: int | None = None
-        self.latencies_ns: list[int] = []
+        self.latencies_ns = array("q")
 
     def percentiles_ms(self) -> tuple[float | None, float | None]:
         """The median and the 99th percentile [ms]."""

@@ -64,7 +64,7 @@ def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> Row:
     }  # fmt: skip
 
 
-def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> list[int]:
+def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> Sequence[int]:
     """This machine's time [ns] from each frame's delivery to its command on the wire, in a simulated drive."""
     watch = Stopwatch()
     simulated = lock_step(car, Simulation(track="oval"), lambda scene: tick())
