@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -43,7 +43,8 @@ class Hypothesis:
     """A belief, its log-likelihood ratio against clutter [nats], and the last frame's lines with their roles.
 
     `news`: by how much the last frame spoke for it [nats], as if all of it were new; `counted`: by how much the odds
-    rose, because what was seen before is no new witness.
+    rose, because what was seen before is no new witness. `placed`: it never was so uncertain that its lines might be
+    those of another lane.
     """
 
     belief: LaneBelief
@@ -51,6 +52,7 @@ class Hypothesis:
     assigned: tuple[Assigned, ...] = ()
     news: float = 0.0
     counted: float = 0.0
+    placed: bool = True
 
     def line(self, role: float) -> tuple[SightedLine, ...]:
         """The lines of the last frame that play a role."""
@@ -163,6 +165,10 @@ class Hypotheses:
         counts = [len(each.line.points_m) for each in seen]
         return float(np.average([each.news for each in seen], weights=counts)) if seen else 1.0
 
+    def displace(self, confusable: Callable[[LaneBelief], bool]) -> None:
+        """Note which hypotheses are so uncertain now that a line of another lane may be taken for the lane's."""
+        self.all = tuple(replace(one, placed=one.placed and not confusable(one.belief)) for one in self.all)
+
     def posterior(self) -> list[float]:
         """Probabilities of the hypotheses, in their order."""
         best = max((one.log_odds for one in self.all), default=0.0)
@@ -210,7 +216,7 @@ class Hypotheses:
             assigned, belief = tuple(Assigned(look.line, look.role) for look in looks), parent.belief
             if assigned:
                 belief = evidence.update(assigned, np.array(shares) if way is None else road.news_of(len(looks), way))
-            children.append(Hypothesis(belief, parent.log_odds + counted, assigned, odds, counted))
+            children.append(Hypothesis(belief, parent.log_odds + counted, assigned, odds, counted, parent.placed))
         return children
 
     def _price(self, looks: Sequence[Look]) -> float:

@@ -353,6 +353,7 @@ class LaneTracking:
             return self._recognise(lines) if plain else self._watch(lines, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         seen = self._together(lines, own)
+        self._hypotheses.displace(self._confusable)
         share = self._hypotheses.update(seen, self._kinds)
         best, measured = self._hypotheses.all[0], self._measured(followed.pose)
         alone = Hypotheses(self.config.hypotheses)
@@ -366,9 +367,9 @@ class LaneTracking:
         self._story = story if story is not None and self._possible(story.pose) else None
         apart = self._apart(measured, best.belief)
         agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
-        clear = not self._confusable(self._reckoned)  # so that even one line is enough
+        clear = not self._confusable(self._reckoned)
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
-        told = told and (clear or best.bounds_a_lane)
+        told = told and (best.placed or best.bounds_a_lane)
         better = self._place_variance(best.belief) < self._place_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):

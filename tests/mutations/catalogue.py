@@ -555,6 +555,7 @@ BOUNDS = (
         "automodel/tracking/hypotheses.py",
         "tests/tracking/test_lane_tracking.py",
         ("two-lanes-apart-are-a-lane", "any(left - right == 1.0", "any(left - right <= 2.0"),
+        ("lines-are-placed-late", "placed=one.placed and not confusable(one.belief)", "placed=True"),
     ),
     *_of(
         "automodel/tracking/seen_places.py",

@@ -488,6 +488,21 @@ def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
     assert bound(estimate) < 0.3 * LANE_M
 
 
+@pytest.mark.parametrize("seen", [(RIGHT,), NONE])
+def test_a_line_that_was_in_view_before_dead_reckoning_lost_the_lane_ends_a_doubt_alone(
+    seen: tuple[float, ...],
+) -> None:
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    belief = drive.tracking._belief
+    assert belief is not None
+    drive.tracking._doubt(belief.without_road())
+    while drive.tracking._reckoned is not None and not drive.tracking._confusable(drive.tracking._reckoned):
+        drive.follow(said(0.0, NONE), sights(0.0, seen))
+        assert drive.doubted  # by a line that the estimator does not see
+    drive.follow(said(0.0, (RIGHT,)), sights(0.0, (RIGHT,)))
+    assert drive.doubted == (not seen)  # a line that is seen only now may be the next lane's
+
+
 def far(followed: Followed, from_m: float) -> Followed:
     """Its lines are those of a car on the centerline, and begin so far ahead of the reference point."""
     from_x_m = CAR.vehicle.reference_x_m + from_m
