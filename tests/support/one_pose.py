@@ -22,7 +22,6 @@ from automodel.signals import Frame, Motion, MotionSource, StereoFrame
 FRAMES = 3  # some pipelines see the lane from the second frame on
 PERIOD_NS = 16_666_667
 MOST_APART = 1e-6  # [m] and [rad]: rounding, no more
-MOST_APART_OF = {"stereo": 1e-3}  # measured 9.3e-5 m and 3.8e-4 rad: the cause is not known
 
 
 def car_of(pipeline: str) -> CarConfig:
@@ -76,7 +75,7 @@ def compare(here: dict[str, Any], there: dict[str, Any]) -> list[str]:
         keys = [key for key in ("offset_m", "heading_rad") if key in ours and key in theirs]
         apart = max((abs(ours[key] - theirs[key]) for key in keys), default=float("inf"))
         sys.stdout.write(f"{name}: {ours['status']}, {here['machine']} and {there['machine']} {apart:.1e} apart\n")
-        if ours["status"] != theirs["status"] or not apart <= MOST_APART_OF.get(name, MOST_APART):
+        if ours["status"] != theirs["status"] or not apart <= MOST_APART:
             wrong.append(name)
     return wrong
 

@@ -142,7 +142,7 @@ class LaneTracker:
         nothing = _gathered(
             memory[:, :2].copy(), memory[:, :2].copy(), memory[:, 0].copy(), memory[:, 0].copy(), memory
         )
-        _with_near(memory, nothing, np.ones(1, np.bool_), 0.0)
+        _with_near(memory, nothing, np.ones(0, np.bool_), 0.0)
 
     def _keep(self, samples: LineSamples, good: Bools) -> None:
         """Remember the good ones of the first samples, if they are near and the car has driven on enough."""
