@@ -32,7 +32,7 @@ def measure(root: Path, network: MarkingNetwork) -> Row:
     a marked pixel near; `lanes_pct`: lanes with such a pixel on at least a fifth of their rows. Raises ConfigError.
     """
     if network.from_above:
-        raise ConfigError(f"--size {network.size}: no camera is given to see the images of --root from above")
+        raise ConfigError(f"--size {network.size}: no camera is given to see --root from above; choose another size")
     counts, shares = np.zeros(4), list[float]()
     labels = read_labels(root)
     for label in labels:

@@ -16,7 +16,7 @@ from automodel.config import PIPELINE_NAMES, CarConfig, ConfigError
 from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.tables import show, show_tables
-from automodel.perception.markings.unet import SIZES
+from automodel.perception.markings.unet import BIRDSEYE, SIZES
 from automodel.sim.random_worlds import KINDS
 from automodel.sim.trajectory import STYLES
 
@@ -232,7 +232,7 @@ def speed(car_file: Path | None, pipelines: tuple[str, ...], frames: int, thread
 
 @command.command("network")
 @click.option("--model", type=FILE, help="An ONNX file.  [default: the one that ships for the size]")
-@click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
+@click.option("--size", type=click.Choice(list(SIZES)), default=BIRDSEYE, show_default=True,
               help="The picture that the network sees, or the road from above.")  # fmt: skip
 @click.option("--images", type=click.IntRange(1), default=100, show_default=True, help="Drawn images of each class.")
 @FIRST_SEED
@@ -246,7 +246,7 @@ def network(model: Path | None, size: str, images: int, first_seed: int, root: P
 
     Example:
 
-    automodel bench network --model trained/marking_512x256.onnx
+    automodel bench network --model trained/marking_birdseye.onnx
     """
     from automodel.bench import labelled_masks
     from automodel.perception.markings.unet import MarkingNetwork, UnetConfig
@@ -284,6 +284,43 @@ def latency(car_file: Path | None, pipeline: str | None, link: str, frames: int,
         raise ConfigError(f"{car_file}: [link] kind {car.link.kind!r}: only a board with our firmware can be measured")
     rows, machine = measure(car, link, frames, commands), this_machine()
     show("bench latency", rows, as_json, COLUMNS, machine)
+    if not as_json:
+        say(described(machine))
+    return 0
+
+
+@command.command("page")
+@CAR
+@click.option("--pipeline", type=PIPELINE, help="Which paper's pipeline finds the lane.")
+@click.option("--duration", "duration_s", type=click.IntRange(10), default=60, show_default=True,
+              help="Of each drive [s].")  # fmt: skip
+@click.option("--rounds", type=click.IntRange(0), default=3, show_default=True,
+              help="Drives without and with the page; 0: one with it.")  # fmt: skip
+@click.option("--pages", type=click.IntRange(1, 8), default=4, show_default=True, help="How many are open.")
+@click.option("--stops", type=click.IntRange(0), default=20, show_default=True, help="STOPs in a drive of their own.")
+@JSON
+def page(
+    car_file: Path | None, pipeline: str | None, duration_s: int, rounds: int, pages: int, stops: int, as_json: bool
+) -> int:
+    """What the web page of a run costs the loop, how soon its STOP is on the wire, and whether memory grows.
+
+    In real time, so that the machine should have nothing else to do.
+
+    Example:
+
+    automodel bench page --pipeline contour
+    """
+    from automodel.bench.machine import described, this_machine
+    from automodel.config.extras import need_extra
+
+    need_extra("bench page", "aiohttp")
+    from automodel.bench.page import COLUMNS, measure
+
+    car = car_of(car_file, pipeline)
+    if car.camera.source != "sim" or car.link.port != "sim":
+        raise ConfigError(f"{car_file}: names a real car; bench page drives the simulated one")
+    rows, machine = measure(car, duration_s, rounds, pages, stops), this_machine()
+    show("bench page", rows, as_json, COLUMNS, machine)
     if not as_json:
         say(described(machine))
     return 0

@@ -37,7 +37,7 @@ MINUTES = 60.0
               help="Samples a batch; a GPU likes more.")  # fmt: skip
 @click.option("--rate", type=ABOVE_ZERO, callback=finite, default=3e-3, show_default=True,
               help="Of learning, at its peak; a larger batch allows a larger one.")  # fmt: skip
-@click.option("--size", type=click.Choice(list(SIZES)), default="512x256", show_default=True,
+@click.option("--size", type=click.Choice(list(SIZES)), default=BIRDSEYE, show_default=True,
               help="The picture that the network sees, or the road from above.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2000), default=0, show_default=True, help="Of samples and training.")
 @click.option("--resume", type=click.Path(path_type=Path), default=None,

@@ -20,7 +20,7 @@ Row = Mapping[str, Any]
 # the last parts of a field's name, and the unit that they stand for; the longest that fits counts
 UNITS = {
     "per_m": "1/m", "m": "m", "mm": "mm", "rad": "rad", "deg": "deg", "s": "s", "ms": "ms", "us": "us", "pct": "%",
-    "mps": "m/s", "radps": "rad/s", "px": "px", "hz": "Hz", "v": "V",
+    "mps": "m/s", "radps": "rad/s", "px": "px", "hz": "Hz", "v": "V", "mb": "MB",
 }  # fmt: skip
 SHORT = {"availability": "avail."}  # in the headers of tables
 GAP = "  "

@@ -16,6 +16,7 @@ from typing import TypeVar
 import cv2
 
 from automodel.config import CarConfig, ConfigError
+from automodel.runtime.cores import LoopCores
 from automodel.runtime.os_signals import signals_held_back
 from automodel.runtime.run_types import TickRecord
 from automodel.signals import Event
@@ -66,7 +67,7 @@ class LiveProcess:
         self.port = 0  # that is served, once the context is entered
 
     def __enter__(self: _Self) -> _Self:
-        with signals_held_back():
+        with signals_held_back(), LoopCores():  # the process stays off the loop's core
             self._process.start()
         self._theirs.close()
         try:
@@ -84,6 +85,12 @@ class LiveProcess:
     ) -> None:
         """End the process."""
         self._close()
+
+    @property
+    def pid(self) -> int:
+        """The number of its process, while the context is open."""
+        assert self._process.pid is not None
+        return self._process.pid
 
     def on_tick(self, record: TickRecord) -> None:
         """A cycle of the run; a picture of it goes out at most `RATE_HZ` times a second."""

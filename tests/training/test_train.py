@@ -282,7 +282,7 @@ def test_a_network_that_fails_its_self_test_is_no_success(cli: Cli, tmp_path: Pa
         (["--minutes", "nan"], "'--minutes': expected a finite number, got nan"),
         (["--samples", 0], "'--samples'"),
         (["--resume", "missing.pt"], "automodel: --resume missing.pt: no such file"),
-        (["--continue"], "holds no interrupted training of 512x256"),
+        (["--continue"], "holds no interrupted training of birdseye"),
     ],
 )
 def test_wrong_arguments_are_told_before_any_work(cli: Cli, tmp_path: Path, arguments: list, said: str) -> None:
