@@ -100,7 +100,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "automodel.assembly": PARTS,
     "automodel.doctor": PARTS | {"automodel.assembly"},
-    "automodel.bench": PARTS | {"automodel.assembly"},
+    "automodel.bench": PARTS | {"automodel.assembly", "automodel.web"},
     "automodel.training": PARTS,
     "automodel.web": PARTS | {"automodel.assembly"},
     "automodel.cli": PARTS
