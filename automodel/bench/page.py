@@ -75,7 +75,7 @@ def measure(car: CarConfig, duration_s: float, rounds: int, pages: int, stops: i
 def _timed(car: CarConfig, duration_s: float, pages: int, record: Path) -> Row:
     """A drive with so many pages, without page and recording where none."""
     options = RunOptions(duration_s=duration_s, realtime=True, record=record if pages else None)
-    with _driving(car, options, with_page=pages > 0) as drive, _off_the_loop():
+    with _driving(car, options, with_page=pages > 0) as drive, LoopCores():  # a page is on another machine
         asyncio.run(_look(drive, [_Page() for _ in range(pages)]))
     return _row(drive, "frame -> write", pages, np.array(drive.outcome["loop_ns"]) * 1e-6)
 
@@ -84,7 +84,7 @@ def _stopped(car: CarConfig, pages: int, stops: int, record: Path) -> Row:
     """A drive in which one of the pages says STOP so often."""
     options = RunOptions(realtime=True, duration_s=stops * 2 * _PATIENCE_S, record=record)
     operator = _Page()
-    with _driving(car, options, with_page=True) as drive, _off_the_loop():
+    with _driving(car, options, with_page=True) as drive, LoopCores():
         asyncio.run(_look(drive, [operator, *(_Page() for _ in range(pages - 1))], stops))
     obeyed_ns = np.array(drive.outcome["obeyed_ns"], np.int64)
     waits_ns = [int(after[0]) - said for said in operator.said_ns if len(after := obeyed_ns[obeyed_ns > said])]
@@ -114,9 +114,9 @@ class Drive:
     outcome: dict[str, Any] = field(default_factory=dict)
 
     def over(self) -> bool:
-        """Whether it has ended; its outcome is there then."""
+        """Whether it has ended; its outcome is there then. Raises ConfigError where it could not go on."""
         if not self.outcome and self.pipe.poll():
-            self.outcome = self.pipe.recv()
+            self.outcome = _told(self.pipe.recv())
         return bool(self.outcome)
 
     def sample(self) -> None:
@@ -135,6 +135,13 @@ class Drive:
         return later[0], max((mb - later[0] for mb in later), key=abs)
 
 
+def _told(message: Any) -> Any:
+    """What a drive says; raises ConfigError where it is what is wrong."""
+    if isinstance(message, str):
+        raise ConfigError(message)
+    return message
+
+
 def _resident_mb(pid: int) -> float:
     pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[_STATM_PAGES])
     return pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
@@ -151,7 +158,7 @@ def _driving(car: CarConfig, options: RunOptions, *, with_page: bool) -> Iterato
     try:
         if not ours.poll(_START_S):
             raise ConfigError("bench page: the run does not start")
-        url, pids = ours.recv()
+        url, pids = _told(ours.recv())
         drive = Drive(pids=pids, url=url, pipe=ours)
         yield drive
         with contextlib.suppress(OSError):  # it has ended already
@@ -171,18 +178,25 @@ def _driving(car: CarConfig, options: RunOptions, *, with_page: bool) -> Iterato
 
 
 def _drive(car: CarConfig, options: RunOptions, with_page: bool, pipe: Connection) -> None:
-    """The run, in its process: its page's address and processes are sent first, what came of it last."""
-    with open(os.devnull, "w", encoding="utf-8") as nowhere, contextlib.ExitStack() as shown:
-        sys.stderr = nowhere  # what it says would stand in the middle of the bench's own progress
+    """The run, in its process: its page's address and processes are sent first, what came of it last.
+
+    Instead of either, what is wrong.
+    """
+    sys.stderr = None  # what it says would stand in the middle of the bench's own progress
+    with contextlib.ExitStack() as shown:
         pids, url, operators = [os.getpid()], "", []
-        if with_page:
-            page = shown.enter_context(WebRemote(car, PageOptions(port=0)))
-            pids.append(page.pid)
-            operators, url = [page], page.url
-        pipe.send((url, pids))
-        noted = _Noted()
-        report = drive_simulated(car, "", options, operators, [noted], pipe.poll)
-        pipe.send({"ended": report.ended, "loop_ns": list(report.loop_ns), "obeyed_ns": noted.obeyed_ns})
+        try:
+            if with_page:
+                page = shown.enter_context(WebRemote(car, PageOptions(port=0)))
+                pids.append(page.pid)
+                operators, url = [page], page.url
+            pipe.send((url, pids))
+            noted = _Noted()
+            report = drive_simulated(car, "", options, operators, [noted], pipe.poll)
+        except (ConfigError, OSError) as error:
+            pipe.send(str(error))
+        else:
+            pipe.send({"ended": report.ended, "loop_ns": list(report.loop_ns), "obeyed_ns": noted.obeyed_ns})
 
 
 class _Noted:
@@ -201,13 +215,6 @@ class _Noted:
 
     def on_event(self, event: Event) -> None:
         """Nothing is noted of it."""
-
-
-@contextlib.contextmanager
-def _off_the_loop() -> Iterator[None]:
-    """What runs here leaves the loop's core alone: a page is on another machine."""
-    with LoopCores():
-        yield
 
 
 async def _look(drive: Drive, pages: Sequence[_Page], stops: int | None = None) -> None:

@@ -43,3 +43,9 @@ def test_a_real_car_is_refused(cli, tmp_path: Path) -> None:
     said = cli("bench", "page", "--car", car)
     assert said.code == 2
     assert said.line() == f"automodel: {car}: names a real car; bench page drives the simulated one"
+
+
+def test_a_drive_that_cannot_begin_says_why(cli) -> None:
+    said = cli("bench", "page", "--pipeline", "stereo")
+    assert said.code == 2
+    assert "needs two cameras" in said.line()
