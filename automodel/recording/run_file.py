@@ -23,7 +23,7 @@ from automodel.config import ConfigError, RecordingConfig, parse_car
 from automodel.recording.codec import CAMERA, LEFT, RIGHT, SCHEMA, TOPICS, ImageCodec, Value, descriptor_set, encode
 from automodel.signals import Frame, StereoFrame
 
-# Not compressed, so that only the end of a cut chunk is lost. More than is written between two syncs, where chunks end:
+# Not compressed, so that only the end of a cut chunk is lost. More than JPEGs take between two syncs, where chunks end:
 # of every chunk 0.6 kB stay in memory to the end, for the index.
 CHUNK_BYTES = 4 * 1024 * 1024
 CAR_TOML, CALIBRATION, METADATA, END_METADATA = "car.toml", "calibration.json", "automodel", "automodel end"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import socket
 import threading
 import time
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from automodel.config import CarConfig, ConfigError
+from automodel.runtime.cores import plan_cores, usable_cores
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
 from automodel.signals import Event, Frame
@@ -65,6 +67,16 @@ def test_the_run_is_seen_and_stop_is_heard() -> None:
         assert told[-1]["mode"] == "DISARMED"
         assert told[-1]["events"][0][1:] == ["hold", "why"]  # type: ignore[index]
         assert not remote.arm_requested()
+
+
+@pytest.mark.skipif(plan_cores(range(usable_cores())) is None, reason="one core: the loop has none of its own")
+def test_the_page_stays_off_the_loops_core() -> None:
+    before = os.sched_getaffinity(0)
+    plan = plan_cores(before)
+    assert plan is not None
+    with WebRemote(CarConfig(), PageOptions(port=0)) as remote:
+        assert os.sched_getaffinity(remote.pid) == plan.others
+    assert os.sched_getaffinity(0) == before
 
 
 def test_a_page_drives_by_hand_until_it_goes_away() -> None:
