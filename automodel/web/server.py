@@ -15,6 +15,7 @@ import pickle
 import ssl
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,8 @@ def serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox
 
 
 async def _serve(car: CarConfig, options: PageOptions, access: Access, mailbox: Mailbox, pipe: Connection) -> None:
+    # Pictures are drawn by one thread: each has a heap of its own, some 10 MB, and more of them start in the end.
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1))
     page = Page(car, access, pipe.send_bytes, by_hand=options.by_hand)
     runner = page.runner()
     await runner.setup()
