@@ -32,7 +32,7 @@ BIRDSEYE = "birdseye"  # the network that sees the bird's-eye view of the road, 
 SIZES = {"512x256": (512, 256), "256x128": (256, 128), BIRDSEYE: (192, 160)}  # width, height [px]
 SHIPPED = {  # SHA-256 of the networks that ship
     "512x256": "0bc37d088444c2b40d553906539656c0a5c1b43db28e7f62f6ab483a34ee91d5",
-    "256x128": "412acde9f75b5083f769dd91ec19087cd685dd94700b2982e7cd63f0ebf9f88a",
+    "256x128": "1443e7d4497b43b92d505889593093e559da25f9b5ef5076f8687dc50638d5e9",
     BIRDSEYE: "df67ca60a030f73055b9ab80b434ddac797f0509e8889d0d40d485506d56ef4d",
 }
 PROVIDERS = {"tensorrt": "TensorrtExecutionProvider", "cuda": "CUDAExecutionProvider", "cpu": "CPUExecutionProvider"}
