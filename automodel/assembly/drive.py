@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,6 +28,7 @@ from automodel.interfaces import Clock
 from automodel.recording.writer import McapRecorder
 from automodel.runtime.clocks import MonotonicClock
 from automodel.runtime.cores import LoopCores
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.run_types import RunEnd, RunObserver, RunResult, TickRecord
 from automodel.runtime.runner import Runner
 from automodel.signals import DriverInput, Event
@@ -81,13 +82,13 @@ class RunOptions:
 class RunReport:
     """The results of a run: `row` holds its metrics, `ended` says in words how it went, `failed` whether it failed.
 
-    `loop_ns` are the loop's own times from a frame's delivery to its command on the wire, of a simulated car's frames.
+    `loop` has the loop's own times from a frame's delivery to its command on the wire, of a simulated car's frames.
     """
 
     row: dict[str, Any]
     ended: str
     failed: bool
-    loop_ns: Sequence[int] = ()
+    loop: Latencies = field(default_factory=Latencies)
 
 
 class Viewer(RunObserver, Protocol):
@@ -220,7 +221,7 @@ def drive_simulated(
     row = watcher.row(result, latencies_ms) | simulated.metrics()
     missed = watcher.gave_up() is not None or row["left_lane"] or (laps is not None and row["laps"] != laps)
     failed = bool(_broken(result) or missed)
-    return RunReport(row=row, ended=watcher.ending(result), failed=failed, loop_ns=watch.latencies_ns)
+    return RunReport(row=row, ended=watcher.ending(result), failed=failed, loop=watch.latencies)
 
 
 def drive_real(

@@ -15,6 +15,7 @@ import numpy as np
 from automodel.interfaces import Source, VehicleLink
 from automodel.output_files import output_text
 from automodel.runtime.input_checks import UNCERTAIN
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import OVERLOADED, SafetyMode
 from automodel.signals import FALSE_LANE, Command, Frame, LanePose, StereoFrame, VehicleState
@@ -235,18 +236,15 @@ def _holds(result: RunResult, word: str, reason: str) -> list[str]:
 
 
 class Stopwatch:
-    """The loop's own time [ns] from a frame's delivery to its command on the wire, by the machine's clock."""
+    """The loop's own times from a frame's delivery to its command on the wire, by the machine's clock."""
 
     def __init__(self) -> None:
         self._taken_ns: int | None = None
-        self.latencies_ns = array("q")
+        self.latencies = Latencies()
 
     def percentiles_ms(self) -> tuple[float | None, float | None]:
-        """The median and the 99th percentile [ms]."""
-        if not self.latencies_ns:
-            return None, None
-        median_ns, p99_ns = np.percentile(self.latencies_ns, (50, 99))
-        return float(median_ns) * 1e-6, float(p99_ns) * 1e-6
+        """The median and the 99th percentile [ms]; None where nothing was sent."""
+        return self.latencies.percentile_ms(50), self.latencies.percentile_ms(99)
 
     def taken(self) -> None:
         """A frame was delivered."""
@@ -255,7 +253,7 @@ class Stopwatch:
     def sent(self) -> None:
         """A command is on the wire."""
         if self._taken_ns is not None:
-            self.latencies_ns.append(time.perf_counter_ns() - self._taken_ns)
+            self.latencies.add(time.perf_counter_ns() - self._taken_ns)
             self._taken_ns = None
 
 

@@ -10,10 +10,8 @@ import contextlib
 import random
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-
-import numpy as np
 
 from automodel.assembly.parts import build_run, make_loop, run_config
 from automodel.assembly.run_watcher import Stopwatch, TimedLink, TimedSource
@@ -21,6 +19,7 @@ from automodel.assembly.simulated_car import Simulation, lock_step
 from automodel.bench.accuracy import Row
 from automodel.config import CarConfig
 from automodel.console.progress import progress
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.os_signals import Interrupted
 from automodel.runtime.runner import Runner
 from automodel.signals import Command
@@ -55,17 +54,17 @@ def measure(car: CarConfig, link: str, frames: int, commands: int) -> list[Row]:
         ]
 
 
-def _row(link: str, stage: str, samples_ns: Sequence[int], clock: str) -> Row:
-    median, p99, most = (float(np.percentile(samples_ns, share)) * 1e-6 for share in (50, 99, 100))
-    samples = len(samples_ns)
+def _row(link: str, stage: str, times: Latencies, clock: str) -> Row:
+    median, p99, most = (times.percentile_ms(share) for share in (50, 99, 100))
+    samples = len(times)
     return {
         "link": link, "stage": stage, "samples": samples, "p50_ms": median, "p99_ms": p99, "max_ms": most,
         "clock": clock,
     }  # fmt: skip
 
 
-def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> Sequence[int]:
-    """This machine's time [ns] from each frame's delivery to its command on the wire, in a simulated drive."""
+def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> Latencies:
+    """This machine's times from each frame's delivery to its command on the wire, in a simulated drive."""
     watch = Stopwatch()
     simulated = lock_step(car, Simulation(track="oval"), lambda scene: tick())
     with contextlib.closing(simulated):
@@ -79,11 +78,11 @@ def _frame_to_write(car: CarConfig, frames: int, tick: Callable[[], None]) -> Se
         result = Runner(parts, run_config(car, collector_off=True)).run(max_frames=frames)
     if result.interrupted:
         raise Interrupted
-    return watch.latencies_ns
+    return watch.latencies
 
 
-def _write_to_pulse(car: CarConfig, link: str, commands: int, tick: Callable[[], None]) -> list[int]:
-    """The board's time [ns] from each write to the end of the first pulse that is the commanded one."""
+def _write_to_pulse(car: CarConfig, link: str, commands: int, tick: Callable[[], None]) -> Latencies:
+    """The board's times from each write to the end of the first pulse that is the commanded one."""
     with contextlib.ExitStack() as leaving:
         peripherals = BenchPeripherals()
         board: EmulatedArduino | AvrBoard
@@ -97,11 +96,11 @@ def _write_to_pulse(car: CarConfig, link: str, commands: int, tick: Callable[[],
         leaving.callback(line.close)
         line.arm()
         rng = random.Random(0)
-        latencies_ns = []
+        times = Latencies()
         for index in range(commands):
-            latencies_ns.append(line.command(index, rng.uniform(*_GAPS_MS)))
+            times.add(line.command(index, rng.uniform(*_GAPS_MS)))
             tick()
-        return latencies_ns
+        return times
 
 
 class Line:

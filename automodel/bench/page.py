@@ -30,6 +30,7 @@ from automodel.bench.accuracy import Row
 from automodel.config import CarConfig, ConfigError
 from automodel.console.progress import progress
 from automodel.runtime.cores import LoopCores
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.run_types import TickRecord
 from automodel.runtime.safety import SafetyMode
 from automodel.signals import Event
@@ -77,7 +78,7 @@ def _timed(car: CarConfig, duration_s: float, pages: int, record: Path) -> Row:
     options = RunOptions(duration_s=duration_s, realtime=True, record=record if pages else None)
     with _driving(car, options, with_page=pages > 0) as drive, LoopCores():  # a page is on another machine
         asyncio.run(_look(drive, [_Page() for _ in range(pages)]))
-    return _row(drive, "frame -> write", pages, np.array(drive.outcome["loop_ns"]) * 1e-6)
+    return _row(drive, "frame -> write", pages, drive.outcome["loop"])
 
 
 def _stopped(car: CarConfig, pages: int, stops: int, record: Path) -> Row:
@@ -87,17 +88,20 @@ def _stopped(car: CarConfig, pages: int, stops: int, record: Path) -> Row:
     with _driving(car, options, with_page=True) as drive, LoopCores():
         asyncio.run(_look(drive, [operator, *(_Page() for _ in range(pages - 1))], stops))
     obeyed_ns = np.array(drive.outcome["obeyed_ns"], np.int64)
-    waits_ns = [int(after[0]) - said for said in operator.said_ns if len(after := obeyed_ns[obeyed_ns > said])]
-    return _row(drive, "STOP -> write", pages, np.array(waits_ns) * 1e-6)
+    waits = Latencies()
+    for said in operator.said_ns:
+        if len(after := obeyed_ns[obeyed_ns > said]):
+            waits.add(int(after[0]) - said)
+    return _row(drive, "STOP -> write", pages, waits)
 
 
-def _row(drive: Drive, stage: str, pages: int, samples_ms: np.ndarray[Any, np.dtype[np.float64]]) -> Row:
-    if not len(samples_ms):
+def _row(drive: Drive, stage: str, pages: int, times: Latencies) -> Row:
+    if not len(times):
         raise ConfigError(f"bench page: nothing was measured: {drive.outcome['ended']}")
-    median, p99, most = (float(np.percentile(samples_ms, share)) for share in (50, 99, 100))
+    median, p99, most = (times.percentile_ms(share) for share in (50, 99, 100))
     (loop, loop_grown), (page, page_grown) = (drive.memory(index) for index in range(2))
     return {
-        "stage": stage, "pages": pages, "samples": len(samples_ms), "p50_ms": median, "p99_ms": p99, "max_ms": most,
+        "stage": stage, "pages": pages, "samples": len(times), "p50_ms": median, "p99_ms": p99, "max_ms": most,
         "loop_mb": loop, "loop_grown_mb": loop_grown, "page_mb": page, "page_grown_mb": page_grown,
         "ended": drive.outcome["ended"],
     }  # fmt: skip
@@ -196,7 +200,7 @@ def _drive(car: CarConfig, options: RunOptions, with_page: bool, pipe: Connectio
         except (ConfigError, OSError) as error:
             pipe.send(str(error))
         else:
-            pipe.send({"ended": report.ended, "loop_ns": list(report.loop_ns), "obeyed_ns": noted.obeyed_ns})
+            pipe.send({"ended": report.ended, "loop": report.loop, "obeyed_ns": noted.obeyed_ns})
 
 
 class _Noted:

@@ -6,11 +6,9 @@ import enum
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from automodel.interfaces import Recorder, Source, VehicleLink
 from automodel.runtime.clocks import SleepingClock
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.loop import Loop, Tick
 from automodel.runtime.safety import Safety, SafetyDecision
 from automodel.signals import Command, Event, Frame, Motion, StereoFrame, VehicleState
@@ -99,7 +97,7 @@ class RunResult:
     """What came of a run.
 
     `frames` were taken up, `skipped` were not (gaps in the frames' index). `overruns` counts cycles that worked longer
-    than the frames' period, `stops` the latched stops. `latencies_ns` (n,) are those of `TickRecord`, `unpaired` is as
+    than the frames' period, `stops` the latched stops. `latencies` are those of `TickRecord`, `unpaired` is as
     there. `traceback` is that of the first exception of the chain. `interrupted`: a signal came, if only while
     everything was closed: the caller must not go on as if there was none.
     """
@@ -109,7 +107,7 @@ class RunResult:
     skipped: int
     overruns: int
     stops: int
-    latencies_ns: NDArray[np.int64]
+    latencies: Latencies
     events: tuple[Event, ...]
     traceback: str | None
     interrupted: bool = False
@@ -117,6 +115,4 @@ class RunResult:
 
     def latency_ms(self, percentile: float) -> float | None:
         """A percentile (0 .. 100) of the latency [ms], None where nothing was driven."""
-        if len(self.latencies_ns) == 0:
-            return None
-        return float(np.percentile(self.latencies_ns, percentile)) * 1e-6
+        return self.latencies.percentile_ms(percentile)

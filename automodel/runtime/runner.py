@@ -14,14 +14,12 @@ from __future__ import annotations
 
 import contextlib
 import traceback
-from array import array
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from automodel.interfaces import Source
 from automodel.runtime.clocks import NS_PER_S
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.loop import Tick, motion_faults, state_faults
 from automodel.runtime.os_signals import collect_all, collect_young, no_garbage_collection, stop_on_signals
 from automodel.runtime.run_log import RunLog
@@ -103,7 +101,7 @@ class Runner:
         self._index: int | None = None
         self._frames = self._skipped = self._overruns = self._stops = 0
         self._camera_pitch_rad = 0.0  # beyond car.toml's, as the last estimate was measured
-        self._latencies_ns = array("q")
+        self._latencies = Latencies()
         self._error: Exception | None = None
         self._traceback: str | None = None
 
@@ -137,7 +135,7 @@ class Runner:
             skipped=self._skipped,
             overruns=self._overruns,
             stops=self._stops,
-            latencies_ns=np.array(self._latencies_ns, dtype=np.int64),
+            latencies=self._latencies,
             events=self._run_log.events,
             traceback=self._traceback,
             interrupted=signalled() is not None,
@@ -315,7 +313,7 @@ class Runner:
         self._work_ns += WORK_SHARE * (min(record.t_ns - taken_ns, self._validity_ns) - self._work_ns)
         self._overruns += record.t_ns - taken_ns > self._config.period_s * NS_PER_S
         if record.latency_ns is not None:
-            self._latencies_ns.append(record.latency_ns)
+            self._latencies.add(record.latency_ns)
 
     def _tidy(self, record: TickRecord, was_at_rest: bool) -> None:
         if not self._config.collector_off:

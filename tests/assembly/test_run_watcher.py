@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from automodel.assembly.run_watcher import Watcher
+from automodel.runtime.latencies import Latencies
 from automodel.runtime.loop import Tick
 from automodel.runtime.run_types import RunEnd, RunResult, TickRecord
 from automodel.runtime.safety import Action, SafetyDecision, SafetyMode
@@ -42,7 +43,7 @@ def result(*events: tuple[str, str]) -> RunResult:
         skipped=0,
         overruns=0,
         stops=0,
-        latencies_ns=np.empty(0, np.int64),
+        latencies=Latencies(),
         events=tuple([Event(t_ns=SECOND_NS, kind=kind, text=text) for kind, text in events]),
         traceback=None,
     )

@@ -32,7 +32,7 @@ def test_latency_is_from_capture_until_the_command_is_out() -> None:
     car.at.update({i: lambda: car.clock.sleep(0.003) for i in range(100)})
     car.at.update({i: lambda: car.clock.sleep(0.015) for i in range(100, 120)})
     result = car.run()
-    assert len(result.latencies_ns) == len(car.link.driven())
+    assert len(result.latencies) == len(car.link.driven())
     assert result.latency_ms(50) == pytest.approx(2.0 + 3.0)
     assert result.latency_ms(100) == pytest.approx(2.0 + 15.0)
     assert result.overruns == 0
