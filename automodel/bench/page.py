@@ -42,7 +42,7 @@ COLUMNS = (
     "loop_mb", "loop_grown_mb", "page_mb", "page_grown_mb", "ended",
 )  # fmt: skip
 SETTLED_S = 60.0  # a process has what it needs
-_START_S = 60.0  # a process, its libraries, compiled loops, the world
+_START_S = 240.0  # a process, its libraries, loops compiled for the first time, the world
 _PATIENCE_S = 20.0
 _HOLD_S = 0.1  # as the page says it
 _AT_REST = (SafetyMode.STOPPED.value, SafetyMode.DISARMED.value)
