@@ -31,7 +31,8 @@ def unit_text(service: Service) -> str:
 
     The loop has to show signs of life within `WatchdogSec`; a camera that is opened anew may take nearly that long. It
     is started again for ever: a board that is plugged in later, or a camera that was not there yet, is no reason to
-    give up. Ready is when frames come and the board has answered.
+    give up. Ready is when frames come and the board has answered; the first start compiles the loops before, which takes
+    minutes on a small board.
     """
     poweroff = f"""ExecStopPost=+/bin/sh -c 'if [ -e "$$RUNTIME_DIRECTORY/{FLAG}" ]; then systemctl poweroff; fi'\n"""
     groups = f"SupplementaryGroups={' '.join(service.groups)}\n" if service.groups else ""
@@ -51,7 +52,7 @@ User={service.user}
 RuntimeDirectory=automodel
 Restart=always
 RestartSec=5
-TimeoutStartSec=90
+TimeoutStartSec=900
 TimeoutStopSec=10
 WatchdogSec=20
 KillMode=mixed
