@@ -602,6 +602,12 @@ BOUNDS = (
         ("roads-are-cameras", "odds < 0.0", "False"),
         ("turned-without-end", "or abs(self.pitch_rad + pitch) > FAR_OFF * ANGLE_RAD", ""),
         (
+            "doubts-forget-the-road",
+            "self._doubt(belief)\n        self._odometry",
+            "self._doubt(belief.without_road())\n        self._odometry",
+        ),
+        ("unlikely-stories-bound", "if share > EXCEEDED", "if share > 0.0"),
+        (
             "turned-in-doubt",
             "if belief is None or self.in_doubt:\n            self._marked = None",
             "if belief is None:\n            self._marked = None",

@@ -23,6 +23,7 @@ from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatu
 from automodel.tracking import evidence, lane_motion, seen_places
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
+from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import FloatArray
@@ -488,6 +489,20 @@ def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
     assert bound(estimate) < 0.3 * LANE_M
 
 
+@pytest.mark.parametrize(("log_odds", "counts"), [(-6.0, True), (-6.95, False)])
+def test_a_story_that_is_less_likely_than_a_bound_may_be_exceeded_does_not_widen_it(
+    log_odds: float, counts: bool
+) -> None:
+    drive = driving()
+    belief = drive.tracking._belief
+    assert belief is not None
+    drive.tracking._doubt(belief)
+    drive.tracking._hypotheses.start(((belief, 0.0), (belief.beside_it(+1), log_odds)))
+    estimate = drive.follow(said(0.0, NONE))
+    assert len(drive.tracking._hypotheses.all) == 2
+    assert (bound(estimate) > LANE_M) == counts
+
+
 @pytest.mark.parametrize("seen", [(RIGHT,), NONE])
 def test_a_line_that_was_in_view_before_dead_reckoning_lost_the_lane_ends_a_doubt_alone(
     seen: tuple[float, ...],
@@ -653,14 +668,23 @@ def test_a_lone_line_teaches_nothing_until_it_is_weighed_with_all_in_view() -> N
     assert not drive.doubted
 
 
-def test_the_road_that_was_seen_is_forgotten_where_its_lines_contradict_the_estimator() -> None:
-    drive = driving()
-    assert drive.tracking._belief is not None
-    known = drive.tracking._belief.covariance.diagonal()[ROAD + 4]  # two lane widths ahead
+def test_a_doubt_keeps_the_road_that_was_seen_and_knows_that_it_may_be_another() -> None:
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    belief, ahead = drive.tracking._belief, ROAD + 4  # two lane widths
+    assert belief is not None
+    known = belief.covariance[ahead, ahead]
     drive.follow(said(0.15))
     assert drive.doubted
-    assert drive.tracking._reckoned is not None
-    assert drive.tracking._reckoned.covariance.diagonal()[ROAD + 4] > 2.0 * known
+    likely, other = drive.tracking._hypotheses.all
+    assert likely.belief.covariance[ahead, ahead] < 1.2 * known
+    assert other.belief.covariance[ahead, ahead] > 2.0 * known
+    assert likely.log_odds - other.log_odds == pytest.approx(-math.log(EXCEEDED))
+    blind = driving(config=drive.tracking.config)
+    for _ in range(16):  # two lane widths
+        doubtful = drive.follow(said(0.0, NONE))
+        plain = blind.follow(said(0.0, NONE))
+    assert drive.doubted
+    assert bound(doubtful) < 1.5 * bound(plain)
 
 
 def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen(
