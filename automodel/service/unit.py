@@ -31,7 +31,7 @@ def unit_text(service: Service) -> str:
 
     The loop has to show signs of life within `WatchdogSec`; a camera that is opened anew may take nearly that long. It
     is started again for ever: a board that is plugged in later, or a camera that was not there yet, is no reason to
-    give up. Ready is when frames come and the board has answered; the first start compiles the loops before, which takes
+    give up. Ready is when frames come and the board has answered; the first start compiles the loops before that, for
     minutes on a small board.
     """
     poweroff = f"""ExecStopPost=+/bin/sh -c 'if [ -e "$$RUNTIME_DIRECTORY/{FLAG}" ]; then systemctl poweroff; fi'\n"""

@@ -164,6 +164,7 @@ class LaneTracking:
         self._placed = self._placed and self._belief is None
         self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
+        self._on_any_road: LaneBelief | None = None  # the same where the road may have become another one
         self._hypotheses.start(())
         self._innovations.reset()
         self.in_doubt = False
@@ -213,8 +214,8 @@ class LaneTracking:
             self._hypotheses.move(*step)
             if self._belief is not None:
                 self._belief = self._belief.moved(*step)
-            if self._reckoned is not None:
-                self._reckoned = self._reckoned.moved(*step)
+            if self._reckoned is not None and self._on_any_road is not None:
+                self._reckoned, self._on_any_road = self._reckoned.moved(*step), self._on_any_road.moved(*step)
             driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
             # By a wrong pitch the ground contradicts an odometry that is right; an unknown motion tells nothing.
@@ -306,7 +307,7 @@ class LaneTracking:
         if self._sure(best):
             self._believe(best.belief)
         elif roles & {LEFT, RIGHT} and not best.bounds_a_lane and self._alone(best):
-            self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
+            self._reckon(self._anywhere())
         else:
             return None
         self._started_ns = self._seen_ns = t_ns
@@ -323,7 +324,7 @@ class LaneTracking:
         if known is not None and self._apart(self._measured(pose), known) < self.config.gate:
             return
         self._pair_m, self._belief = 0.0, None
-        self._reckoned, self._said, self.in_doubt = self._anywhere(), 0.0, True
+        self._reckon(self._anywhere())
         self._hypotheses.start(((self._anywhere(), 0.0),))
 
     def _anywhere(self) -> LaneBelief:
@@ -345,7 +346,7 @@ class LaneTracking:
         """
         if not self._possible(followed.pose):
             return None
-        if self._reckoned is None:
+        if self._reckoned is None or self._on_any_road is None:
             outvoted, self._outvoted = self._outvoted, False
             if outvoted and self._strays(followed):
                 return self._belief
@@ -360,7 +361,7 @@ class LaneTracking:
         alone.start(((measured, 0.0),))
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
-        said = self._said - 0.5 * min(self._apart(measured, self._reckoned), self.config.gate)
+        said = self._said - 0.5 * min(self._apart(measured, self._on_any_road), self.config.gate)
         likelier = bool(best.assigned) and best.log_odds > max(said, self.config.exists)
         blind = not own and not self._confusable(self._reckoned, 1.0)
         story = best.belief if likelier else self._reckoned if blind else None
@@ -385,7 +386,7 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
-        elif self._refuted(measured) if own else self._strays(followed):
+        elif self._refuted(followed, measured) if own else self._strays(followed):
             return self._reckoned
         return None
 
@@ -396,16 +397,22 @@ class LaneTracking:
         reckoning may be wrong, too.
         """
         assert self._reckoned is not None
+        assert self._on_any_road is not None
         look = Hypotheses(self.config.hypotheses)
-        look.start(((self._reckoned, 0.0), (self._anywhere(), -self.config.exists)))
+        others = self._on_any_road, self._anywhere()
+        look.start(((self._reckoned, 0.0), *((other, -self.config.exists) for other in others)))
         look.update(seen, self._kinds)
         best = look.all[0]
         return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
 
-    def _refuted(self, measured: LaneBelief) -> bool:
-        """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out."""
-        reckoned = self._reckoned
-        if reckoned is None or not self.reckons or self._confusable(reckoned):
+    def _refuted(self, followed: Followed, measured: LaneBelief) -> bool:
+        """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out.
+
+        It may see a bend that begins or ends, which dead reckoning on the road as it was seen does not know. Who sees
+        both lines from the car on knows better than dead reckoning.
+        """
+        reckoned = self._on_any_road
+        if reckoned is None or not self.reckons or self._confusable(reckoned) or self._is_plain(followed):
             return False
         return self._said < self.config.exists and self._apart(measured, reckoned) > self.config.gate
 
@@ -667,9 +674,14 @@ class LaneTracking:
         error of dead reckoning over its covariance was 0.1 to 0.7 for the next four lane widths, and without that road
         it was off by up to five times as much. That the road is another one is a story, too.
         """
+        self._reckon(belief)
         self._hypotheses.start(((belief, 0.0), (belief.without_road(), -self.config.exists)))
-        self._reckoned, self._said = belief, 0.0
-        self.in_doubt, self._story = True, belief
+        self._story = belief
+
+    def _reckon(self, belief: LaneBelief) -> None:
+        """The lane is in doubt from now on: dead reckoning alone moves it, on the road as it was seen and on any."""
+        self._reckoned, self._on_any_road = belief, belief.without_road()
+        self._said, self.in_doubt = 0.0, True
 
     def _believe(self, belief: LaneBelief, assigned: Sequence[Assigned] = ()) -> None:
         """The doubt is over, by these lines; it may be the next lane where dead reckoning cannot tell the two."""
@@ -677,7 +689,7 @@ class LaneTracking:
             self._pair_m = 0.0
         elif {role for _, role in assigned} >= {LEFT, RIGHT}:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
-        self._belief, self._reckoned, self.in_doubt = belief, None, False
+        self._belief, self._reckoned, self._on_any_road, self.in_doubt = belief, None, None, False
         self._marked = None  # it may be another lane's width
         self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start(())
