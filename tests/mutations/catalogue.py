@@ -624,7 +624,11 @@ BOUNDS = (
         ("another-lane-has-no-bound", "elif self._may_be_another:", "elif False:"),
         ("drawn-away-step-by-step", "return best.log_odds > -math.log(EXCEEDED) and", "return"),
         ("uncertain-is-excused", "solve(belief.covariance[", "solve((belief.covariance + measured.covariance)["),
-        ("astray-in-doubt", "self._refuted(followed, measured) if own else self._strays(followed)", "self._refuted(followed, measured)"),
+        (
+            "astray-in-doubt",
+            "self._refuted(followed, measured) if own else self._strays(followed)",
+            "self._refuted(followed, measured)",
+        ),
         ("extrapolated-and-told", "(reaching and all(reaching))", "reaching"),
         ("extrapolated-and-kept", "and not any(self._reaching(followed))", "and False"),
         ("without-odometry-believed", "not self.reckons or (reaching", "(reaching"),
