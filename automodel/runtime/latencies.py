@@ -32,4 +32,4 @@ class Latencies:
         if percentile >= 100.0:
             return self._most_ns * 1e-6
         rank = percentile / 100.0 * (self._total - 1)
-        return float(np.searchsorted(np.cumsum(self._counts), rank, side="right")) * STEP_NS * 1e-6
+        return float(np.searchsorted(np.cumsum(self._counts), rank, side="right")) * (STEP_NS * 1e-6)

@@ -596,6 +596,15 @@ BOUNDS = (
     ),
     *_of(
         "automodel/tracking/lane_tracking.py",
+        "tests/pipelines/test_centerline_lanes.py",
+        (
+            "sent-back-with-both-lines",
+            "self._confusable(reckoned) or self._is_plain(followed)",
+            "self._confusable(reckoned)",
+        ),
+    ),
+    *_of(
+        "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
         ("every-nod-turns-the-camera", "max(K * sigma, SLIGHT * ANGLE_RAD)", "0.0"),
@@ -606,6 +615,7 @@ BOUNDS = (
             "self._doubt(belief)\n        self._odometry",
             "self._doubt(belief.without_road())\n        self._odometry",
         ),
+        ("sent-back-by-the-road-that-was-seen", "reckoned = self._on_any_road", "reckoned = self._reckoned"),
         ("unlikely-stories-bound", "if share > EXCEEDED", "if share > 0.0"),
         (
             "turned-in-doubt",

@@ -687,6 +687,19 @@ def test_a_doubt_keeps_the_road_that_was_seen_and_knows_that_it_may_be_another()
     assert bound(doubtful) < 1.5 * bound(plain)
 
 
+def test_an_estimator_that_sees_a_bend_begin_is_not_sent_back_by_the_road_that_was_seen() -> None:
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    belief = drive.tracking._belief
+    assert belief is not None
+    drive.tracking._doubt(belief)
+    while not drive.tracking._confusable(drive.tracking._on_any_road or belief):
+        drive.follow(said(0.0, NONE))
+    assert drive.tracking._reckoned is not None
+    assert not drive.tracking._confusable(drive.tracking._reckoned)
+    drive.follow(said(0.0, (LEFT,), heading_rad=0.5))
+    assert drive.anew is None
+
+
 def test_an_odometry_that_was_wrong_leaves_the_lane_in_doubt_until_its_lines_are_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
