@@ -22,7 +22,7 @@ from automodel.curves import DeferredCurve
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
 from automodel.geometry.lane_path import OFFSET, PITCH, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
-from automodel.signals import LanePose
+from automodel.signals import LanePose, MotionSource
 from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
 from automodel.types import FloatArray
@@ -38,18 +38,18 @@ class RoadModel:
     `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch and of its
     nod, by which what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the
     curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's
-    tightest has 2.5) that begins or ends every `bend_lanes`; `Bends` learns the real one. `line_sigma`: error common to
-    a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's with two
-    degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours' errors are
-    alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`, `turn_rad`:
-    sigmas gained over a lane width of driving by odometry; `pace`: share by which its speed may be wrong. `lost_step`,
-    `lost_turn_rad`: over a second of unknown motion, at a speed of at most `lost_pace` [lane widths / s].
-    `width_sigma`: of the lane's width about the one that is configured; `width_walk`: what it changes by over a lane
-    width of driving. `news`: way after which a frame is a new witness: worn paint and lamps move the same points again.
-    An error's correlation with that of the same place, seen 0.4, 0.65, 1.0 and 1.5 lane widths later, is 0.5, 0.4, 0.3
-    and 0.1 (28,000 pairs of points in 14 random worlds); its integral to both sides is 1.2. `anywhere`, `any_turn_rad`,
-    `any_bend`: sigmas of a thing that is no line of this lane: lateral place, direction, curvature; the last is a
-    road's too.
+    tightest has 2.5) that begins or ends every `bend_lanes`; `LearntRoad` learns the real one. `line_sigma`: error
+    common to a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's
+    with two degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours'
+    errors are alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`,
+    `turn_rad`: sigmas gained over a lane width of driving by odometry, the second of one without a gyro (`LearntRoad`
+    learns it); `pace`: share by which its speed may be wrong. `lost_step`, `lost_turn_rad`: over a second of unknown
+    motion, at a speed of at most `lost_pace` [lane widths / s]. `width_sigma`: of the lane's width about the one
+    that is configured; `width_walk`: what it changes by over a lane width of driving. `news`: way after which a
+    frame is a new witness: worn paint and lamps move the same points again. An error's correlation with that of the
+    same place, seen 0.4, 0.65, 1.0 and 1.5 lane widths later, is 0.5, 0.4, 0.3 and 0.1 (28,000 pairs of points in
+    14 random worlds); its integral to both sides is 1.2. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing
+    that is no line of this lane: lateral place, direction, curvature; the last is a road's too.
     """
 
     lane_width_m: float
@@ -97,14 +97,42 @@ class RoadModel:
         return np.full(lines, min(way / self.news, 1.0))
 
 
-class Bends:
-    """Learns how winding the road is: the mean square of the curvature's changes, over the way that was driven.
+class MeanSquare:
+    """A mean square over the way that was driven.
 
-    `road` is the model with what was learnt. What is assumed counts as fifty lane widths of road, so that a straight is
-    not soon taken for a road without bends, and what was learnt fades over five hundred.
+    What is assumed counts as fifty lane widths, so that a straight is not soon taken for a road without bends, and what
+    was learnt fades over five hundred.
     """
 
-    ASSUMED, REMEMBERED, STEP = 50.0, 500.0, 0.5  # lane widths; the last: between two looks at the curvature
+    ASSUMED, REMEMBERED = 50.0, 500.0  # lane widths
+
+    def __init__(self, assumed: float) -> None:
+        self._way, self._squares = self.ASSUMED, self.ASSUMED * assumed
+
+    def add(self, square: float, way: float) -> None:
+        """Take what was found over so many lane widths."""
+        kept = math.exp(-way / self.REMEMBERED)
+        self._way, self._squares = kept * self._way + way, kept * self._squares + square
+
+    @property
+    def per_lane(self) -> float:
+        """The mean per lane width."""
+        return self._squares / self._way
+
+
+class LearntRoad:
+    """Learns how winding the road is, and how well the odometry tells turns.
+
+    The first is the mean square of the curvature's changes, the second that of what the car has turned in its lane as
+    an estimator sees it that sees both lines, less what it has by odometry on that road. The estimator's own noise is
+    in both: they are learnt too large rather than too small.
+
+    `road` is the model with the first, `reckoning` with both, for dead reckoning alone. While lines are followed the
+    assumed noise of turns also covers what their model does not know: with the learnt one worn paint that draws a line
+    aside is followed with a smaller bound.
+    """
+
+    BEND, TURN = 0.5, 3.0  # lane widths between two looks at the curvature; at the turn: all of its lines are new
 
     def __init__(self, road: RoadModel) -> None:
         self._assumed = road
@@ -112,26 +140,52 @@ class Bends:
 
     def reset(self) -> None:
         """Forget what was learnt."""
-        self.road = self._assumed
-        self._way, self._squares = self.ASSUMED, self.ASSUMED * self._assumed.bend_walk
-        self._since = 0.0
-        self._last: float | None = None
+        self.road = self.reckoning = self._assumed
+        self._bends = MeanSquare(self._assumed.bend_walk)
+        self._turns: dict[MotionSource, MeanSquare] = {}
+        self._bend_way = self._turn_way = self._turned_rad = 0.0  # since the last look
+        self._bend: float | None = None
+        self._heading_rad: float | None = None  # in the lane, at the last look
+        self._curvature_per_m = 0.0
+        self._source = MotionSource.NONE
 
-    def move(self, distance_m: float) -> None:
-        """The car has driven on."""
-        self._since += distance_m / self._assumed.lane_width_m
+    def move(self, distance_m: float, turn_rad: float, source: MotionSource) -> None:
+        """The car has driven on; what is learnt of one source's turns says nothing of another's."""
+        way = distance_m / self._assumed.lane_width_m
+        self._bend_way += way
+        self._turn_way += way
+        self._turned_rad += turn_rad - self._curvature_per_m * distance_m
+        if source is not self._source:
+            self._source, self._heading_rad = source, None
+            self._learn()
 
-    def see(self, curvature_per_m: float) -> None:
-        """The road's curvature beside the car."""
-        if self._since < self.STEP:
+    def see(self, curvature_per_m: float, heading_rad: float | None) -> None:
+        """The road's curvature beside the car, and the car's direction in the lane where both lines show it."""
+        self._curvature_per_m = curvature_per_m
+        if self._bend_way >= self.BEND:
+            bend = curvature_per_m * self._assumed.lane_width_m
+            if self._bend is not None:
+                self._bends.add((bend - self._bend) ** 2, self._bend_way)
+                self._learn()
+            self._bend, self._bend_way = bend, 0.0
+        if heading_rad is None or (self._heading_rad is not None and self._turn_way < self.TURN):
             return
-        here = curvature_per_m * self._assumed.lane_width_m
-        if self._last is not None:
-            kept = math.exp(-self._since / self.REMEMBERED)
-            self._way = kept * self._way + self._since
-            self._squares = kept * self._squares + (here - self._last) ** 2
-            self.road = replace(self._assumed, bend_walk=self._squares / self._way)
-        self._last, self._since = here, 0.0
+        if self._heading_rad is not None and self._turn_way < 2.0 * self.TURN:
+            self._turns_told().add((heading_rad - self._heading_rad - self._turned_rad) ** 2, self._turn_way)
+            self._learn()
+        self._heading_rad, self._turn_way, self._turned_rad = heading_rad, 0.0, 0.0
+
+    def lose(self) -> None:
+        """Where the car is in the lane is in doubt: what it turns is not known."""
+        self._heading_rad = None
+
+    def _learn(self) -> None:
+        self.road = replace(self._assumed, bend_walk=self._bends.per_lane)
+        self.reckoning = replace(self.road, turn_rad=math.sqrt(self._turns_told().per_lane))
+
+    def _turns_told(self) -> MeanSquare:
+        """What was learnt of the odometry in use."""
+        return self._turns.setdefault(self._source, MeanSquare(self._assumed.turn_rad**2))
 
 
 class Assigned(NamedTuple):

@@ -33,7 +33,7 @@ from automodel.signals import (
     Motion,
     MotionSource,
 )
-from automodel.tracking.belief import Assigned, Bends, Evidence, LaneBelief, RoadModel, warm_up
+from automodel.tracking.belief import Assigned, Evidence, LaneBelief, LearntRoad, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import (
     LEFT,
@@ -121,7 +121,7 @@ class LaneTracking:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
         self._ahead_m = ahead_m
         camera = self._as_configured = GroundCamera.from_config(car.camera)
-        self._bends = Bends(
+        self._learnt_road = LearntRoad(
             RoadModel(
                 lane_width_m=car.lane.width_m,
                 marking_width_m=car.lane.marking_width_m,
@@ -148,7 +148,7 @@ class LaneTracking:
         self._odometry.reset()
         self._motions.reset()
         self._given.reset()
-        self._bends.reset()
+        self._learnt_road.reset()
         self._profile.reset()
         self._lines_seen = 0  # of the lane's, in the last frame
         self._t_ns = self._started_ns = self._learnt_ns = 0
@@ -190,7 +190,7 @@ class LaneTracking:
     @property
     def road(self) -> RoadModel:
         """What the road is like, with what was learnt of its bends."""
-        return self._bends.road
+        return self._learnt_road.road
 
     @property
     def lost(self) -> bool:
@@ -216,14 +216,16 @@ class LaneTracking:
                 self._belief = self._belief.moved(*step)
             if self._reckoned is not None and self._on_any_road is not None:
                 self._reckoned, self._on_any_road = self._reckoned.moved(*step), self._on_any_road.moved(*step)
-            driven = abs(moved.distance_m) if moved.known else self._bends.road.lost_pace * self._unit * moved.dt_s
+            driven = abs(moved.distance_m) if moved.known else self.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
             # By a wrong pitch the ground contradicts an odometry that is right; an unknown motion tells nothing.
             self._marked_m += (moved if moved.known else given).distance_m
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed
-            self._bends.move(driven)
+            self._learnt_road.move(driven, moved.turn_rad, motion.source)
+            if not moved.known:
+                self._learnt_road.lose()
             self._profile.move(driven / self._unit, self._lines_seen)
         self.reckons = moved.known and motion.source is not MotionSource.IMAGES
         if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
@@ -333,10 +335,10 @@ class LaneTracking:
             config.start * unit,
             config.start,
             config.start / unit,
-            self._bends.road.width_sigma * unit,
+            self.road.width_sigma * unit,
         )
         mean = np.array((0.0, 0.0, 0.0, unit))
-        return LaneBelief.arc(mean, np.diag(np.square(sigma)), self._bends.road, self._reference_x_m)
+        return LaneBelief.arc(mean, np.diag(np.square(sigma)), self.road, self._reference_x_m)
 
     def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Weigh all lines in view, and where the estimator must start anew; None where it may go on or nothing is sure.
@@ -430,7 +432,7 @@ class LaneTracking:
         """
         own = bool(best.line(LEFT) or best.line(RIGHT)) and best.bounds_a_lane
         width = best.belief.width_m / self._unit
-        lane = max(width, 1.0 / width) < math.exp(3.0 * self._bends.road.width_sigma) if width > 0.0 else False
+        lane = max(width, 1.0 / width) < math.exp(3.0 * self.road.width_sigma) if width > 0.0 else False
         return self._alone(best) and own and lane and not self._confusable(best.belief)
 
     def _alone(self, best: Hypothesis) -> bool:
@@ -470,7 +472,8 @@ class LaneTracking:
         elif not self.in_doubt:
             self._check(followed)
         if count:
-            self._bends.see(pose.curvature_per_m)
+            knows = not self.in_doubt and self._is_plain(followed)
+            self._learnt_road.see(pose.curvature_per_m, pose.heading_rad if knows else None)
             self._seen_ns, self._blind_m = frame.t_ns, 0.0
         if self._too_long(frame.t_ns, count):
             self.forget()
@@ -483,7 +486,7 @@ class LaneTracking:
         assert belief is not None
         if self._news_m > self.config.glance * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-            evidence = Evidence(belief.on(self._bends.road))
+            evidence = Evidence(belief.on(self.road))
             assigned = evidence.explained(own, self.config.fits)
             if len(assigned) < len(own):
                 self._contradict(belief)
@@ -502,7 +505,7 @@ class LaneTracking:
         assert belief is not None
         self._around_m = 0.0
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
-        around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self._bends.road)
+        around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self.road)
         # Its bends may be another thing's, a new one may begin at once, and roads get narrower.
         others = known.without_road(), known.of_new_bend(), known.of_any_width()
         around.start(((known, 0.0), *((other, -self.config.exists) for other in others)))
@@ -530,7 +533,7 @@ class LaneTracking:
         assert belief is not None
         self._around_m = 0.0
         around = Hypotheses(self.config.hypotheses)
-        around.start(((replace(belief, road=self._bends.road), 0.0),))
+        around.start(((replace(belief, road=self.road), 0.0),))
         around.update(lines, LineKinds(), math.inf)
         best = around.all[0]
         return self._which_lane(best, plain=True) if best.line(LEFT) and best.line(RIGHT) else None
@@ -566,7 +569,7 @@ class LaneTracking:
         for points in own:
             alone = np.ones(len(points), np.bool_)
             for line in scanned:
-                alone &= _distances(points, line.points_m) > self._bends.road.marking_width_m
+                alone &= _distances(points, line.points_m) > self.road.marking_width_m
             if np.count_nonzero(alone) > 1:
                 line = _sighted(points[alone])
                 painted_m = min(line.painted_m, speck_m * float(np.count_nonzero(alone)))
@@ -582,7 +585,7 @@ class LaneTracking:
         if belief is None or not self.reckons or self._confusable(belief):  # in doubt since its first frame: no belief
             return False
         own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-        explained = Evidence(belief.on(self._bends.road)).explained(own, self.config.fits) if own else own
+        explained = Evidence(belief.on(self.road)).explained(own, self.config.fits) if own else own
         if len(explained) < len(own):
             return False
         if not self.in_doubt and not any(self._reaching(followed)):
@@ -674,14 +677,16 @@ class LaneTracking:
         error of dead reckoning over its covariance was 0.1 to 0.7 for the next four lane widths, and without that road
         it was off by up to five times as much. That the road is another one is a story, too.
         """
-        self._reckon(belief)
-        self._hypotheses.start(((belief, 0.0), (belief.without_road(), -self.config.exists)))
-        self._story = belief
+        self._story, on_any_road = self._reckon(belief)
+        self._hypotheses.start(((self._story, 0.0), (on_any_road, -self.config.exists)))
 
-    def _reckon(self, belief: LaneBelief) -> None:
+    def _reckon(self, belief: LaneBelief) -> tuple[LaneBelief, LaneBelief]:
         """The lane is in doubt from now on: dead reckoning alone moves it, on the road as it was seen and on any."""
+        belief = belief.on(self._learnt_road.reckoning)
         self._reckoned, self._on_any_road = belief, belief.without_road()
         self._said, self.in_doubt = 0.0, True
+        self._learnt_road.lose()
+        return self._reckoned, self._on_any_road
 
     def _believe(self, belief: LaneBelief, assigned: Sequence[Assigned] = ()) -> None:
         """The doubt is over, by these lines; it may be the next lane where dead reckoning cannot tell the two."""
@@ -689,7 +694,7 @@ class LaneTracking:
             self._pair_m = 0.0
         elif {role for _, role in assigned} >= {LEFT, RIGHT}:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
-        self._belief, self._reckoned, self._on_any_road, self.in_doubt = belief, None, None, False
+        self._belief, self._reckoned, self._on_any_road, self.in_doubt = belief.on(self.road), None, None, False
         self._marked = None  # it may be another lane's width
         self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start(())
@@ -722,14 +727,14 @@ class LaneTracking:
     def _measured(self, pose: LanePose) -> LaneBelief:
         """A pose as a belief, which knows no line better than the error that its points have in common."""
         (d, d_turn, d_width), (_, turn, turn_width), (_, _, width) = pose.covariance.tolist()
-        line = (self._bends.road.line_sigma * self._unit) ** 2
+        line = (self.road.line_sigma * self._unit) ** 2
         d, width = d + 0.5 * line, width + 2.0 * line
         covariance = np.diag((d, turn, (self.config.bend / self._unit) ** 2, width))  # in the order of `Part`
         covariance[Part.OFFSET, Part.THETA] = covariance[Part.THETA, Part.OFFSET] = -d_turn
         covariance[Part.OFFSET, Part.WIDTH] = covariance[Part.WIDTH, Part.OFFSET] = d_width
         covariance[Part.THETA, Part.WIDTH] = covariance[Part.WIDTH, Part.THETA] = -turn_width
         mean = np.array((pose.offset_m, -pose.heading_rad, pose.curvature_per_m, pose.width_m))
-        return LaneBelief.arc(mean, covariance, self._bends.road, self._reference_x_m)
+        return LaneBelief.arc(mean, covariance, self.road, self._reference_x_m)
 
     def _confusable(self, belief: LaneBelief, away: float = 0.5) -> bool:
         """Whether a line so many lane widths away may be taken for the lane's."""
@@ -745,7 +750,7 @@ class LaneTracking:
         return bool(
             math.isfinite(pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m)
             and np.isfinite(pose.covariance).all()
-            and abs(pose.width_m / unit - 1.0) < 4.0 * self._bends.road.width_sigma
+            and abs(pose.width_m / unit - 1.0) < 4.0 * self.road.width_sigma
             and abs(pose.offset_m) < (1.4 if self._beside else 0.9) * unit
             and abs(pose.heading_rad) < math.radians(60.0)
         )
@@ -810,7 +815,7 @@ class LaneTracking:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m
             side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
             if not self.paired:
-                side = math.hypot(side, 0.5 * self._bends.road.width_sigma * self._unit)
+                side = math.hypot(side, 0.5 * self.road.width_sigma * self._unit)
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))

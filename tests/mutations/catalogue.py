@@ -579,6 +579,16 @@ BOUNDS = (
         ("no-bend-begins", "bend_walk=self.road.bend_lanes * self.road.bend_walk", "bend_walk=self.road.bend_walk"),
     ),
     *_of(
+        "automodel/tracking/belief.py",
+        "tests/tracking/test_belief.py",
+        (
+            "any-odometry-is-the-same",
+            "self._source, self._heading_rad = source, None\n            self._learn()",
+            "pass",
+        ),
+        ("learns-from-one-line", "if heading_rad is None or", "heading_rad = heading_rad or 0.0\n        if"),
+    ),
+    *_of(
         "automodel/estimation/checked_odometry.py",
         "tests/estimation/test_checked_odometry.py",
         (
@@ -615,6 +625,9 @@ BOUNDS = (
             "self._doubt(belief)\n        self._odometry",
             "self._doubt(belief.without_road())\n        self._odometry",
         ),
+        ("odometry-never-learnt", "belief = belief.on(self._learnt_road.reckoning)", "pass"),
+        ("learnt-odometry-followed", "= belief.on(self.road), None, None, False", "= belief, None, None, False"),
+        ("learns-in-doubt", "        self._learnt_road.lose()\n        return", "        return"),
         ("sent-back-by-the-road-that-was-seen", "reckoned = self._on_any_road", "reckoned = self._reckoned"),
         ("unlikely-stories-bound", "if share > EXCEEDED", "if share > 0.0"),
         (

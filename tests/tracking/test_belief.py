@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -13,7 +14,8 @@ from hypothesis import strategies as st
 from automodel.geometry import SE2
 from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import STATION, STATIONS, Assigned, Bends, Evidence, LaneBelief, RoadModel
+from automodel.signals import MotionSource
+from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, RoadModel
 from automodel.tracking.hypotheses import LEFT, RIGHT
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import TrackingConfig
@@ -85,7 +87,7 @@ def test_the_covariance_is_as_large_as_the_errors_along_winding_roads() -> None:
         random = np.random.default_rng(seed)
         curvatures, headings, points = winding_road(random, 30.0)
         model = replace(ROAD_MODEL, pace=0.02)  # the odometry of this drive is right
-        believed, bends = belief(STRAIGHT, (0.1, 0.25, 0.5, 0.05), model=model), Bends(model)
+        believed, bends = belief(STRAIGHT, (0.1, 0.25, 0.5, 0.05), model=model), LearntRoad(model)
         for i in range(0, 2500, 10):
             turn = np.array(
                 ((math.cos(headings[i]), -math.sin(headings[i])), (math.sin(headings[i]), math.cos(headings[i])))
@@ -94,12 +96,12 @@ def test_the_covariance_is_as_large_as_the_errors_along_winding_roads() -> None:
             errors_of = np.random.default_rng((seed, int(i * STEP_M / LANE_M / model.news)))  # the same for that way
             lines = seen(errors_of, headings[ahead] - headings[i], (points[ahead] - points[i]) @ turn, model)
             believed, _ = replace(believed, road=bends.road).update(lines, 10 * STEP_M / LANE_M)
-            bends.see(curvatures[i])
+            bends.see(curvatures[i], None)
             error, order = believed.mean[:2], np.ix_((0, 1), (0, 1))  # the car drives on the centre
             if i > 200:
                 errors.append(float(error @ np.linalg.solve(believed.spread[order], error)))
             believed = believed.moved(10 * STEP_M, headings[i + 10] - headings[i], 0.1, True)
-            bends.move(10 * STEP_M)
+            bends.move(10 * STEP_M, headings[i + 10] - headings[i], MotionSource.MEASURED)
     assert 0.6 < np.mean(errors) < 2.4  # 2 is right
     assert np.quantile(errors, 0.999) < 27.6  # once in a million of them
 
@@ -394,23 +396,64 @@ def test_a_line_runs_beside_the_lane_where_the_road_says(road: Road, role: float
     assert (np.diff(sigma) > 0.0).all()  # the farther, the less is known
 
 
+def drive_on(road: LearntRoad, curvature: float, turn_rad: float = 0.0, heading_rad: float | None = None) -> None:
+    """0.6 lane widths on, with a look at the lane then."""
+    road.move(0.6 * LANE_M, turn_rad, MotionSource.MEASURED)
+    road.see(curvature, heading_rad)
+
+
 def test_a_winding_road_is_learnt_and_a_straight_one_as_well() -> None:
-    winding, straight = Bends(ROAD_MODEL), Bends(ROAD_MODEL)
+    winding, straight = LearntRoad(ROAD_MODEL), LearntRoad(ROAD_MODEL)
     for i in range(400):
-        for bends, curvature in ((winding, 0.8 * (-1) ** (i // 4)), (straight, 0.0)):
-            bends.move(0.6 * LANE_M)
-            bends.see(curvature)
+        drive_on(winding, 0.8 * (-1) ** (i // 4))
+        drive_on(straight, 0.0)
     assert winding.road.bend_walk > 2.0 * ROAD_MODEL.bend_walk
     assert straight.road.bend_walk < 0.3 * ROAD_MODEL.bend_walk
     winding.reset()
-    assert winding.road == ROAD_MODEL
+    assert winding.road == winding.reckoning == ROAD_MODEL
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.01, 0.05])
+def test_how_well_the_odometry_tells_turns_is_learnt(turn_rad: float) -> None:
+    """A car that weaves in a lane of one bend: its odometry's error is a random walk."""
+    road, random, step, bend = LearntRoad(ROAD_MODEL), np.random.default_rng(0), 0.6, 0.5
+    headings = 0.1 * np.sin(np.arange(4001))
+    for before, heading in itertools.pairwise(headings):
+        turned = heading - before + bend * step * LANE_M
+        drive_on(road, bend, turned + turn_rad * math.sqrt(step) * random.normal(), heading)
+    assert road.reckoning.turn_rad == pytest.approx(turn_rad, rel=0.15, abs=0.001)
+    assert road.road.turn_rad == ROAD_MODEL.turn_rad
+    assert road.road.bend_walk < 0.01 * ROAD_MODEL.bend_walk
+
+
+def test_what_is_learnt_of_an_odometry_says_nothing_of_another_one() -> None:
+    road = LearntRoad(ROAD_MODEL)
+    for _ in range(400):
+        drive_on(road, 0.0, 0.0, 0.0)
+    learnt = road.reckoning.turn_rad
+    assert learnt < 0.5 * ROAD_MODEL.turn_rad
+    road.move(0.0, 0.0, MotionSource.MODEL)
+    assert road.reckoning.turn_rad == pytest.approx(ROAD_MODEL.turn_rad)
+    road.move(0.0, 0.0, MotionSource.MEASURED)
+    assert road.reckoning.turn_rad == learnt
+
+
+def test_nothing_is_learnt_of_turns_where_the_lane_is_not_known() -> None:
+    unseen, doubted, seldom = (LearntRoad(ROAD_MODEL) for _ in range(3))
+    for i in range(100):
+        drive_on(unseen, 0.0, 0.1)
+        drive_on(doubted, 0.0, 0.1, 0.0)
+        doubted.lose()
+        drive_on(seldom, 0.0, 0.1, None if i % 20 else 0.0)
+    for road in (unseen, doubted, seldom):
+        assert road.reckoning.turn_rad == pytest.approx(ROAD_MODEL.turn_rad)
 
 
 def test_a_standing_car_learns_nothing_of_the_road() -> None:
-    bends = Bends(ROAD_MODEL)
+    road = LearntRoad(ROAD_MODEL)
     for i in range(100):
-        bends.see(0.5 * (-1) ** i)
-    assert bends.road == ROAD_MODEL
+        road.see(0.5 * (-1) ** i, 0.2 * (-1) ** i)
+    assert road.road == road.reckoning == ROAD_MODEL
 
 
 def test_a_bend_that_was_seen_ahead_is_known_when_the_car_comes_to_it_blind() -> None:

@@ -687,6 +687,25 @@ def test_a_doubt_keeps_the_road_that_was_seen_and_knows_that_it_may_be_another()
     assert bound(doubtful) < 1.5 * bound(plain)
 
 
+def test_in_doubt_the_odometry_is_as_sure_as_it_was_right_while_the_lane_was_followed() -> None:
+    config = replace(CONFIG, coast_s=10.0, coast_lanes=20.0)
+    fresh, driven = driving(config=config), driving(frames=1000, config=config)
+    assumed = fresh.tracking.road.turn_rad
+    for drive, least, most in ((fresh, 0.9, 1.0), (driven, 0.0, 0.6)):
+        while not drive.doubted:
+            assert drive.follow(said(0.0, NONE)).valid
+        reckoned, on_any_road = drive.tracking._reckoned, drive.tracking._on_any_road
+        assert reckoned is not None
+        assert on_any_road is not None
+        assert reckoned.road == on_any_road.road == drive.tracking._hypotheses.all[0].belief.road
+        assert least * assumed < reckoned.road.turn_rad < most * assumed + 1e-9
+        assert drive.tracking._learnt_road._heading_rad is None  # what is turned now is not learnt from
+        while drive.doubted:
+            drive.follow(said(0.0), sights(0.0))
+        assert drive.tracking._belief is not None
+        assert drive.tracking._belief.road.turn_rad == assumed
+
+
 def test_an_estimator_that_sees_a_bend_begin_is_not_sent_back_by_the_road_that_was_seen() -> None:
     drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
     belief = drive.tracking._belief
