@@ -20,6 +20,8 @@ def test_a_disk_that_is_full(make_car: Callable[..., Car]) -> None:
     car = make_car(emulated)
     car.until_driving(press=True)
     (file,) = (car.folder / "recordings").glob("*.mcap")
+    begun_bytes = file.stat().st_size  # before the first sync perhaps: nothing but the car's texts
+    car.bench.until(lambda: file.stat().st_size > begun_bytes + (1 << 17), "it records no image")
     full_bytes = file.stat().st_size + 1000
     resource.prlimit(car.child.pid, resource.RLIMIT_FSIZE, (full_bytes, full_bytes))
     car.bench.until(lambda: file.stat().st_size >= full_bytes, "it records no longer")
