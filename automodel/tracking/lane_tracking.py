@@ -167,6 +167,7 @@ class LaneTracking:
         self._on_any_road: LaneBelief | None = None  # the same where the road may have become another one
         self._hypotheses.start(())
         self._innovations.reset()
+        self._learnt_road.lose()
         self.in_doubt = False
         self.reckons = False  # whether the last frame's motion is the odometry's
         self._marked: LaneBelief | None = None  # where its lines began to look as if they were not parallel

@@ -627,6 +627,11 @@ BOUNDS = (
         ),
         ("odometry-never-learnt", "belief = belief.on(self._learnt_road.reckoning)", "pass"),
         ("learnt-odometry-followed", "= belief.on(self.road), None, None, False", "= belief, None, None, False"),
+        (
+            "learns-beyond-a-lost-lane",
+            "        self._learnt_road.lose()\n        self.in_doubt",
+            "        self.in_doubt",
+        ),
         ("learns-in-doubt", "        self._learnt_road.lose()\n        return", "        return"),
         ("sent-back-by-the-road-that-was-seen", "reckoned = self._on_any_road", "reckoned = self._reckoned"),
         ("unlikely-stories-bound", "if share > EXCEEDED", "if share > 0.0"),

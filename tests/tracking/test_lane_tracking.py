@@ -704,6 +704,9 @@ def test_in_doubt_the_odometry_is_as_sure_as_it_was_right_while_the_lane_was_fol
             drive.follow(said(0.0), sights(0.0))
         assert drive.tracking._belief is not None
         assert drive.tracking._belief.road.turn_rad == assumed
+        assert drive.tracking._learnt_road._heading_rad is not None
+        drive.tracking.forget()
+        assert drive.tracking._learnt_road._heading_rad is None
 
 
 def test_an_estimator_that_sees_a_bend_begin_is_not_sent_back_by_the_road_that_was_seen() -> None:
