@@ -42,14 +42,14 @@ class RoadModel:
     common to a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's
     with two degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours'
     errors are alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`,
-    `turn_rad`: sigmas gained over a lane width of driving by odometry, the second of one without a gyro (`LearntRoad`
-    learns it); `pace`: share by which its speed may be wrong. `lost_step`, `lost_turn_rad`: over a second of unknown
-    motion, at a speed of at most `lost_pace` [lane widths / s]. `width_sigma`: of the lane's width about the one
-    that is configured; `width_walk`: what it changes by over a lane width of driving. `news`: way after which a
-    frame is a new witness: worn paint and lamps move the same points again. An error's correlation with that of the
-    same place, seen 0.4, 0.65, 1.0 and 1.5 lane widths later, is 0.5, 0.4, 0.3 and 0.1 (28,000 pairs of points in
-    14 random worlds); its integral to both sides is 1.2. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing
-    that is no line of this lane: lateral place, direction, curvature; the last is a road's too.
+    `turn_rad`: sigmas gained over a lane width of driving by odometry (`LearntRoad` learns the second); `pace`: share
+    by which its speed may be wrong. `lost_step`, `lost_turn_rad`: over a second of unknown motion, at a speed of at
+    most `lost_pace` [lane widths / s]. `width_sigma`: of the lane's width about the one that is configured;
+    `width_walk`: what it changes by over a lane width of driving. `news`: way after which a frame is a new witness:
+    worn paint and lamps move the same points again. An error's correlation with that of the same place, seen 0.4,
+    0.65, 1.0 and 1.5 lane widths later, is 0.5, 0.4, 0.3 and 0.1 (28,000 pairs of points in 14 random worlds); its
+    integral to both sides is 1.2. `anywhere`, `any_turn_rad`, `any_bend`: sigmas of a thing that is no line of this
+    lane: lateral place, direction, curvature; the last is a road's too.
     """
 
     lane_width_m: float
@@ -132,7 +132,10 @@ class LearntRoad:
     aside is followed with a smaller bound.
     """
 
-    BEND, TURN = 0.5, 3.0  # lane widths between two looks at the curvature; at the turn: all of its lines are new
+    BEND, TURN = (
+        0.5,
+        3.0,
+    )  # lane widths between two looks at the curvature; at the turn, by lines none of which it saw before
 
     def __init__(self, road: RoadModel) -> None:
         self._assumed = road
@@ -150,8 +153,8 @@ class LearntRoad:
         self._source = MotionSource.NONE
 
     def move(self, distance_m: float, turn_rad: float, source: MotionSource) -> None:
-        """The car has driven on; what is learnt of one source's turns says nothing of another's."""
-        way = distance_m / self._assumed.lane_width_m
+        """The car has driven, forward positive; what is learnt of one source's turns says nothing of another's."""
+        way = abs(distance_m) / self._assumed.lane_width_m
         self._bend_way += way
         self._turn_way += way
         self._turned_rad += turn_rad - self._curvature_per_m * distance_m

@@ -224,7 +224,7 @@ class LaneTracking:
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed
-            self._learnt_road.move(driven, moved.turn_rad, motion.source)
+            self._learnt_road.move(math.copysign(driven, moved.distance_m), moved.turn_rad, motion.source)
             if not moved.known:
                 self._learnt_road.lose()
             self._profile.move(driven / self._unit, self._lines_seen)

@@ -426,6 +426,14 @@ def test_how_well_the_odometry_tells_turns_is_learnt(turn_rad: float) -> None:
     assert road.road.bend_walk < 0.01 * ROAD_MODEL.bend_walk
 
 
+def test_a_car_that_reverses_through_a_bend_turns_the_other_way() -> None:
+    road, bend, step_m = LearntRoad(ROAD_MODEL), 0.5, 0.6 * LANE_M
+    for _ in range(400):
+        road.move(-step_m, -bend * step_m, MotionSource.MEASURED)
+        road.see(bend, 0.0)
+    assert road.reckoning.turn_rad < 0.5 * ROAD_MODEL.turn_rad
+
+
 def test_what_is_learnt_of_an_odometry_says_nothing_of_another_one() -> None:
     road = LearntRoad(ROAD_MODEL)
     for _ in range(400):
