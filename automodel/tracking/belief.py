@@ -132,10 +132,8 @@ class LearntRoad:
     aside is followed with a smaller bound.
     """
 
-    BEND, TURN = (
-        0.5,
-        3.0,
-    )  # lane widths between two looks at the curvature; at the turn, by lines none of which it saw before
+    BEND = 0.5  # lane widths between two looks at the curvature
+    TURN = 3.0  # the same at the turn, by lines none of which it saw before
 
     def __init__(self, road: RoadModel) -> None:
         self._assumed = road

@@ -208,8 +208,8 @@ class _Ground:
         for i in np.flatnonzero(there[:-1] & there[1:]):
             corners = np.stack((left[i], left[i + 1], right[i + 1], right[i]))
             cv2.fillConvexPoly(inside, np.round(corners * 2**_SHIFT).astype(np.int32), 1, cv2.LINE_8, _SHIFT)
-        tinted = self._canvas[inside > 0]
-        self._canvas[inside > 0] = np.round(tinted + share * (np.array(colour) - tinted)).astype(np.uint8)
+        tint = np.full_like(self._canvas, colour)
+        cv2.copyTo(cv2.addWeighted(self._canvas, 1.0 - share, tint, share, 0.0), inside, self._canvas)
 
     def crossing(self, ends: tuple[FloatArray, FloatArray]) -> None:
         share = np.linspace(0.0, 1.0, _SAMPLES // 4)[:, None]
