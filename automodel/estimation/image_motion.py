@@ -88,7 +88,13 @@ class ImageMotion:
         height, width = camera.camera.height_px // self._scale, camera.camera.width_px // self._scale
         self._size = height, width
         self.see_with(camera)
+        self._warm_up()
         self.reset()
+
+    def _warm_up(self) -> None:
+        """Load what a frame calls: the first one that contradicts the odometry, minutes later, would be late."""
+        anything = np.random.default_rng(0).integers(0, 256, self._size, np.uint8)
+        self._between(anything, anything, np.zeros(2))
 
     def see_with(self, camera: GroundCamera) -> None:
         """From now on the camera is set so."""
