@@ -2,8 +2,8 @@
 
 The loop has a core that nothing else of the program uses, and the camera's thread another one where there are three.
 Where the system allows it loop, camera and recorder get nearly all of a core against other processes (niceness), and
-are never swapped out (mlockall). All threads share one heap, in which some memory is kept in hand: a page that
-is asked for anew costs the loop time, and locked memory cannot be given back in pieces.
+are never swapped out (mlockall). All threads share one heap, in which some memory is kept in hand: a page that is asked
+for anew costs the loop time, and locked memory cannot be given back in pieces.
 
 Not SCHED_FIFO: with all cores busy with other work, loops at SCHED_FIFO stood still for 70 to 360 ms in reads of the
 serial port, which waited for a worker of the kernel that has no such priority. The port is no longer read so
