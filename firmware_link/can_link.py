@@ -26,6 +26,7 @@ ERRORS_NS = 100 * _MS
 LASTING_NS = 100 * _MS  # what one frame shows lasts so long: a second sender, a touch of the brake
 EARLY_SHARE = 0.25  # of a period: a loop of the same rate that comes a little early sends, and keeps the rate
 OVERDUE_SHARE = -0.25  # without a new command the last one is repeated that much after its time
+PACE_SHARE = 0.05  # of how far a command comes from a message's time, by which that moves: 20 commands, 0.4 s at 50 Hz
 NEEDED = ("speed_mps", "steering_rad")  # without these no command can be limited
 
 
@@ -58,7 +59,8 @@ class CanLink:
     """The vehicle of a CAN mapping.
 
     - Messages go out in their period, from `send`, or from `poll` where no command came in time: a loop that hangs
-      sends nothing, and no timer or thread sends for it. A command is valid for 100 ms at most; expired, it disarms.
+      sends nothing, and no timer or thread sends for it. Their times move to those of the commands. A command is valid
+      for 100 ms at most; expired, it disarms.
     - While the vehicle is not armed, messages are sent with enable 0 and the measured steering angle, so that nothing
       jumps when it is engaged.
     - Armed means that a person asked for it, the vehicle says that it is engaged (where it can), and nothing is wrong:
@@ -124,6 +126,7 @@ class CanLink:
         if session.ready and now_ns <= command.valid_until_ns:
             session.ramp_mps2 = _ramp_mps2(session.command, command)
             session.command, session.command_ns = command, now_ns
+            self._keep_pace(session, now_ns)
             self._transmit(session, now_ns, EARLY_SHARE)
 
     def arm(self, now_ns: int) -> None:
@@ -245,6 +248,14 @@ class CanLink:
             session.due_ns.clear()  # tell it at once
         session.wants_armed = session.armed = False
         session.command = None
+
+    def _keep_pace(self, session: _Session, now_ns: int) -> None:
+        """Move the times of messages towards those of commands: one that just misses its message waits for the next."""
+        for writer in self._writers:
+            due_ns, half_ns = session.due_ns.get(writer.name), writer.period_ns // 2
+            if due_ns is not None:
+                off_ns = (now_ns - due_ns + half_ns) % writer.period_ns - half_ns
+                session.due_ns[writer.name] = due_ns + round(PACE_SHARE * off_ns)
 
     def _transmit(self, session: _Session, now_ns: int, share: float) -> None:
         """Send the messages that are due in at most `share` of their period (below 0: since so long)."""

@@ -175,6 +175,23 @@ def test_it_drives_once_armed_and_sends_at_50_hz() -> None:
     assert rig.body.speed_mps > 15.3
 
 
+@pytest.mark.parametrize("after_ms", range(20))
+def test_a_message_carries_the_command_of_its_own_cycle_whenever_the_frames_come(after_ms: int) -> None:
+    """The loop polls at a frame and commands 3 ms later; messages were due at any time between two frames."""
+    rig, commanded_ns = Rig().driving(), set()
+    rig.t_ns += after_ms * MS
+    for _ in range(100):
+        rig.t_ns += PERIOD_NS - 3 * MS
+        rig.link.poll(rig.t_ns)
+        rig.t_ns += 3 * MS
+        command = Command(t_ns=rig.t_ns, steering_rad=0.0, speed_mps=15.0, valid_until_ns=rig.t_ns + 100 * MS)
+        rig.link.send(command, rig.t_ns)
+        commanded_ns.add(rig.t_ns)
+    times = [t_ns for t_ns, _ in rig.vehicle.accepted]
+    assert set(times[-50:]) <= commanded_ns
+    assert {b - a for a, b in itertools.pairwise(times[-50:])} == {PERIOD_NS}
+
+
 @pytest.mark.parametrize("speed_mps", [5.0, 15.0, 30.0])
 def test_no_command_on_the_wire_exceeds_the_limits(speed_mps: float) -> None:
     rig = Rig()

@@ -265,6 +265,7 @@ WIRE = (
         ("can-faults-ignored", "if session.snapshot.faults:\n            return", "if False:\n            return"),
         ("bus-errors-ignored", "if len(session.errors_ns) >= ERRORS_MAX:", "if False:"),
         ("disengaged-ignored", "elif session.armed and engaged == 0:", "elif False:"),
+        ("can-commands-wait-a-frame", "            self._keep_pace(session, now_ns)\n", ""),
         ("never-engaged-ignored", "if not session.armed and now_ns - session.arm_ns > ARM_NS:", "if False:"),
     ),
     *_of(
