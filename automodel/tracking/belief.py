@@ -20,10 +20,21 @@ import numpy as np
 
 from automodel.curves import DeferredCurve
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, PITCH, THETA, WIDTH, curvature, line_of_path, next_lane
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose, MotionSource
-from automodel.tracking.evidence import Equations, Prior, fit, log_likelihood, own_thing, posterior, settled, whitened
+from automodel.tracking.evidence import (
+    Equations,
+    Prior,
+    change,
+    fit,
+    innovation,
+    log_likelihood,
+    own_thing,
+    posterior,
+    settled,
+    whitened,
+)
 from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
 from automodel.types import FloatArray
 
@@ -38,7 +49,8 @@ class RoadModel:
     `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch and of its
     nod, by which what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the
     curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's
-    tightest has 2.5) that begins or ends every `bend_lanes`; `LearntRoad` learns the real one. `line_sigma`: error
+    tightest has 2.5) that begins or ends every 5.5; `LearntRoad` learns the real one. `new_bend`: the curvature
+    [1 / lane width] that begins or ends with the road's tightest bend, however straight it was. `line_sigma`: error
     common to a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's
     with two degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours'
     errors are alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`,
@@ -58,7 +70,7 @@ class RoadModel:
     pitch_rad: float = 0.0
     pixel_rad: float = 0.0
     bend_walk: float = 0.02
-    bend_lanes: float = 5.5
+    new_bend: float = 1.0 / 1.4
     line_sigma: float = 0.02
     point_markings: float = 0.1
     step: float = 0.01
@@ -259,13 +271,18 @@ class LaneBelief:
         """What is believed of the lane beside the car alone."""
         return LaneBelief.arc(*self._beside_car(), self.road, self.reference_x_m)
 
-    def of_new_bend(self) -> LaneBelief:
-        """What is believed of the lane beside the car, on a road whose bend begins or ends at once.
+    def of_new_bend(self, ahead_m: float) -> LaneBelief:
+        """What is believed of a road of which a bend begins or ends, and shows so far ahead of the reference point [m].
 
-        Within a lane width its curvature changes as much as it does in `bend_lanes` on average.
+        It begins within the lane width before: so far a line hardly departs from where it would go on. From there on
+        the curvature is another one.
         """
-        bending = replace(self.road, bend_walk=self.road.bend_lanes * self.road.bend_walk)
-        return LaneBelief.arc(*self._beside_car(), bending, self.reference_x_m).on(self.road)
+        unit, covariance = self.road.lane_width_m, self.covariance.copy()
+        shows = (ahead_m + self.start_m) / (STATION * unit)
+        for station in range(math.ceil(shows - 1.0 / STATION), math.ceil(shows) + 1):
+            first = ROAD + min(max(station, 0), STATIONS - 1)
+            covariance[first:, first:] += (self.road.new_bend / unit) ** 2
+        return replace(self, covariance=covariance)
 
     def of_any_width(self) -> LaneBelief:
         """What is believed of a lane whose width may be any: a line that was seen stays where it is."""
@@ -359,11 +376,15 @@ class LaneBelief:
 
 
 class Look(NamedTuple):
-    """A line in a role, and what it says about a belief."""
+    """A line in a role, and what it says about a belief.
+
+    `rest`: where it goes on as another thing, the logarithm of how likely that is [nats].
+    """
 
     line: SightedLine
     role: float
     equations: Equations
+    rest: float = 0.0
 
 
 def prior_of(belief: LaneBelief) -> Prior:
@@ -399,39 +420,65 @@ class Evidence:
         """A line in each of several roles."""
         return [Look(line, role, self._settled(((line, role),), np.ones(1))[0]) for role in roles]
 
+    def part(self, look: Look) -> Look | None:
+        """The part of a line that plays its role, the rest being another thing; None where all of it fits."""
+        line, points, anything, at = look.line, look.line.points_m, self.belief.anything(), self._changes(look)
+        near, far = points[: abs(at)], points[abs(at) :]
+        part, rest = (near, far) if at > 0 else (far, near)
+        if at == 0 or len(part) < 2:
+            return None
+        painted_m = line.painted_m * len(part) / len(points)
+        (its,) = self.looks(SightedLine(points_m=part, painted_m=painted_m, span_m=0.0), (look.role,))
+        other = SightedLine(points_m=rest, painted_m=line.painted_m - painted_m, span_m=0.0)
+        return its._replace(rest=anything.of_line(other) - anything.CORNERS)
+
+    def departs_m(self, line: SightedLine, role: float) -> float | None:
+        """How far ahead of the reference point [m] a line departs from its role; None where all of it fits.
+
+        One that does from its first point on may do so anywhere on the way there.
+        """
+        at = self._changes(*self.looks(line, (role,)))
+        x, y = line.points_m[max(at, 0)].tolist()
+        ahead_m = math.hypot(x - self.belief.reference_x_m, y)
+        return None if at == 0 else ahead_m if at > 0 else 0.5 * ahead_m
+
+    def _changes(self, look: Look) -> int:
+        """The point from which on a line fits its role otherwise than before, by `change`; 0 where all of it fits.
+
+        It must fit so badly that it is likelier to have a corner.
+        """
+        points = look.line.points_m
+        if innovation(look.equations)[0] < len(points) + 2.0 * self.belief.anything().CORNERS:
+            return 0
+        return change(self._prior, points.copy(), look.role, self._settled(((look.line, look.role),), np.ones(1))[1])
+
     def log_likelihood(self, looks: Sequence[Look]) -> float:
-        """The logarithm of how likely lines are [nats]."""
+        """The logarithm of how likely lines are [nats]; not what some go on as."""
         equations = [look.equations for look in looks]
         if len(equations) == 1:
             return log_likelihood(equations[0])
         return log_likelihood(Equations(*map(np.concatenate, zip(*equations, strict=True))))
 
-    def explained(self, lines: Sequence[Assigned], gate: float) -> list[Assigned]:
-        """The lines that are likelier in their role than as a thing of their own, and fit there.
+    def explained(self, lines: Sequence[Assigned], gate: float) -> tuple[list[Assigned], float]:
+        """The lines that fit their role and are likelier there than as things of their own; and by how much [nats].
 
         One whose squared innovation is beyond the `gate` does not fit: it may be two things in one, such as a line
         that goes on as another, which is unlikely as clutter too.
         """
-        anything, explained = self.belief.anything(), []
+        anything, explained, total = self.belief.anything(), [], 0.0
         for line, role in lines:
-            squares, volume = self._fit(line, role)
-            if squares < gate and -0.5 * (squares + volume) > anything.of_line(line):
+            squares, volume = fit(self._prior, line.points_m.copy(), role)  # a copy has the one layout that is compiled
+            odds = -0.5 * (squares + volume) - anything.of_line(line)
+            if squares < gate and odds > 0.0:
                 explained.append(Assigned(line, role))
-        return explained
-
-    def of_line(self, line: SightedLine, role: float = 0.0) -> float:
-        """The logarithm of how likely a line is in a role [nats]."""
-        squares, volume = self._fit(line, role)
-        return -0.5 * (squares + volume)
+                total += odds
+        return explained, total
 
     def update(self, lines: Sequence[tuple[SightedLine, float]], shares: FloatArray) -> LaneBelief:
         """The belief after lines in their roles, of each of which a share (n,) is news, 0 .. 1."""
         state, covariance = posterior(self._prior, *self._settled(lines, shares), shares)
         belief = self.belief
         return LaneBelief(state, covariance, belief.start_m, belief.road, belief.reference_x_m)
-
-    def _fit(self, line: SightedLine, role: float) -> tuple[float, float]:
-        return fit(self._prior, line.points_m.copy(), role)  # a copy has the one layout that is compiled
 
     def _settled(self, lines: Sequence[tuple[SightedLine, float]], shares: FloatArray) -> tuple[Equations, FloatArray]:
         points = [line.points_m for line, _ in lines]
@@ -472,5 +519,6 @@ def warm_up() -> None:
     lines = (Assigned(SightedLine(points_m=points, painted_m=3.0, span_m=3.0), 0.5),)
     after, _ = belief.update(lines)
     Evidence(after).explained(lines, math.inf)
+    Evidence(after).departs_m(SightedLine(points_m=2.0 * points, painted_m=6.0, span_m=6.0), 0.5)
     after.moved(0.1, 0.0, 0.01, True).merged(belief, 0.5).without_road().beside_it(+1)
     _ = belief.lateral_variance(1.0), belief.pose

@@ -146,6 +146,15 @@ def _tilt(prior: Prior, x: float, y: float, heading: float) -> float:
 
 
 @compiled
+def _noise(prior: Prior, points: FloatArray) -> FloatArray:
+    """The variances (n,) of the errors of points (n, 2), in units of `prior.point_variance`."""
+    noise = np.empty(len(points))
+    for k in range(len(points)):
+        noise[k] = 1.0 + prior.pixel_share * ((points[k, 0] - prior.eye_m[0]) ** 2 + points[k, 1] ** 2)
+    return noise
+
+
+@compiled
 def _residuals(
     prior: Prior, path: FloatArray, state: FloatArray, nod: float, points: FloatArray, role: float, rest: FloatArray
 ) -> None:
@@ -320,9 +329,7 @@ def settled(
     largest residual on.
     """
     count, full = len(roles), len(prior.root)
-    noise, rest, all_points = np.empty(len(points)), np.empty(len(points)), 0.0
-    for k in range(len(points)):
-        noise[k] = 1.0 + prior.pixel_share * ((points[k, 0] - prior.eye_m[0]) ** 2 + points[k, 1] ** 2)
+    noise, rest, all_points = _noise(prior, points), np.empty(len(points)), 0.0
     for i in range(count):
         all_points += shares[i] * (ends[i] - (ends[i - 1] if i else 0))
     cost, z, weights, spent = _climbed(prior, points, ends, roles, shares, noise, 1.0)
@@ -382,6 +389,30 @@ def own_thing(prior: Prior, points: FloatArray, sigma_m: float, corners: float) 
     for i in range(len(points)):
         anywhere -= 0.5 * (points[i, 1] / sigma_m) ** 2 + math.log(sigma_m * math.sqrt(math.tau))
     return max(smooth, anywhere) + math.log1p(math.exp(-abs(smooth - anywhere)))
+
+
+@compiled
+def change(prior: Prior, points: FloatArray, role: float, z: FloatArray) -> int:
+    """The point from which on a line's points (k, 2), which put it at z, fit otherwise than before; 0 if there is none.
+
+    Positive where those before it fit better, negative where those from it on do. It is where the costs of the points
+    less their mean have summed up the most (cumulative sums, Page 1954, "Continuous Inspection Schemes").
+    """
+    count = len(points)
+    moved, rest, noise = times(prior.root, z), np.empty(count), _noise(prior, points)
+    state = prior.state + moved[:-1]
+    path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
+    _residuals(prior, path, state, moved[-1], points, role, rest)
+    weights = 1.0 / noise
+    _weigh(prior, rest, noise, 1.0, weights)
+    common = _common(prior, rest, weights)
+    costs = np.log1p((rest - common) ** 2 / (2.0 * noise * prior.point_variance))
+    mean, total, most, at = costs.mean(), 0.0, 0.0, 0
+    for k in range(count - 1):
+        total += costs[k] - mean
+        if abs(total) > most:
+            most, at = abs(total), (k + 1 if total < 0.0 else -k - 1)
+    return at
 
 
 @compiled

@@ -18,10 +18,12 @@ import numpy as np
 
 from automodel.geometry.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import Assigned, Evidence, LaneBelief, Look
+from automodel.tracking.belief import STATION, Assigned, Evidence, LaneBelief, Look, RoadModel
+from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.seen_places import SeenPlaces
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
+BENDING = 2  # lines of a frame that may tell of a new bend, the longest
 STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new
 ROLES = (LEFT, RIGHT, LEFT_FAR, RIGHT_FAR)
 
@@ -98,21 +100,25 @@ class HypothesesConfig:
 
 
 class _Sighting(NamedTuple):
-    """A line of a frame, the logarithm of how likely it is as clutter, and the share of it that is news."""
+    """A line of a frame, the logarithm of how likely it is as clutter, and the shares of it that are news.
+
+    `news`: to the odds of the hypotheses, `fresh`: to their beliefs.
+    """
 
     line: SightedLine
     clutter: float
     news: float
+    fresh: float
 
 
 class _Story(NamedTuple):
-    """Lines in roles, the share of each that is news, their odds, those that count, and how likely they are as clutter.
+    """Lines in roles, what of each is news and fresh, their odds, those that count, and how likely they are as clutter.
 
-    All as logarithms [nats].
+    All odds are logarithms [nats].
     """
 
     looks: tuple[Look, ...]
-    news: tuple[float, ...]
+    shares: tuple[tuple[float, float], ...]
     odds: float
     counted: float
     others: float
@@ -126,23 +132,30 @@ class Hypotheses:
         self.all: tuple[Hypothesis, ...] = ()
         self._places = SeenPlaces(self.config.same)
         self.driven_lanes = 0.0  # since the start
+        self._first = True  # whether there was no frame since then
 
-    def start(self, beliefs: Sequence[tuple[LaneBelief, float]]) -> None:
-        """Start with beliefs and their log-odds; their first frame is news as a whole."""
+    def start(self, beliefs: Sequence[tuple[LaneBelief, float]], *, learnt: bool = False) -> None:
+        """Start with beliefs and their log-odds; to these the first frame is news as a whole.
+
+        To the beliefs too, unless they have `learnt` from what was seen so far or is in `note`.
+        """
         self.all = tuple(Hypothesis(belief, odds) for belief, odds in beliefs)
-        self._places = SeenPlaces(self.config.same)
-        self.driven_lanes = 0.0
+        self.driven_lanes, self._first = 0.0, True
+        if not learnt:
+            self._places = SeenPlaces(self.config.same)
 
-    def move(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
-        """Move every belief."""
+    def note(self, lines: Sequence[SightedLine], road: RoadModel) -> None:
+        """A frame's lines have taught what these hypotheses may start with."""
+        self._places.see(lines, road)
+
+    def move(self, road: RoadModel, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> None:
+        """Move every belief, and the places where lines were seen."""
         self.all = tuple(
             replace(one, belief=one.belief.moved(distance_m, turn_rad, dt_s, known), assigned=()) for one in self.all
         )
-        if self.all:
-            road = self.all[0].belief.road
-            driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
-            self.driven_lanes += driven
-            self._places.move(distance_m, turn_rad, max(driven, STILL_LANES * dt_s), known)
+        driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
+        self.driven_lanes += driven
+        self._places.move(distance_m, turn_rad, max(driven, STILL_LANES * dt_s), known)
 
     def update(
         self, lines: Sequence[SightedLine], kinds: LineKinds, way: float | None = None, *, picked: bool = True
@@ -157,17 +170,45 @@ class Hypotheses:
         config, road = self.config, self.all[0].belief.road
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
         anything = self.all[0].belief.anything()  # as clutter, lines are as likely for every hypothesis
-        news = self._places.see(longest, road)
-        seen = [_Sighting(line, anything.of_line(line), share) for line, share in zip(longest, news, strict=True)]
+        fresh = self._places.see(longest, road)
+        news = [1.0] * len(fresh) if self._first else fresh
+        self._first = False
+        seen = [
+            _Sighting(line, anything.of_line(line), *shares) for line, *shares in zip(longest, news, fresh, strict=True)
+        ]
         things = len(lines) if picked else None
-        grown = [child for one in self.all for child in self._children(one, seen, things, kinds, way)]
-        self._keep(grown)
+        grown = []
+        for one in self.all:
+            children = self._children(one, seen, things, kinds, way)
+            grown += children
+            if not any(_explains(child, seen) for child in children):
+                odds = one.log_odds + math.log(EXCEEDED)
+                for ahead_m in _departures(one.belief, [each.line for each in seen[:BENDING]]):
+                    bending = replace(one, belief=one.belief.of_new_bend(ahead_m), log_odds=odds)
+                    grown += [child for child in self._children(bending, seen, things, kinds, way) if child.assigned]
+        far_m = max((float(each.line.points_m[-1, 0]) for each in seen), default=0.0)
+        self._keep(grown, far_m)
         counts = [len(each.line.points_m) for each in seen]
         return float(np.average([each.news for each in seen], weights=counts)) if seen else 1.0
 
     def displace(self, confusable: Callable[[LaneBelief], bool]) -> None:
         """Note which hypotheses are so uncertain now that a line of another lane may be taken for the lane's."""
         self.all = tuple(replace(one, placed=one.placed and not confusable(one.belief)) for one in self.all)
+
+    @property
+    def best(self) -> Hypothesis:
+        """The likeliest, with the doubt that all others cast on it that put the lane where it does beside the car."""
+        best, *others = self.all
+        for other in others:
+            if _beside_alike(best, other, self.config.same):
+                best = best.merged(other)
+        return best
+
+    @property
+    def certainty(self) -> float:
+        """The probability that the lane is where the likeliest hypothesis puts it beside the car."""
+        shares = zip(self.all, self.posterior(), strict=True)
+        return sum(share for one, share in shares if _beside_alike(self.all[0], one, self.config.same))
 
     def posterior(self) -> list[float]:
         """Probabilities of the hypotheses, in their order."""
@@ -191,20 +232,21 @@ class Hypotheses:
         config, evidence, road = self.config, Evidence(parent.belief), parent.belief.road
         unit = road.lane_width_m
         beam: list[_Story] = [_Story((), (), 0.0, 0.0, 0.0)]
-        for line, clutter, news in lines:
+        for line, clutter, news, fresh in lines:
             grown = list(beam)
             roles = [role for role in ROLES if _possible(parent.belief, line, role)]
-            for look in evidence.looks(line, roles):
+            for look in _parted(evidence, evidence.looks(line, roles)):
                 for story in beam:
                     if any(_beside(look, other) for other in story.looks):
                         continue
                     both = (*story.looks, look)
                     odds = evidence.log_likelihood(both) - story.others - clutter - self._price(both)
+                    odds += sum(each.rest for each in both)
                     odds += sum(config.length(each.line.painted_m / unit) for each in both)
                     odds += sum(_kind(each.line, kinds.of(each.role), unit) for each in both)
-                    if odds - config.length(line.painted_m / unit) > story.odds - 1.0:  # however long, it must fit
-                        counted = story.counted + news * (odds - story.odds)
-                        grown.append(_Story(both, (*story.news, news), odds, counted, story.others + clutter))
+                    if odds - config.length(look.line.painted_m / unit) > story.odds - 1.0:  # however long, it must fit
+                        counted, shares = story.counted + news * (odds - story.odds), (*story.shares, (news, fresh))
+                        grown.append(_Story(both, shares, odds, counted, story.others + clutter))
             grown.sort(key=lambda each: -each.odds)
             beam = grown[: config.most]
         children = []
@@ -212,10 +254,11 @@ class Hypotheses:
             beam.append(_Story((), (), 0.0, 0.0, 0.0))
         for looks, shares, odds, counted, _ in beam:
             picked = 0.0 if things is None or not looks else _picked(things, len(looks))
-            odds, counted = odds - picked, counted - picked * (sum(shares) / len(looks) if looks else 0.0)
+            news_of, fresh_of = np.array(shares).reshape(-1, 2).T
+            odds, counted = odds - picked, counted - picked * (float(news_of.mean()) if looks else 0.0)
             assigned, belief = tuple(Assigned(look.line, look.role) for look in looks), parent.belief
             if assigned:
-                belief = evidence.update(assigned, np.array(shares) if way is None else road.news_of(len(looks), way))
+                belief = evidence.update(assigned, fresh_of.copy() if way is None else road.news_of(len(looks), way))
             children.append(Hypothesis(belief, parent.log_odds + counted, assigned, odds, counted, parent.placed))
         return children
 
@@ -223,11 +266,11 @@ class Hypotheses:
         """What it costs [nats] to believe in neighbouring lanes."""
         return self.config.neighbour_price * sum(abs(look.role) > 1.0 for look in looks)
 
-    def _keep(self, grown: list[Hypothesis]) -> None:
+    def _keep(self, grown: list[Hypothesis], far_m: float) -> None:
         grown.sort(key=lambda each: -each.log_odds)
         kept: list[Hypothesis] = []
         for one in grown:
-            like = next((k for k, other in enumerate(kept) if self._same(one, other)), None)
+            like = next((k for k, other in enumerate(kept) if self._same(one, other, far_m)), None)
             if like is None:
                 kept.append(one)
             else:
@@ -236,10 +279,43 @@ class Hypotheses:
         best = kept[0].log_odds
         self.all = tuple(one for one in kept[: self.config.most] if best - one.log_odds < self.config.prune)
 
-    def _same(self, one: Hypothesis, other: Hypothesis) -> bool:
-        lateral = abs(one.belief.offset_m - other.belief.offset_m) / one.belief.road.lane_width_m
-        turned = abs(one.belief.heading_rad - other.belief.heading_rad)
-        return max(lateral, turned) < self.config.same
+    def _same(self, one: Hypothesis, other: Hypothesis, far_m: float) -> bool:
+        """Whether two say the same of the lane beside the car, and as far ahead as lines are in view."""
+        unit, most = one.belief.road.lane_width_m, self.config.same
+        if not _beside_alike(one, other, most):
+            return False
+        ahead = np.array((max(far_m - one.belief.reference_x_m, 0.0),))
+        (here, course, _), (there, other_course, _) = one.belief.beside(ahead, 0.0), other.belief.beside(ahead, 0.0)
+        return max(math.dist(here[0], there[0]) / unit, abs(float(course[0] - other_course[0]))) < most
+
+
+def _beside_alike(one: Hypothesis, other: Hypothesis, most: float) -> bool:
+    """Whether two put the lane at the same place beside the car, to so many lane widths and radians."""
+    lateral = abs(one.belief.offset_m - other.belief.offset_m) / one.belief.road.lane_width_m
+    return max(lateral, abs(one.belief.heading_rad - other.belief.heading_rad)) < most
+
+
+def _parted(evidence: Evidence, looks: Sequence[Look]) -> list[Look]:
+    """Looks at a line, and at the parts of it that play the roles better than the whole."""
+    parts = [evidence.part(look) for look in looks]
+    return [*looks, *(part for part in parts if part is not None)]
+
+
+def _departures(belief: LaneBelief, lines: Sequence[SightedLine]) -> list[float]:
+    """How far ahead of the reference point [m] a new bend may begin: where lines depart from the nearest role."""
+    evidence, unit, at_m = Evidence(belief), belief.road.lane_width_m, dict[int, float]()
+    for line in lines:
+        left_m, bend_m = _left_m(belief, line)
+        role = min(ROLES, key=lambda role: abs(left_m - bend_m - role * belief.width_m))
+        ahead_m = evidence.departs_m(line, role) if _possible(belief, line, role) else None
+        if ahead_m is not None:
+            at_m[round(ahead_m / (STATION * unit))] = ahead_m
+    return list(at_m.values())
+
+
+def _explains(child: Hypothesis, seen: Sequence[_Sighting]) -> bool:
+    """Whether a hypothesis explains all lines of a frame, and each to its end."""
+    return sum(len(line.points_m) for line, _ in child.assigned) == sum(len(each.line.points_m) for each in seen)
 
 
 def _picked(things: int, lines: int) -> float:
@@ -260,13 +336,18 @@ def _beside(one: Look, other: Look) -> bool:
 
 def _possible(belief: LaneBelief, line: SightedLine, role: float) -> bool:
     """Whether the line may play the role: what lies too far aside need not be weighed."""
-    x, y = line.points_m[0].tolist()
+    (x, _), (left, bend) = line.points_m[0].tolist(), _left_m(belief, line)
     x -= belief.reference_x_m
     offset, theta = (math.sqrt(belief.covariance[i, i]) for i in (OFFSET, THETA))
     reach = 4.0 * offset + 4.0 * theta * abs(x) + 0.5 * belief.road.lane_width_m
+    return abs(left - role * belief.width_m) < reach + abs(bend)
+
+
+def _left_m(belief: LaneBelief, line: SightedLine) -> tuple[float, float]:
+    """How far to the left of the middle of a straight lane a line begins, and by how much the lane bends there [m]."""
+    x, y = (line.points_m[0] - (belief.reference_x_m, 0.0)).tolist()
     left = y * math.cos(belief.heading_rad) + x * math.sin(belief.heading_rad) + belief.offset_m
-    bend = 0.5 * abs(belief.curvature_per_m) * (x * x + y * y)
-    return abs(left - role * belief.width_m) < reach + bend
+    return left, 0.5 * belief.curvature_per_m * (x * x + y * y)
 
 
 def _kind(line: SightedLine, dashed: float, lane_width_m: float) -> float:

@@ -128,6 +128,7 @@ class LaneTracking:
                 eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
                 pitch_rad=ANGLE_RAD,
                 pixel_rad=RIDGE_PX / car.camera.intrinsics.fx_px,
+                new_bend=1.0 / car.pipeline.contour.radius_lanes,
             )
         )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
@@ -165,6 +166,7 @@ class LaneTracking:
         self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
         self._on_any_road: LaneBelief | None = None  # the same where the road may have become another one
+        self._said = 0.0  # log-odds [nats] of what the estimator says, since the doubt began
         self._hypotheses.start(())
         self._innovations.reset()
         self._learnt_road.lose()
@@ -212,7 +214,7 @@ class LaneTracking:
             return None
         if self._hypotheses.all or self._belief is not None:  # a lane, or what may become one
             step = moved.distance_m, moved.turn_rad, moved.dt_s, moved.known
-            self._hypotheses.move(*step)
+            self._hypotheses.move(self.road, *step)
             if self._belief is not None:
                 self._belief = self._belief.moved(*step)
             if self._reckoned is not None and self._on_any_road is not None:
@@ -302,7 +304,7 @@ class LaneTracking:
             self._hypotheses.start(((self._anywhere(), 0.0),))  # a car that stands sees the same again: no new witness
         (left, right), told = self._profile.dashed, self._kinds
         self._hypotheses.update(lines, LineKinds(left + told.left, right + told.right))
-        best = self._hypotheses.all[0]
+        best = self._hypotheses.best
         if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
             self._hypotheses.start(())
             return None
@@ -344,11 +346,12 @@ class LaneTracking:
     def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Weigh all lines in view, and where the estimator must start anew; None where it may go on or nothing is sure.
 
-        What the estimator says is a hypothesis too: unlikely by as much as it differs from dead reckoning, likely by
-        what it explains.
+        One that says what cannot be must, where the odometry still knows better. What it says is a hypothesis, too:
+        unlikely by as much as it differs from dead reckoning, likely by what it explains.
         """
         if not self._possible(followed.pose):
-            return None
+            self._said = 0.0
+            return self._known()
         if self._reckoned is None or self._on_any_road is None:
             outvoted, self._outvoted = self._outvoted, False
             if outvoted and self._strays(followed):
@@ -359,18 +362,19 @@ class LaneTracking:
         seen = self._together(lines, own)
         self._hypotheses.displace(self._confusable)
         share = self._hypotheses.update(seen, self._kinds)
-        best, measured = self._hypotheses.all[0], self._measured(followed.pose)
+        best, measured = self._hypotheses.best, self._measured(followed.pose)
         alone = Hypotheses(self.config.hypotheses)
         alone.start(((measured, 0.0),))
         alone.update(seen, self._kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._on_any_road), self.config.gate)
-        likelier = bool(best.assigned) and best.log_odds > max(said, self.config.exists)
+        explains = best.assigned or not alone.all[0].assigned
+        likelier = bool(explains) and best.log_odds > max(said, 0.0)
         blind = not own and not self._confusable(self._reckoned, 1.0)
         story = best.belief if likelier else self._reckoned if blind else None
         self._story = story if story is not None and self._possible(story.pose) else None
         apart = self._apart(measured, best.belief)
-        agreed = apart < self.config.gate and self._hypotheses.posterior()[0] > self.config.sure
+        agreed = apart < self.config.gate and self._hypotheses.certainty > self.config.sure
         clear = not self._confusable(self._reckoned)
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
         told = told and (best.placed or best.bounds_a_lane)
@@ -389,9 +393,18 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
+        elif likelier and self._is_dead(followed, apart, said, best):
+            self._said = 0.0
+            return self._story
         elif self._refuted(followed, measured) if own else self._strays(followed):
+            self._said = 0.0
             return self._reckoned
         return None
+
+    def _known(self) -> LaneBelief | None:
+        """Where dead reckoning has the lane; None where it does not know better than an estimator."""
+        known = self._reckoned if self.in_doubt else self._belief
+        return known if known is not None and self.reckons and not self._confusable(known) else None
 
     def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
         """Whether one frame's lines say the same against dead reckoning alone, as surely as a bound must hold.
@@ -405,8 +418,17 @@ class LaneTracking:
         others = self._on_any_road, self._anywhere()
         look.start(((self._reckoned, 0.0), *((other, -self.config.exists) for other in others)))
         look.update(seen, self._kinds)
-        best = look.all[0]
+        best = look.best
         return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
+
+    def _is_dead(self, followed: Followed, apart: float, said: float, best: Hypothesis) -> bool:
+        """Whether what the estimator says, by these odds, is another story than the best, and so unlikely that it dies.
+
+        Who sees both lines from the car on knows better than that.
+        """
+        exists = self.config.exists
+        dead = best.log_odds > max(said + 2.0 * exists, exists) and apart > self.config.gate
+        return dead and self.reckons and not self._is_plain(followed)
 
     def _refuted(self, followed: Followed, measured: LaneBelief) -> bool:
         """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out.
@@ -438,7 +460,7 @@ class LaneTracking:
 
     def _alone(self, best: Hypothesis) -> bool:
         """Whether one hypothesis is left, and the last frame speaks for it."""
-        return self._hypotheses.posterior()[0] > self.config.sure and best.news > self.config.exists
+        return self._hypotheses.certainty > self.config.sure and best.news > self.config.exists
 
     def _beats(self, best: Hypothesis, said: float, news: float) -> bool:
         """Whether a hypothesis is far likelier than the estimator's, by all frames and by this one."""
@@ -450,8 +472,8 @@ class LaneTracking:
 
         Where both are, now and then: the lines beside them tell whether it is still the same lane.
         """
-        if self.lost or self.in_doubt:
-            return self.in_doubt
+        if self.lost or self.in_doubt or not self._possible(followed.pose):
+            return not self.lost
         plain = followed.left.seen and followed.right.seen and not self._may_be_another
         return self._outvoted or self._around_m > (self.config.look if plain else self.config.glance) * self._unit
 
@@ -461,11 +483,18 @@ class LaneTracking:
         return bool(self._profile.lanes[SAME] < self.config.another)
 
     def follow(self, frame: Frame, followed: Followed) -> LaneEstimate:
-        """The estimate by what the pipeline's estimator says; LOST, and forgotten, where that cannot be true."""
+        """The estimate by what the pipeline's estimator says, or by dead reckoning where that cannot be true.
+
+        LOST, and forgotten, where neither knows the lane.
+        """
+        if not self._possible(followed.pose):
+            known = self._known()
+            if known is None or not _is_finite(followed.pose):
+                self.forget()
+                return self.lost_estimate(frame)
+            left, right = (replace(line, points_m=line.points_m[:0], seen=False) for line, _ in _sides(followed))
+            followed = self._by(known, replace(followed, left=left, right=right))
         pose, count = followed.pose, followed.left.seen + followed.right.seen
-        if not self._possible(pose):
-            self.forget()
-            return self.lost_estimate(frame)
         self._lines_seen = count
         self._beside = self._beside and abs(pose.offset_m) > 0.5 * pose.width_m
         if self._belief is None:
@@ -487,15 +516,29 @@ class LaneTracking:
         assert belief is not None
         if self._news_m > self.config.glance * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-            evidence = Evidence(belief.on(self.road))
-            assigned = evidence.explained(own, self.config.fits)
+            evidence, assigned = self._explained(own)
             if len(assigned) < len(own):
                 self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
+                self._hypotheses.note([line for line, _ in own], self.road)
                 belief = evidence.update(assigned, belief.road.news_of(len(assigned), self._news_m / self._unit))
                 self._learn(belief, followed, True)
         if not self.in_doubt and self._confusable(belief):
             self._doubt(belief)
+
+    def _explained(self, own: list[Assigned]) -> tuple[Evidence, list[Assigned]]:
+        """What speaks best for an estimator's lines, and which of them are explained: by the road, or by a new bend."""
+        assert self._belief is not None
+        known = Evidence(self._belief.on(self.road))
+        best, (explained, odds) = known, known.explained(own, self.config.fits)
+        for line, role in own:
+            ahead_m = known.departs_m(line, role)
+            if ahead_m is not None:
+                bending = Evidence(known.belief.of_new_bend(ahead_m))
+                by_bend, bend_odds = bending.explained(own, self.config.fits)
+                if bend_odds - self.config.exists > odds:
+                    best, explained, odds = bending, by_bend, bend_odds - self.config.exists
+        return best, explained
 
     def _watch(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Learn from all lines in view, which may fit in more than one way; specks, which lie anywhere, teach nothing.
@@ -507,14 +550,16 @@ class LaneTracking:
         self._around_m = 0.0
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         around, known = Hypotheses(self.config.hypotheses), replace(belief, road=self.road)
-        # Its bends may be another thing's, a new one may begin at once, and roads get narrower.
-        others = known.without_road(), known.of_new_bend(), known.of_any_width()
+        # Its bends may be another thing's, and roads get narrower.
+        others = known.without_road(), known.of_any_width()
         around.start(((known, 0.0), *((other, -self.config.exists) for other in others)))
-        around.update(self._together(lines, own), self._kinds, self._news_m / self._unit)
-        best = around.all[0]
-        if around.posterior()[0] < self.config.sure or (own and not best.assigned):
+        seen = self._together(lines, own)
+        around.update(seen, self._kinds, self._news_m / self._unit)
+        best = around.best
+        if around.certainty < self.config.sure or (own and not best.assigned):
             self._contradict(belief)
         elif best.assigned and best.news > self.config.exists:
+            self._hypotheses.note(seen, self.road)
             self._learn(best.belief, followed, self._is_pair(belief, best))
             if self._misses(followed, belief, measured, best):
                 self._believe(best.belief)
@@ -536,7 +581,7 @@ class LaneTracking:
         around = Hypotheses(self.config.hypotheses)
         around.start(((replace(belief, road=self.road), 0.0),))
         around.update(lines, LineKinds(), math.inf)
-        best = around.all[0]
+        best = around.best
         return self._which_lane(best, plain=True) if best.line(LEFT) and best.line(RIGHT) else None
 
     def _which_lane(self, best: Hypothesis, *, plain: bool) -> LaneBelief | None:
@@ -586,7 +631,7 @@ class LaneTracking:
         if belief is None or not self.reckons or self._confusable(belief):  # in doubt since its first frame: no belief
             return False
         own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
-        explained = Evidence(belief.on(self.road)).explained(own, self.config.fits) if own else own
+        explained = Evidence(belief.on(self.road)).explained(own, self.config.fits)[0] if own else own
         if len(explained) < len(own):
             return False
         if not self.in_doubt and not any(self._reaching(followed)):
@@ -679,7 +724,7 @@ class LaneTracking:
         it was off by up to five times as much. That the road is another one is a story, too.
         """
         self._story, on_any_road = self._reckon(belief)
-        self._hypotheses.start(((self._story, 0.0), (on_any_road, -self.config.exists)))
+        self._hypotheses.start(((self._story, 0.0), (on_any_road, -self.config.exists)), learnt=True)
 
     def _reckon(self, belief: LaneBelief) -> tuple[LaneBelief, LaneBelief]:
         """The lane is in doubt from now on: dead reckoning alone moves it, on the road as it was seen and on any."""
@@ -698,7 +743,7 @@ class LaneTracking:
         self._belief, self._reckoned, self._on_any_road, self.in_doubt = belief.on(self.road), None, None, False
         self._marked = None  # it may be another lane's width
         self._news_m, self._learnt_ns = 0.0, self._t_ns
-        self._hypotheses.start(())
+        self._hypotheses.start((), learnt=True)
         self._innovations.reset()
 
     def _may_be_next(self, belief: LaneBelief, reckoned: LaneBelief) -> bool:
@@ -749,8 +794,7 @@ class LaneTracking:
         """Whether a car may stand so in a lane, and the lane be so wide."""
         unit = self._unit
         return bool(
-            math.isfinite(pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m)
-            and np.isfinite(pose.covariance).all()
+            _is_finite(pose)
             and abs(pose.width_m / unit - 1.0) < 4.0 * self.road.width_sigma
             and abs(pose.offset_m) < (1.4 if self._beside else 0.9) * unit
             and abs(pose.heading_rad) < math.radians(60.0)
@@ -784,12 +828,18 @@ class LaneTracking:
         dead reckoning, if that sees no line. Without odometry nothing is known that the estimator does not see.
         """
         belief, reaching = self._belief, self._reaching(followed)
-        if belief is None or not self.reckons or (reaching and all(reaching)):
+        if belief is None or not self.reckons or reaching == [True, True]:
             return followed
         if self.in_doubt:
             if self._story is None:
                 return followed
             belief = self._story
+        elif reaching == [True]:
+            return followed
+        return self._by(belief, followed)
+
+    def _by(self, belief: LaneBelief, followed: Followed) -> Followed:
+        """What is believed in place of what an estimator says, but for the lines that it sees."""
         left, right = (
             line if line.seen else replace(line, curve=belief.curve(role, self._ahead_m))
             for line, role in _sides(followed)
@@ -823,6 +873,11 @@ class LaneTracking:
         if not self.paired:  # what is seen may be the next lane's, a lane width away, whatever its own width seems
             offset += max(pose.width_m, self._unit)
         return offset, heading
+
+
+def _is_finite(pose: LanePose) -> bool:
+    values = pose.offset_m + pose.heading_rad + pose.width_m + pose.curvature_per_m
+    return bool(math.isfinite(values) and np.isfinite(pose.covariance).all())
 
 
 def _sides(followed: Followed) -> tuple[tuple[LaneLine, float], tuple[LaneLine, float]]:

@@ -39,3 +39,12 @@ def belief(
     theta = road.heading_rad + road.curvature_per_m * along
     mean = np.array((offset, theta, road.curvature_per_m, LANE_M))
     return LaneBelief.arc(mean, np.diag(np.square(sigmas)), model, reference_x_m)
+
+
+def bending(role: float, begins_m: float, radius_m: float, from_m: float = 0.1) -> SightedLine:
+    """A line of a lane that is straight from the car on, and bends to the left from `begins_m` on."""
+    straight, turned = np.linspace(from_m, begins_m, 4), np.linspace(0.15, 0.9, 6)
+    own_m = radius_m - role * LANE_M
+    x = np.concatenate((straight, begins_m + own_m * np.sin(turned)))
+    y = role * LANE_M + np.concatenate((np.zeros(len(straight)), own_m * (1.0 - np.cos(turned))))
+    return sighted(np.column_stack((x, y)))

@@ -15,7 +15,7 @@ from automodel.geometry import SE2
 from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import MotionSource
-from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, RoadModel
+from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, Look, RoadModel
 from automodel.tracking.hypotheses import LEFT, RIGHT
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import TrackingConfig
@@ -302,8 +302,17 @@ def test_a_mirrored_road_gives_the_mirrored_lane(curvature: float, heading: floa
     assert mirrored_odds == pytest.approx(odds, abs=1e-6)
 
 
+def likelihood(believed: LaneBelief, line: SightedLine, role: float = LEFT) -> float:
+    return believed.update((Assigned(line, role),))[1]
+
+
+def part(believed: LaneBelief, line: SightedLine) -> Look | None:
+    evidence = Evidence(believed)
+    return evidence.part(*evidence.looks(line, (LEFT,)))
+
+
 def explained(believed: LaneBelief, line: Assigned) -> bool:
-    return bool(Evidence(believed).explained((line,), TrackingConfig(coast_s=1.0, coast_lanes=1.0).gate))
+    return bool(Evidence(believed).explained((line,), TrackingConfig(coast_s=1.0, coast_lanes=1.0).gate)[0])
 
 
 def test_a_line_in_its_place_is_explained_and_another_is_not() -> None:
@@ -318,8 +327,34 @@ def test_a_line_that_goes_on_as_another_is_not_explained_though_no_clutter_is_li
     points = line_of(STRAIGHT, LEFT).points_m.copy()
     points[: len(points) // 2, 1] += 0.1 * LANE_M  # the near half is something beside it
     mixed = sighted(points)
-    assert Evidence(sure).of_line(mixed, LEFT) > sure.anything().of_line(mixed)
+    assert likelihood(sure, mixed) > sure.anything().of_line(mixed)
     assert not explained(sure, Assigned(mixed, LEFT))
+
+
+@pytest.mark.parametrize(("moved", "rest"), [(slice(6, None), slice(6)), (slice(3), slice(3, None))])
+def test_the_part_of_a_line_that_plays_the_role_is_told_from_the_rest(moved: slice, rest: slice) -> None:
+    sure, points = belief(STRAIGHT, (0.01, 0.02, 0.05, 0.01)), line_of(STRAIGHT, LEFT, count=10).points_m.copy()
+    assert part(sure, sighted(points)) is None
+    points[moved, 1] += 0.3 * LANE_M
+    look = part(sure, sighted(points))
+    assert look is not None
+    assert len(points[rest]) - 1 <= len(look.line.points_m) <= len(points[rest])
+    assert look.line.points_m[:, 1] == pytest.approx(0.5 * LANE_M)
+    other = look.line.points_m[0, 0] > points[0, 0]  # the near ones
+    left = points[: -len(look.line.points_m)] if other else points[len(look.line.points_m) :]
+    assert look.rest == sure.anything().of_line(sighted(left)) - sure.anything().CORNERS
+
+
+def test_a_new_bend_begins_where_a_line_departs_or_anywhere_before_it() -> None:
+    sure, points = belief(STRAIGHT, (0.01, 0.02, 0.05, 0.01)), line_of(STRAIGHT, LEFT, count=10).points_m.copy()
+    assert Evidence(sure).departs_m(sighted(points), LEFT) is None
+    far, near = points.copy(), points.copy()
+    far[6:, 1] += 0.3 * LANE_M
+    departs_m = Evidence(sure).departs_m(sighted(far), LEFT)
+    assert departs_m is not None
+    assert np.hypot(*far[5]) <= departs_m <= np.hypot(*far[6])
+    near[:3, 1] += 0.3 * LANE_M
+    assert Evidence(sure).departs_m(sighted(near), LEFT) == pytest.approx(0.5 * float(np.hypot(*near[0])))
 
 
 def test_what_is_no_news_teaches_little() -> None:
@@ -373,9 +408,9 @@ def test_a_tight_bend_that_begins_at_once_is_explained_by_a_road_with_a_new_bend
     outer = sighted(np.column_stack((LANE_M + outer_m * np.sin(turned), side * y)))
     role = LEFT if side > 0.0 else RIGHT
     assert not explained(known.without_road(), Assigned(outer, role))
-    assert explained(known.of_new_bend(), Assigned(outer, role))
-    assert not explained(known.of_new_bend(), Assigned(outer, -role))
-    beside = known.of_new_bend()
+    assert explained(known.of_new_bend(LANE_M), Assigned(outer, role))
+    assert not explained(known.of_new_bend(LANE_M), Assigned(outer, -role))
+    beside = known.of_new_bend(1.5 * LANE_M)
     assert beside.mean == pytest.approx(known.mean)
     assert beside.spread == pytest.approx(known.spread)
 
@@ -530,9 +565,9 @@ def test_a_thing_with_corners_is_clutter_even_where_the_road_may_bend() -> None:
     wide = belief(STRAIGHT, (0.02, 0.1, 1.0, 0.05))
     x = np.linspace(0.5, 1.4, 7)
     corners = SightedLine(points_m=np.stack((x, 0.2 + 0.15 * (np.arange(7) % 2)), axis=1), painted_m=1.0, span_m=1.0)
-    assert Evidence(wide).of_line(corners, LEFT) < wide.anything().of_line(corners)
+    assert likelihood(wide, corners) < wide.anything().of_line(corners)
     smooth = line_of(STRAIGHT, LEFT, 0.5, 1.4)
-    assert Evidence(wide).of_line(smooth, LEFT) > wide.anything().of_line(smooth)
+    assert likelihood(wide, smooth) > wide.anything().of_line(smooth)
 
 
 def test_clutter_is_the_sum_of_a_smooth_thing_and_of_one_with_corners() -> None:
@@ -540,9 +575,9 @@ def test_clutter_is_the_sum_of_a_smooth_thing_and_of_one_with_corners() -> None:
     anything, model = wide.anything(), wide.road
     unit = model.lane_width_m
     somewhere = np.diag(np.square((model.anywhere * unit, model.any_turn_rad, model.any_bend / unit, 0.0)))
-    smooth = Evidence(LaneBelief.arc(np.zeros(4), somewhere, model, wide.reference_x_m))
+    smooth = LaneBelief.arc(np.zeros(4), somewhere, model, wide.reference_x_m)
     for line in (line_of(STRAIGHT, LEFT, 0.5, 1.4), line_of(ARCS[2], RIGHT, 0.3, 1.2)):
         sigma_m, y = model.anywhere * unit, line.points_m[:, 1]
         corners = float((-0.5 * (y / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))).sum())
-        expected = np.logaddexp(smooth.of_line(line), corners - anything.CORNERS)
+        expected = np.logaddexp(likelihood(smooth, line, 0.0), corners - anything.CORNERS)
         assert anything.of_line(line) == pytest.approx(float(expected), rel=1e-12)

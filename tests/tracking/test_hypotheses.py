@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from automodel.geometry.lane_path import OFFSET
 from automodel.perception.line_scan import SightedLine
+from automodel.tracking.belief import Assigned
 from automodel.tracking.hypotheses import (
     LEFT,
     LEFT_FAR,
@@ -23,7 +25,7 @@ from automodel.tracking.hypotheses import (
 )
 from automodel.tracking.lane_motion import Part
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
-from tests.support.sighted_lines import DASHED, ROAD_MODEL, belief, line_of, sighted
+from tests.support.sighted_lines import DASHED, ROAD_MODEL, belief, bending, line_of, sighted
 
 START = belief(STRAIGHT, (0.25 * LANE_M, 0.25, 0.2 / LANE_M, 0.12 * LANE_M))  # a car somewhere in a lane
 COUNTRY = LineKinds(left=4.0, right=-4.0)  # dashed middle line, solid edge: traffic on the right
@@ -112,7 +114,7 @@ def test_a_second_line_later_on_decides_what_the_first_was(other: float, role: f
     first, second = line_of(STRAIGHT, 0.0), line_of(STRAIGHT, other)
     hypotheses = started(first)
     for _ in range(3):
-        hypotheses.move(0.25 * LANE_M, 0.0, 0.05, True)
+        hypotheses.move(ROAD_MODEL, 0.25 * LANE_M, 0.0, 0.05, True)
         hypotheses.update((first, second), LineKinds())
     best = hypotheses.all[0]
     assert best.line(role) == (first,)
@@ -131,7 +133,7 @@ def test_the_same_frame_again_is_no_news() -> None:
     odds = hypotheses.all[0].log_odds
     assert hypotheses.update(lines, LineKinds()) == 0.0
     assert hypotheses.all[0].log_odds == pytest.approx(odds)
-    hypotheses.move(0.0, 0.0, 0.5 * ROAD_MODEL.news / STILL_LANES, True)
+    hypotheses.move(ROAD_MODEL, 0.0, 0.0, 0.5 * ROAD_MODEL.news / STILL_LANES, True)
     assert hypotheses.update(lines, LineKinds()) == pytest.approx(0.5)
     assert hypotheses.all[0].log_odds > odds
 
@@ -139,7 +141,7 @@ def test_the_same_frame_again_is_no_news() -> None:
 def test_a_frame_without_lines_changes_no_odds() -> None:
     hypotheses = started(*country_road(0.5))
     before = hypotheses.posterior()
-    hypotheses.move(LANE_M, 0.0, 0.05, True)
+    hypotheses.move(ROAD_MODEL, LANE_M, 0.0, 0.05, True)
     hypotheses.update((), LineKinds())
     assert hypotheses.posterior() == pytest.approx(before)
 
@@ -164,11 +166,54 @@ def test_a_mirrored_road_has_the_mirrored_hypotheses() -> None:
     assert offsets[1] == pytest.approx([-offset for offset in offsets[0]], abs=1e-9)
 
 
+def followed(lines: Sequence[SightedLine]) -> Hypotheses:
+    """The hypotheses of a car that knows its place on a road that was straight so far, after one frame's lines."""
+    hypotheses, straight = Hypotheses(), replace(ROAD_MODEL, bend_walk=1e-4)
+    hypotheses.start(((belief(STRAIGHT, (0.01, 0.02, 0.01, 0.01), model=straight), 0.0),))
+    hypotheses.update(lines, LineKinds())
+    return hypotheses
+
+
+def a_metre_on(one: Hypothesis) -> float:
+    """Where the lane lies so far ahead, to the left [m]."""
+    return float(one.belief.beside(np.array((1.0,)), 0.0)[0][0, 1])
+
+
+@pytest.mark.parametrize("seen", [(LEFT, RIGHT), (LEFT,), (RIGHT,)])
+def test_where_lines_leave_the_road_smoothly_a_bend_begins_however_straight_it_was(seen: Sequence[float]) -> None:
+    begins_m, radius_m = 1.2 * LANE_M, 1.5 * LANE_M
+    best = followed([bending(role, begins_m, radius_m) for role in seen]).best
+    assert a_metre_on(best) == pytest.approx(radius_m * (1.0 - math.cos((1.0 - begins_m) / radius_m)), abs=0.05)
+
+
+def test_a_line_that_goes_on_as_another_thing_bends_no_road_in_one_frame() -> None:
+    """The line's end and a zebra's bar, joined by the scan, beside a line that goes straight on."""
+    points = line_of(STRAIGHT, LEFT).points_m.copy()
+    points[5:, 1] += 0.2 * LANE_M + 0.3 * (points[5:, 0] - points[5, 0])
+    hypotheses = followed([sighted(points), line_of(STRAIGHT, RIGHT)])
+    assert hypotheses.certainty > 0.99
+    assert a_metre_on(hypotheses.best) == pytest.approx(0.0, abs=0.02)
+    assert [len(part.points_m) for part in hypotheses.best.line(LEFT)] == [5]
+
+
+@pytest.mark.parametrize(("learnt", "least", "most"), [(True, 0.99, 1.01), (False, 0.3, 0.9)])
+def test_what_has_taught_a_belief_is_no_news_to_it_when_it_is_doubted(learnt: bool, least: float, most: float) -> None:
+    """However much it speaks for it."""
+    lines = [line_of(STRAIGHT, role) for role in (LEFT, RIGHT)]
+    known, _ = belief(STRAIGHT).update([Assigned(line, role) for line, role in zip(lines, (LEFT, RIGHT), strict=True)])
+    hypotheses = Hypotheses()
+    hypotheses.note(lines, ROAD_MODEL)
+    hypotheses.start(((known, 0.0),), learnt=learnt)
+    hypotheses.update(lines, LineKinds())
+    assert least < hypotheses.best.belief.sigma(Part.OFFSET) / known.sigma(Part.OFFSET) < most
+    assert hypotheses.best.log_odds > 10.0
+
+
 def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_one() -> None:
     lines = [line_of(STRAIGHT, lanes) for lanes in np.linspace(-1.5, 1.5, 9)]
     hypotheses = started(*lines)
     for _ in range(3):
-        hypotheses.move(0.3 * LANE_M, 0.0, 0.05, True)
+        hypotheses.move(ROAD_MODEL, 0.3 * LANE_M, 0.0, 0.05, True)
         hypotheses.update(lines, LineKinds())
         assert 1 <= len(hypotheses.all) <= hypotheses.config.most
         assert math.fsum(hypotheses.posterior()) == pytest.approx(1.0)
@@ -178,7 +223,7 @@ def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_o
 
 def test_without_a_start_there_are_no_hypotheses() -> None:
     hypotheses = Hypotheses()
-    hypotheses.move(0.1, 0.0, 0.05, True)
+    hypotheses.move(ROAD_MODEL, 0.1, 0.0, 0.05, True)
     assert hypotheses.update(country_road(0.0), LineKinds()) == 0.0
     assert hypotheses.all == ()
     assert hypotheses.posterior() == []
@@ -203,7 +248,7 @@ def test_an_assignment_that_is_hardly_likelier_than_none_leaves_the_doubt() -> N
     hypotheses = Hypotheses()
     hypotheses.start(((sure, 0.0),))
     hypotheses.update((line,), LineKinds())
-    best = hypotheses.all[0]
+    best = hypotheses.best
     assert abs(best.news) < 4.0
     alone, _ = sure.update(best.assigned)
     assert best.belief.sigma(Part.OFFSET) > 1.02 * min(alone.sigma(Part.OFFSET), sure.sigma(Part.OFFSET))

@@ -28,7 +28,7 @@ from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import FloatArray
 from tests.support.drawn_roads import Road
-from tests.support.sighted_lines import DASHED, line_of, sighted
+from tests.support.sighted_lines import DASHED, bending, line_of, sighted
 
 CAR = CarConfig()
 LANE_M = CAR.lane.width_m
@@ -39,14 +39,15 @@ BOTH: tuple[float, ...] = (LEFT, RIGHT)
 NONE: tuple[float, ...] = ()
 
 
-def sights(offset_m: float, roles: Sequence[float] = BOTH) -> tuple[SightedLine, ...]:
-    """Lines of a straight road on which the car is `offset_m` to the left of its lane's centre."""
-    return tuple(line_of(Road(aside_m=-offset_m), role, -0.5, 1.5) for role in roles)
+def sights(offset_m: float, roles: Sequence[float] = BOTH, heading_rad: float = 0.0) -> tuple[SightedLine, ...]:
+    """Lines of a straight road on which the car is `offset_m` to the left of its lane's centre, in that direction."""
+    return tuple(line_of(Road(aside_m=-offset_m, heading_rad=-heading_rad), role, -0.5, 1.5) for role in roles)
 
 
 def said(offset_m: float, seen: Sequence[float] = BOTH, width_m: float = LANE_M, heading_rad: float = 0.0) -> Followed:
     """What an estimator says that takes the lane to lie there, and these of its lines to be seen there."""
-    points = {role: line.points_m for role, line in zip(seen, sights(offset_m, seen), strict=True)}
+    drawn = heading_rad if math.isfinite(heading_rad) else 0.0
+    points = {role: line.points_m for role, line in zip(seen, sights(offset_m, seen, drawn), strict=True)}
     left, right = (
         LaneLine(curve=AHEAD, points_m=points.get(role, np.empty((0, 2))), seen=role in seen) for role in BOTH
     )
@@ -868,15 +869,9 @@ def test_lines_in_view_correct_a_bend_that_was_remembered_wrongly() -> None:
 def test_a_tight_bend_that_begins_at_once_is_believed_in_the_frame_that_shows_it() -> None:
     """To the left, of one and a half lane widths' radius."""
     drive, begins_m, radius_m = driving(), 1.2 * LANE_M, 1.5 * LANE_M
-
-    def bending(role: float) -> SightedLine:
-        straight, turned = np.linspace(0.1, begins_m, 4), np.linspace(0.15, 0.9, 6)
-        own_m = radius_m - role * LANE_M
-        x = np.concatenate((straight, begins_m + own_m * np.sin(turned)))
-        y = role * LANE_M + np.concatenate((np.zeros(len(straight)), own_m * (1.0 - np.cos(turned))))
-        return sighted(np.column_stack((CAR.vehicle.reference_x_m + x, y)))
-
-    drive.follow(said(0.0, NONE), tuple(bending(role) for role in BOTH))
+    ahead = np.array((CAR.vehicle.reference_x_m, 0.0))
+    lines = (bending(role, begins_m, radius_m) for role in BOTH)
+    drive.follow(said(0.0, NONE), tuple(sighted(line.points_m + ahead) for line in lines))
     assert not drive.doubted
     assert drive.tracking._belief is not None
     (a_metre_on,), _, _ = drive.tracking._belief.beside(np.array([1.0]), 0.0)
@@ -938,18 +933,33 @@ def test_a_gap_forgets_the_lane(dt_ns: int) -> None:
     assert drive.tracking.start(drive.t_ns, sights(0.1)) is not None
 
 
-@pytest.mark.parametrize(
-    "followed",
-    [
-        said(0.95 * LANE_M),
-        said(0.0, width_m=1.6 * LANE_M),
-        said(0.0, width_m=0.4 * LANE_M),
-        said(0.0, heading_rad=math.radians(65.0)),
-        said(0.0, width_m=math.nan),
-        said(0.0, heading_rad=math.inf),
-    ],
-)
-def test_a_pose_that_no_car_can_have_is_no_lane(followed: Followed) -> None:
+IMPOSSIBLE = [
+    said(0.95 * LANE_M),
+    said(0.0, width_m=1.6 * LANE_M),
+    said(0.0, width_m=0.4 * LANE_M),
+    said(0.0, heading_rad=math.radians(65.0)),
+]
+NOT_FINITE = [said(0.0, width_m=math.nan), said(0.0, heading_rad=math.inf)]
+
+
+@pytest.mark.parametrize("followed", IMPOSSIBLE)
+def test_a_pose_that_no_car_can_have_is_no_lane_but_that_of_dead_reckoning(followed: Followed) -> None:
+    drive, blind = driving(), 0
+    while drive.follow(followed).status is LaneStatus.COASTING:
+        blind += 1
+    assert 0 < blind < CONFIG.coast_s / STEP_S
+    assert drive.tracking.lost
+
+
+@pytest.mark.parametrize("followed", [*IMPOSSIBLE, *NOT_FINITE])
+def test_a_pose_that_no_car_can_have_is_no_lane_where_no_odometry_is_given(followed: Followed) -> None:
+    drive = driving()
+    assert drive.follow(followed, known=False).status is LaneStatus.LOST
+    assert drive.tracking.lost
+
+
+@pytest.mark.parametrize("followed", NOT_FINITE)
+def test_an_estimator_that_fails_has_no_lane(followed: Followed) -> None:
     drive = driving()
     assert drive.follow(followed).status is LaneStatus.LOST
     assert drive.tracking.lost
@@ -1031,3 +1041,58 @@ def test_a_line_that_becomes_solid_leaves_the_lane_as_it_is() -> None:
         estimate = drive.follow(said(0.0), sights(0.0, (LEFT_FAR, *BOTH)))
         assert drive.anew is None
         assert bound(estimate) < 0.3 * LANE_M
+
+
+def test_in_doubt_the_likeliest_story_is_told_and_the_estimator_sent_there_once_its_own_is_dead() -> None:
+    """It follows something beside the left line, which reaches to the car; in view is the right one."""
+    drive, off, sent = driving(), 0.3 * LANE_M, []
+    drive.follow(said(off, (LEFT,)), sights(0.0, (RIGHT,)))
+    assert drive.doubted
+    for _ in range(10):
+        told = drive.follow(said(off, (LEFT,)), sights(0.0, (RIGHT,)))
+        assert told.pose is not None
+        assert told.pose.offset_m == pytest.approx(0.0, abs=0.02)
+        sent += [] if drive.anew is None else [drive.anew]
+    assert sent
+    assert sent[0].offset_m == pytest.approx(0.0, abs=0.02)
+    assert drive.doubted
+
+
+def test_in_doubt_what_was_likely_is_told_where_nothing_is_in_view() -> None:
+    drive, off = driving(), 0.3 * LANE_M
+    for _ in range(3):
+        drive.follow(said(off, (LEFT,)), sights(0.0, (RIGHT,)))
+    reckoned = drive.tracking._reckoned
+    assert reckoned is not None
+    drive.tracking._reckoned = reckoned.moved(0.0, 0.0, 10.0, False)  # that knows nothing any more
+    told = drive.follow(said(off, NONE))
+    assert drive.doubted
+    assert told.pose is not None
+    assert told.pose.offset_m == pytest.approx(0.0, abs=0.02)
+
+
+def test_the_lines_that_were_followed_do_not_teach_anew_because_there_is_a_doubt() -> None:
+    drive = driving()
+    before = drive.tracking._belief
+    assert before is not None
+    drive.tracking._doubt(before)
+    drive.follow(said(0.0), sights(0.0))
+    after = drive.tracking._belief
+    assert after is not None
+    assert not drive.doubted
+    assert after.sigma(Part.OFFSET) > 0.95 * before.sigma(Part.OFFSET)
+
+
+def test_an_estimator_that_says_what_cannot_be_is_sent_back_where_dead_reckoning_knows_the_lane() -> None:
+    drive = driving()
+    for impossible in IMPOSSIBLE:
+        assert drive.tracking.looks_around(impossible)
+        sent = drive.tracking.judge(sights(0.0), impossible)
+        assert sent is not None
+        assert sent.offset_m == pytest.approx(0.0, abs=0.01)
+        told = drive.follow(impossible, sights(0.0))  # it says so again
+        assert told.status is LaneStatus.COASTING
+        assert told.pose is not None
+        assert told.pose.offset_m == pytest.approx(0.0, abs=0.01)
+    told = drive.follow(said(0.0), sights(0.0))
+    assert told.status is LaneStatus.TRACKING
