@@ -26,7 +26,7 @@ DISSENT, ASKED = 6, 20
 class CheckedOdometry:
     """The motion as given; the ground's own where none is given, or where the ground contradicts it.
 
-    `wrong`: the step found that the odometry is.
+    `wrong`: the step found that the odometry is. `borne_out`: by the ground, since anything contradicted it.
     """
 
     def __init__(self, camera: GroundCamera, lane_width_m: float) -> None:
@@ -36,7 +36,7 @@ class CheckedOdometry:
     def reset(self) -> None:
         """Forget the last frame; the odometry is trusted."""
         self._images.reset()
-        self.wrong = False
+        self.wrong, self.borne_out = False, True
         self._others: list[tuple[float, float]] | None = None  # speeds by it and by the ground that contradicts it
         self._asked = 0  # frames, while it is suspected
         self._rejected_ns: int | None = None
@@ -44,7 +44,7 @@ class CheckedOdometry:
     def see_with(self, camera: GroundCamera) -> None:
         """From now on the camera is set so; by the ground as it was seen before, no odometry is wrong."""
         self._images.see_with(camera)
-        self._others = self._rejected_ns = None
+        self._others, self._rejected_ns, self.borne_out = None, None, True
 
     @property
     def trusted(self) -> bool:
@@ -54,7 +54,7 @@ class CheckedOdometry:
     def suspect(self) -> None:
         """What is seen in a frame contradicts the motion up to it; the next frames' ground is asked."""
         if self._others is None:
-            self._others, self._asked = [], 0
+            self._others, self._asked, self.borne_out = [], 0, False
 
     def step(self, frame: Frame, motion: Motion) -> Motion:
         """The motion up to a frame: the odometry's, or the ground's; unknown where too little is seen of that."""
@@ -75,7 +75,7 @@ class CheckedOdometry:
         agrees = self._images.agrees(frame, motion)
         if agrees is False:
             self._others.append((motion.speed_mps, float(self._images.most[0])))
-        self._asked += 1
+        self._asked, self.borne_out = self._asked + 1, agrees is True
         self.wrong = len(self._others) >= DISSENT and self._tell_one_speed(self._others)
         if self.wrong:
             self._rejected_ns = frame.t_ns

@@ -404,7 +404,12 @@ class LaneTracking:
     def _known(self) -> LaneBelief | None:
         """Where dead reckoning has the lane; None where it does not know better than an estimator."""
         known = self._reckoned if self.in_doubt else self._belief
-        return known if known is not None and self.reckons and not self._confusable(known) else None
+        return known if known is not None and self._trusts and not self._confusable(known) else None
+
+    @property
+    def _trusts(self) -> bool:
+        """Whether the motion is an odometry's that nothing seen has contradicted since the ground bore it out."""
+        return self.reckons and self._odometry.borne_out
 
     def _at_once(self, belief: LaneBelief, seen: tuple[SightedLine, ...]) -> bool:
         """Whether one frame's lines say the same against dead reckoning alone, as surely as a bound must hold.
@@ -428,7 +433,7 @@ class LaneTracking:
         """
         exists = self.config.exists
         dead = best.log_odds > max(said + 2.0 * exists, exists) and apart > self.config.gate
-        return dead and self.reckons and not self._is_plain(followed)
+        return dead and self._trusts and not self._is_plain(followed)
 
     def _refuted(self, followed: Followed, measured: LaneBelief) -> bool:
         """Whether dead reckoning knows the lane, and the estimator says otherwise without a line that bears it out.
@@ -830,12 +835,12 @@ class LaneTracking:
         belief, reaching = self._belief, self._reaching(followed)
         if belief is None or not self.reckons or reaching == [True, True]:
             return followed
+        if reaching == [True] and not (self.in_doubt and self._trusts):
+            return followed
         if self.in_doubt:
             if self._story is None:
                 return followed
             belief = self._story
-        elif reaching == [True]:
-            return followed
         return self._by(belief, followed)
 
     def _by(self, belief: LaneBelief, followed: Followed) -> Followed:

@@ -47,6 +47,7 @@ def test_without_a_suspicion_it_is_used_as_it_is(factor: float) -> None:
 def test_a_wrong_one_is_found_out_and_the_ground_tells_the_motion(factor: float) -> None:
     odometry, used = suspected(factor)
     before = DISSENT - 1  # frames
+    assert not odometry.borne_out
     assert used == before * [True] + (9 - before) * [False]
     assert not odometry.trusted
     frame = frames(SPEED, YAW_RATE, 13, floor())[-1]
@@ -60,6 +61,7 @@ def test_a_right_one_is_kept_also_where_the_ground_says_nothing(contrast: float)
     odometry, used = suspected(1.0, contrast)
     assert all(used)
     assert odometry.trusted
+    assert odometry.borne_out == (contrast > 0.0)
 
 
 @pytest.mark.parametrize(("ground", "trusted"), [((1.0, 1.1), False), ((-1.0, 3.0), True)])
