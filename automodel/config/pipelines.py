@@ -62,8 +62,8 @@ class ContourConfig:
     nodes: int = 18  # places at which a line is looked for
     piece_lanes: float = 0.5  # length of a clothoid of the chain that the lane is
     radius_lanes: float = (
-        1.4  # of the road's tightest bend, for which the speed allows out of sight; some 50 on a highway, where every
-        # pipeline starts on dashes
+        1.4  # of the road's tightest bend, for which the speed allows out of sight, and as which a new bend is weighed;
+        # some 50 on a highway, where every pipeline starts on dashes
     )
     contrast: float = 0.0  # grey levels that a marking stands above its surroundings, at least; 0: from the noise
     colour: str = "grey"  # what is read of a colour image: "blue", "green", "red", or their weighted sum "grey"
