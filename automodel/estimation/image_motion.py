@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from automodel.estimation.road import LOST_PACE, MAX_GAP_S
-from automodel.geometry import SE2, GroundCamera
+from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.types import Bools, Float32Array, FloatArray, Image
 
@@ -77,6 +77,7 @@ class ImageMotion:
 
     ROUNDS = 3  # of the least squares
     QUALITY = 0.02  # of a corner, relative to the best one
+    MARGIN_PX = 4  # above the ground: a corner depends on 3 x 3 gradients of 3 x 3 pixels, and on the corners beside it
     MOST_SIGMAS = 10.0  # of a car of which nothing is known: no motion that is told is taken for a larger one
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
@@ -99,7 +100,9 @@ class ImageMotion:
     def see_with(self, camera: GroundCamera) -> None:
         """From now on the camera is set so."""
         self._camera = camera
-        self._mask = self._ground_mask(*self._size)  # made now: a frame that asks for it first would be late
+        mask = self._ground_mask(*self._size)  # made now: a frame that asks for it first would be late
+        self._top = max(int(mask.any(axis=1).argmax()) - self.MARGIN_PX, 0)
+        self._mask = mask[self._top :]
 
     def reset(self) -> None:
         """Forget the last image and motion."""
@@ -218,10 +221,11 @@ class ImageMotion:
         """Corners (n, 2) [px], where they went, and which (n,) have texture in both directions."""
         config = self.config
         apart = max(before.shape[1] / 80.0, 3.0)
-        found = cv2.goodFeaturesToTrack(before, config.corners, self.QUALITY, apart, mask=self._mask)
+        found = cv2.goodFeaturesToTrack(before[self._top :], config.corners, self.QUALITY, apart, mask=self._mask)
         if found is None:
             return np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_)
-        start = found.reshape(-1, 2).astype(np.float32)
+        start: Float32Array = found.reshape(-1, 2).astype(np.float32)
+        start[:, 1] += self._top
         guess = self._image_of(start.astype(np.float64), expected)
         guess = np.clip(np.where(np.isfinite(guess), guess, start), -1e4, 1e4).astype(np.float32)
         size, flags = (config.window_px, config.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
@@ -256,15 +260,20 @@ class ImageMotion:
         return contrast, np.maximum(middle - half, 0.0), middle + half
 
     def _image_of(self, pixels: FloatArray, moved: FloatArray) -> FloatArray:
-        """Where pixels (n, 2) of the ground go with a motion (distance, turn), in the small image."""
-        after_from_before = SE2.arc(float(moved[0]), float(moved[1])).inverse()
-        ground = self._camera.px_to_ground(pixels * self._scale + self._middle)
-        return np.asarray((self._camera.ground_to_px(after_from_before.apply(ground)) - self._middle) / self._scale)
+        """Where pixels (n, 2) of the ground go with motions (..., 2), arcs, in the small image: (..., n, 2)."""
+        distance, turn = moved[..., :1], moved[..., 1:]
+        chord = distance * np.sinc(0.5 * turn / math.pi)
+        x, y = self._camera.px_to_ground(pixels * self._scale + self._middle).T
+        x, y = x - chord * np.cos(0.5 * turn), y - chord * np.sin(0.5 * turn)
+        cos, sin = np.cos(turn), np.sin(turn)
+        after = np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
+        return np.asarray((self._camera.ground_to_px(after) - self._middle) / self._scale)
 
     def _near(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
-        """Which corners (n,) agree with a motion."""
+        """Which corners (..., n) agree with motions (..., 2)."""
+        off = self._image_of(start, moved) - end
         with np.errstate(invalid="ignore"):
-            return np.asarray(np.hypot(*(self._image_of(start, moved) - end).T) < 2.0 * self.config.sigma_px)
+            return np.asarray(np.hypot(off[..., 0], off[..., 1]) < 2.0 * self.config.sigma_px)
 
     def _about(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
         """Which corners (n,) agree with a motion, for a camera that is set a little wrong and nods."""
@@ -281,13 +290,10 @@ class ImageMotion:
 
     def _linearised(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (2 n,) [px] and their Jacobian (2 n, 2) for distance and turn, by differences."""
-        off = (self._image_of(start, moved) - end).reshape(-1)
-        steps = (1e-3 * self._unit, 1e-3)
-        columns = [
-            ((self._image_of(start, moved + step * np.eye(2)[i]) - end).reshape(-1) - off) / step
-            for i, step in enumerate(steps)
-        ]
-        return off, np.stack(columns, axis=1)
+        steps = np.array((1e-3 * self._unit, 1e-3))
+        motions = moved + np.vstack((np.zeros(2), np.diag(steps)))
+        off, *others = (self._image_of(start, motions) - end).reshape(3, -1)
+        return off, (np.stack(others, axis=1) - off[:, None]) / steps
 
     def _consensus(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """The motion by one corner that most corners agree with."""
@@ -298,7 +304,7 @@ class ImageMotion:
         motions = motions[np.isfinite(motions).all(axis=1) & (np.abs(turn) < 0.5)]
         if not len(motions):
             return np.zeros(2)
-        votes = [np.count_nonzero(self._near(start, end, moved)) for moved in motions]
+        votes = np.count_nonzero(self._near(start, end, motions), axis=1)
         return np.asarray(motions[int(np.argmax(votes))])
 
     def _ground_mask(self, height: int, width: int) -> Image:

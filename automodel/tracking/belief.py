@@ -27,9 +27,7 @@ from automodel.tracking.evidence import (
     Equations,
     Prior,
     change,
-    fit,
     innovation,
-    log_likelihood,
     own_thing,
     posterior,
     settled,
@@ -358,7 +356,7 @@ class LaneBelief:
         if not assigned:
             return self, 0.0
         evidence = Evidence(self)
-        looks = [look for line, role in assigned for look in evidence.looks(line, (role,))]
+        looks = [evidence.look(line, role) for line, role in assigned]
         return evidence.update(assigned, self.road.news_of(len(assigned), way)), evidence.log_likelihood(looks)
 
     def anything(self) -> Clutter:
@@ -378,13 +376,23 @@ class LaneBelief:
 class Look(NamedTuple):
     """A line in a role, and what it says about a belief.
 
-    `rest`: where it goes on as another thing, the logarithm of how likely that is [nats].
+    `place` (n + 1,): where it puts the lane, whitened. `squares`: squared innovation of its points over its covariance;
+    `volume`: logarithm of that covariance's determinant. `rest`: where it goes on as another thing, the logarithm of
+    how likely that is [nats].
     """
 
     line: SightedLine
     role: float
     equations: Equations
+    place: FloatArray
+    squares: float
+    volume: float
     rest: float = 0.0
+
+    @property
+    def log_likelihood(self) -> float:
+        """The logarithm of how likely the line is [nats]; not what it goes on as."""
+        return -0.5 * (self.squares + self.volume)
 
 
 def prior_of(belief: LaneBelief) -> Prior:
@@ -415,10 +423,15 @@ class Evidence:
 
     def __init__(self, belief: LaneBelief) -> None:
         self.belief, self._prior = belief, prior_of(belief)
+        self._looks: dict[tuple[int, float], Look] = {}  # each is asked for more than once; it keeps its line alive
 
-    def looks(self, line: SightedLine, roles: Sequence[float]) -> list[Look]:
-        """A line in each of several roles."""
-        return [Look(line, role, self._settled(((line, role),), np.ones(1))[0]) for role in roles]
+    def look(self, line: SightedLine, role: float) -> Look:
+        """A line in a role."""
+        known = self._looks.get((id(line), role))
+        if known is None:
+            equations, place = self._settled(((line, role),), np.ones(1))
+            known = self._looks[id(line), role] = Look(line, role, equations, place, *innovation(equations))
+        return known
 
     def part(self, look: Look) -> Look | None:
         """The part of a line that plays its role, the rest being another thing; None where all of it fits."""
@@ -428,7 +441,7 @@ class Evidence:
         if at == 0 or len(part) < 2:
             return None
         painted_m = line.painted_m * len(part) / len(points)
-        (its,) = self.looks(SightedLine(points_m=part, painted_m=painted_m, span_m=0.0), (look.role,))
+        its = self.look(SightedLine(points_m=part, painted_m=painted_m, span_m=0.0), look.role)
         other = SightedLine(points_m=rest, painted_m=line.painted_m - painted_m, span_m=0.0)
         return its._replace(rest=anything.of_line(other) - anything.CORNERS)
 
@@ -437,7 +450,7 @@ class Evidence:
 
         One that does from its first point on may do so anywhere on the way there.
         """
-        at = self._changes(*self.looks(line, (role,)))
+        at = self._changes(self.look(line, role))
         x, y = line.points_m[max(at, 0)].tolist()
         ahead_m = math.hypot(x - self.belief.reference_x_m, y)
         return None if at == 0 else ahead_m if at > 0 else 0.5 * ahead_m
@@ -448,16 +461,17 @@ class Evidence:
         It must fit so badly that it is likelier to have a corner.
         """
         points = look.line.points_m
-        if innovation(look.equations)[0] < len(points) + 2.0 * self.belief.anything().CORNERS:
+        if look.squares < len(points) + 2.0 * self.belief.anything().CORNERS:
             return 0
-        return change(self._prior, points.copy(), look.role, self._settled(((look.line, look.role),), np.ones(1))[1])
+        return change(self._prior, points.copy(), look.role, look.place)  # a copy has the one layout that is compiled
 
     def log_likelihood(self, looks: Sequence[Look]) -> float:
         """The logarithm of how likely lines are [nats]; not what some go on as."""
-        equations = [look.equations for look in looks]
-        if len(equations) == 1:
-            return log_likelihood(equations[0])
-        return log_likelihood(Equations(*map(np.concatenate, zip(*equations, strict=True))))
+        if len(looks) == 1:
+            return looks[0].log_likelihood
+        together = Equations(*map(np.concatenate, zip(*(look.equations for look in looks), strict=True)))
+        squares, volume = innovation(together)
+        return -0.5 * (squares + volume)
 
     def explained(self, lines: Sequence[Assigned], gate: float) -> tuple[list[Assigned], float]:
         """The lines that fit their role and are likelier there than as things of their own; and by how much [nats].
@@ -467,9 +481,9 @@ class Evidence:
         """
         anything, explained, total = self.belief.anything(), [], 0.0
         for line, role in lines:
-            squares, volume = fit(self._prior, line.points_m.copy(), role)  # a copy has the one layout that is compiled
-            odds = -0.5 * (squares + volume) - anything.of_line(line)
-            if squares < gate and odds > 0.0:
+            look = self.look(line, role)
+            odds = look.log_likelihood - anything.of_line(line)
+            if look.squares < gate and odds > 0.0:
                 explained.append(Assigned(line, role))
                 total += odds
         return explained, total

@@ -416,13 +416,6 @@ def change(prior: Prior, points: FloatArray, role: float, z: FloatArray) -> int:
 
 
 @compiled
-def log_likelihood(equations: Equations) -> float:
-    """The logarithm of how likely lines are [nats]."""
-    squares, volume = innovation(equations)
-    return -0.5 * (squares + volume)
-
-
-@compiled
 def posterior(prior: Prior, equations: Equations, z: FloatArray, shares: FloatArray) -> tuple[FloatArray, FloatArray]:
     """State (n,) and covariance (n, n) after lines that count by their `shares` (m,) and put it at z."""
     root = _together(equations.information, equations.vector, shares)[1]

@@ -179,13 +179,15 @@ class Hypotheses:
         things = len(lines) if picked else None
         grown = []
         for one in self.all:
-            children = self._children(one, seen, things, kinds, way)
+            evidence = Evidence(one.belief)
+            children = self._children(one, evidence, seen, things, kinds, way)
             grown += children
             if not any(_explains(child, seen) for child in children):
                 odds = one.log_odds + math.log(EXCEEDED)
-                for ahead_m in _departures(one.belief, [each.line for each in seen[:BENDING]]):
+                for ahead_m in _departures(evidence, [each.line for each in seen[:BENDING]]):
                     bending = replace(one, belief=one.belief.of_new_bend(ahead_m), log_odds=odds)
-                    grown += [child for child in self._children(bending, seen, things, kinds, way) if child.assigned]
+                    bent = self._children(bending, Evidence(bending.belief), seen, things, kinds, way)
+                    grown += [child for child in bent if child.assigned]
         far_m = max((float(each.line.points_m[-1, 0]) for each in seen), default=0.0)
         self._keep(grown, far_m)
         counts = [len(each.line.points_m) for each in seen]
@@ -220,22 +222,23 @@ class Hypotheses:
     def _children(
         self,
         parent: Hypothesis,
+        evidence: Evidence,
         lines: Sequence[_Sighting],
         things: int | None,
         kinds: LineKinds,
         way: float | None,
     ) -> list[Hypothesis]:
-        """The parent with each plausible assignment of the lines; with none of them it stays as it was.
+        """The parent with each plausible assignment of the lines, the `evidence` about its belief; or as it was.
 
         `things`: how many are in view, out of which the lines that play a role are picked; None where they are not.
         """
-        config, evidence, road = self.config, Evidence(parent.belief), parent.belief.road
+        config, road = self.config, parent.belief.road
         unit = road.lane_width_m
         beam: list[_Story] = [_Story((), (), 0.0, 0.0, 0.0)]
         for line, clutter, news, fresh in lines:
             grown = list(beam)
             roles = [role for role in ROLES if _possible(parent.belief, line, role)]
-            for look in _parted(evidence, evidence.looks(line, roles)):
+            for look in _parted(evidence, [evidence.look(line, role) for role in roles]):
                 for story in beam:
                     if any(_beside(look, other) for other in story.looks):
                         continue
@@ -301,9 +304,9 @@ def _parted(evidence: Evidence, looks: Sequence[Look]) -> list[Look]:
     return [*looks, *(part for part in parts if part is not None)]
 
 
-def _departures(belief: LaneBelief, lines: Sequence[SightedLine]) -> list[float]:
+def _departures(evidence: Evidence, lines: Sequence[SightedLine]) -> list[float]:
     """How far ahead of the reference point [m] a new bend may begin: where lines depart from the nearest role."""
-    evidence, unit, at_m = Evidence(belief), belief.road.lane_width_m, dict[int, float]()
+    belief, unit, at_m = evidence.belief, evidence.belief.road.lane_width_m, dict[int, float]()
     for line in lines:
         left_m, bend_m = _left_m(belief, line)
         role = min(ROLES, key=lambda role: abs(left_m - bend_m - role * belief.width_m))

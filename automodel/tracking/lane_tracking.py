@@ -689,7 +689,7 @@ class LaneTracking:
     def _stands_out(self, belief: LaneBelief, best: Hypothesis, roles: list[float]) -> bool:
         """Whether the lines of these roles are more than specks that lie where a line would, as was believed."""
         evidence, anything = Evidence(belief), belief.anything()
-        looks = [look for line, role in best.assigned for look in evidence.looks(line, (role,))]
+        looks = [evidence.look(line, role) for line, role in best.assigned]
         others = [look for look in looks if look.role not in roles]
         alone = sum(anything.of_line(look.line) for look in looks if look.role in roles)
         odds = evidence.log_likelihood(looks) - alone - (evidence.log_likelihood(others) if others else 0.0)

@@ -308,7 +308,7 @@ def likelihood(believed: LaneBelief, line: SightedLine, role: float = LEFT) -> f
 
 def part(believed: LaneBelief, line: SightedLine) -> Look | None:
     evidence = Evidence(believed)
-    return evidence.part(*evidence.looks(line, (LEFT,)))
+    return evidence.part(evidence.look(line, LEFT))
 
 
 def explained(believed: LaneBelief, line: Assigned) -> bool:
