@@ -5,6 +5,13 @@ from pathlib import Path
 
 import pytest
 
+# As many tests run at a time as there are cores: what one of them gains by a second core the others lose, and more.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import cv2  # after the environment, which numpy reads when it is imported
+
+cv2.setNumThreads(1)
+
 
 @pytest.fixture(scope="session")
 def data_root() -> Path:
