@@ -14,11 +14,12 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from automodel.compiled import compiled
 from automodel.config.toml_reader import one_of
 from automodel.geometry import SE2
 from automodel.sim.ground_projection import GroundProjection
 from automodel.sim.paint import Paint
-from automodel.types import Bools, Float32Array, FloatArray, Ints
+from automodel.types import Bools, Float32Array, FloatArray
 
 BLOCK_ROWS = 16
 FLAT_PX = 1e-6  # level edges are tilted by this much
@@ -65,21 +66,65 @@ def covered(edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, shape: 
     inside it. Rings may lie outside the image.
     """
     height, width = shape
-    cells, amounts = _areas(edges_px, weight, shape)
-    blocks = -(-(height + 3) // BLOCK_ROWS)
-    gained = np.zeros(blocks * BLOCK_ROWS * width, np.float32)
-    np.add.at(gained, cells, amounts.astype(np.float32))
-    _sum_down(gained.reshape(blocks, BLOCK_ROWS, width))
-    share = gained.reshape(-1, width)[1 : height + 1]
-    return np.asarray(cv2.threshold(share, 1.0, 0.0, cv2.THRESH_TRUNC)[1], dtype=np.float32)
+    gained = np.zeros((height + 3, width), np.float32)
+    start, end = (np.ascontiguousarray(each) for each in edges_px)
+    for below in (False, True):
+        _gain(gained, start, end, weight, below)
+    _sum_down(gained)
+    return gained[1 : height + 1]
 
 
+@compiled
+def _gain(gained: Float32Array, start: FloatArray, end: FloatArray, weight: FloatArray, below: bool) -> None:
+    """Add the area that each edge (n, 2) covers to the cells (h + 3, w) that it crosses, or to those `below`.
+
+    Row 0 of the cells collects what lies above the image. The parts of the cells that an edge crosses are added in one
+    pass, those of the cells below in another.
+    """
+    height, width = gained.shape[0] - 3, gained.shape[1]
+    for k in range(len(start)):
+        du = end[k, 0] - start[k, 0]
+        if abs(du) <= 1e-9 or max(start[k, 0], end[k, 0]) <= 0.0 or min(start[k, 0], end[k, 0]) >= width:
+            continue
+        # anticlockwise in the image: the upper border runs to the left, and the inside lies below it
+        left, right, share = (start[k], end[k], -weight[k]) if du > 0.0 else (end[k], start[k], weight[k])
+        slope = (right[1] - left[1]) / (right[0] - left[0])
+        u0 = max(left[0], 0.0)
+        v0 = left[1] + (u0 - left[0]) * slope
+        for column in range(int(u0), int(min(math.ceil(right[0]), width))):
+            a, b = max(u0, float(column)), min(right[0], column + 1.0)
+            va, vb = v0 + (a - u0) * slope, v0 + (b - u0) * slope
+            top = min(va, vb)
+            bottom = max(va, vb, top + FLAT_PX)
+            density = (b - a) * share / (bottom - top)
+            # split at the rows; row -1 stands for everything above, row `height` is not used
+            first = int(min(max(math.floor(top), -1.0), float(height)))
+            last = int(min(max(math.ceil(bottom) - 1.0, float(first)), float(height)))
+            for row in range(first, last + 1):
+                low, high = top if row < 0 else max(top, float(row)), min(bottom, row + 1.0)
+                gain = (high - low) * density
+                under = 0.0 if row < 0 else (0.5 * (low + high) - row) * gain
+                if below:
+                    gained[row + 2, column] += np.float32(under)
+                else:
+                    gained[row + 1, column] += np.float32(gain - under)
+
+
+@compiled
 def _sum_down(rows: Float32Array) -> None:
-    """Cumulative sum down the rows (blocks, BLOCK_ROWS, w) in place, many times faster than cumsum along that axis."""
-    for k in range(1, BLOCK_ROWS):
-        rows[:, k] += rows[:, k - 1]
-    carried = np.cumsum(rows[:-1, -1], axis=0, dtype=np.float64)
-    rows[1:] += carried.astype(np.float32)[:, None]
+    """Cumulative sum down the rows (h, w) in place, at most 1; of blocks of rows it is in double precision."""
+    height, width = rows.shape
+    carried = np.zeros(width)
+    for first in range(0, height, BLOCK_ROWS):
+        end = min(first + BLOCK_ROWS, height)
+        for k in range(first + 1, end):
+            for j in range(width):
+                rows[k, j] += rows[k - 1, j]
+        for j in range(width):
+            before = np.float32(carried[j])
+            carried[j] += rows[end - 1, j]
+            for k in range(first, end):
+                rows[k, j] = min(rows[k, j] + before, np.float32(1.0))
 
 
 def covered_softly(edges_px: tuple[FloatArray, FloatArray], shape: tuple[int, int]) -> Float32Array:
@@ -88,65 +133,6 @@ def covered_softly(edges_px: tuple[FloatArray, FloatArray], shape: tuple[int, in
     share = covered((0.5 * edges_px[0], 0.5 * edges_px[1]), np.ones(len(edges_px[0])), half)
     large = cv2.resize(share, (2 * half[1], 2 * half[0]), interpolation=cv2.INTER_LINEAR)
     return np.asarray(large[: shape[0], : shape[1]])
-
-
-def _areas(
-    edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, shape: tuple[int, int]
-) -> tuple[Ints, FloatArray]:
-    """Flat indices of cells and the area that each gains; row 0 of the cells collects what lies above the image."""
-    height, width = shape
-    u0, u1, v_left, slope, sign = _left_to_right(edges_px, weight, width)
-    first = np.floor(u0).astype(np.intp)
-    counts = np.maximum(np.minimum(np.ceil(u1).astype(np.intp), width) - first, 0)
-    owner, step = _runs(counts)
-    column = first[owner] + step
-    start = u0[owner]
-    a, b = np.maximum(start, column), np.minimum(u1[owner], column + 1.0)
-    lean, base = slope[owner], v_left[owner]
-    va, vb = base + (a - start) * lean, base + (b - start) * lean
-    top = np.minimum(va, vb)
-    bottom = np.maximum(np.maximum(va, vb), top + FLAT_PX)
-    density = (b - a) * sign[owner] / (bottom - top)
-    # within one column: split at the rows; row -1 stands for everything above, row `height` is not used
-    first = np.clip(np.floor(top), -1, height).astype(np.intp)
-    last = np.clip(np.ceil(bottom) - 1.0, first, height).astype(np.intp)
-    piece, step = _runs(last - first + 1)
-    row = first[piece] + step
-    low, high = np.maximum(top[piece], row), np.minimum(bottom[piece], row + 1.0)
-    above = np.flatnonzero(row < 0)
-    low[above] = top[piece[above]]
-    gain = (high - low) * density[piece]
-    below = (0.5 * (low + high) - row) * gain
-    below[above] = 0.0
-    cell = (row + 1) * width + column[piece]
-    return np.concatenate((cell, cell + width)), np.concatenate((gain - below, below))
-
-
-def _left_to_right(
-    edges_px: tuple[FloatArray, FloatArray], weight: FloatArray, width: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Edges with a width inside the columns: left and right u, v at the left end, slope, signed weight."""
-    start, end = edges_px
-    du = end[:, 0] - start[:, 0]
-    kept = np.flatnonzero(
-        (np.abs(du) > 1e-9) & (np.maximum(start[:, 0], end[:, 0]) > 0.0) & (np.minimum(start[:, 0], end[:, 0]) < width)
-    )
-    start, end, du = start[kept], end[kept], du[kept]
-    rightward = du > 0.0
-    left = np.where(rightward[:, None], start, end)
-    right = np.where(rightward[:, None], end, start)
-    slope = (right[:, 1] - left[:, 1]) / (right[:, 0] - left[:, 0])
-    u0 = np.maximum(left[:, 0], 0.0)
-    v0 = left[:, 1] + (u0 - left[:, 0]) * slope
-    # anticlockwise in the image: the upper border runs to the left, and the inside lies below it
-    return u0, right[:, 0], v0, slope, np.where(rightward, -weight[kept], weight[kept])
-
-
-def _runs(counts: Ints) -> tuple[Ints, Ints]:
-    """For counts (2, 0, 3): owners (0, 0, 2, 2, 2) and steps (0, 1, 0, 1, 2)."""
-    owner = np.repeat(np.arange(len(counts)), counts)
-    starts = np.cumsum(counts) - counts
-    return owner, np.arange(len(owner)) - starts[owner]
 
 
 # in the order in which they are drawn; asphalt: bare ground without paint; the last six are shades of the ground

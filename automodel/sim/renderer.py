@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -114,6 +115,7 @@ def exposure(look: Appearance, index: int) -> float:
     return 1.0 + look.exposure_step * (2.0 * draw - 1.0)
 
 
+@functools.lru_cache(maxsize=64)  # that down the image is the same in every frame
 def blur_kernel(sigma_px: float, smear_px: float) -> Float32Array:
     """Gaussian of `sigma_px` convolved with a box of length `smear_px`, integrated over pixels; odd length, sum 1."""
     sigma = math.hypot(sigma_px, 0.05)
