@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from automodel.compiled import compiled
 from automodel.geometry import CameraModel
 from automodel.perception.markings.ridge import ridge_sums
 from automodel.sources.images import with_channels
@@ -28,6 +29,7 @@ ROWS = 150  # of an image that are searched, about
 NOISES, NOISES_OF_MARKING, MOST_NOISES = 4.0, 2.5, 8.0  # contrast of a ridge over the noise: least, largest weight
 MOST_SLOPE = 4.5  # |du / dv| of lines
 ACROSS, BINS = 2.0, 256  # range of rays on the lower image border, in image widths to each side, and its bins
+AROUND = 31  # bins over which a ray is compared with those around it: odd
 MOST_OF_ONE = 40.0  # variances: the most that one ray adds, since a single strong line does not show where lines meet
 AHEAD = 0.2  # of the image's width: one sigma of the vanishing point of a camera that looks ahead
 BELOW = 1.0 / 24.0  # of the image's height: nearer below the vanishing point the lines cannot be separated
@@ -121,12 +123,7 @@ class Rays:
 
     def profile(self, points: FloatArray, u0: float, v0: float) -> FloatArray:
         """The weight (BINS,) of the points (n, 3) in each bin of rays from (u0, v0)."""
-        depth = self.bottom - v0
-        across = (points[:, 0] - u0) * (depth / np.maximum(points[:, 1] - v0, 1.0))
-        index = np.floor((across + self._most) * (0.5 * BINS / self._most))
-        there = (index >= 0) & (index < BINS) & (np.abs(across) < MOST_SLOPE * depth)
-        weights = np.bincount(index[there].astype(np.intp), weights=points[there, 2], minlength=BINS)
-        return np.convolve(weights, (0.5, 1.0, 0.5), "same")
+        return _profile(points, u0, v0, self.bottom, self._most)
 
     def slopes(self, v0: float) -> FloatArray:
         """The slope du / dv (BINS,) of the ray of each bin."""
@@ -135,9 +132,7 @@ class Rays:
 
     def sharpness(self, points: FloatArray, u0: float, v0: float, most: float = math.inf) -> float:
         """How far the points are concentrated on few rays from (u0, v0), each of which adds `most` at most."""
-        values = self.profile(points, u0, v0)
-        around = moving_average(values)
-        return float(np.minimum(np.maximum(values - around, 0.0) ** 2 / (around + 4.0), most).sum())
+        return _sharpness(_profile(points, u0, v0, self.bottom, self._most), most)
 
     def sharpest(self, images: Sequence[FloatArray], us: FloatArray, vs: FloatArray, below: float | None) -> FloatArray:
         """The node (2,) of a grid with the largest sum of sharpness, of all points or of those that lie `below` it.
@@ -155,9 +150,37 @@ class Rays:
         return np.array((us[column], vs[row]))
 
 
+@compiled
+def _profile(points: FloatArray, u0: float, v0: float, bottom: float, most: float) -> FloatArray:
+    """The weight (BINS,) of the points (n, 3) in each bin of rays from (u0, v0), which are `most` to each side wide."""
+    depth, weights, smooth = bottom - v0, np.zeros(BINS + 2), np.empty(BINS)
+    for i in range(len(points)):
+        across = (points[i, 0] - u0) * (depth / max(points[i, 1] - v0, 1.0))
+        index = math.floor((across + most) * (0.5 * BINS / most))
+        if 0 <= index < BINS and abs(across) < MOST_SLOPE * depth:
+            weights[index + 1] += points[i, 2]
+    for k in range(BINS):
+        smooth[k] = 0.5 * weights[k] + weights[k + 1] + 0.5 * weights[k + 2]
+    return smooth
+
+
+@compiled
 def moving_average(values: FloatArray) -> FloatArray:
-    """The moving average (BINS,) of a profile."""
-    return np.convolve(values, np.full(31, 1.0 / 31.0), "same")
+    """The moving average (BINS,) of a profile, over AROUND bins."""
+    sums, average = np.zeros(len(values) + AROUND), np.empty(len(values))
+    for k in range(len(sums) - 1):
+        sums[k + 1] = sums[k] + (values[k - AROUND // 2] if 0 <= k - AROUND // 2 < len(values) else 0.0)
+    for k in range(len(values)):
+        average[k] = (sums[k + AROUND] - sums[k]) / AROUND
+    return average
+
+
+@compiled
+def _sharpness(values: FloatArray, most: float) -> float:
+    around, total = moving_average(values), 0.0
+    for k in range(len(values)):
+        total += min(max(values[k] - around[k], 0.0) ** 2 / (around[k] + 4.0), most)
+    return total
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

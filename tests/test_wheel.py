@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import shutil
@@ -75,25 +76,20 @@ def test_the_wheel_holds_the_three_packages_and_the_tracks(wheel: Path) -> None:
     assert tops == {"automodel", "firmware_link", "calibration", "tracks"}
 
 
-def test_an_installed_wheel_drives_a_lap(python: Path, tmp_path: Path) -> None:
+def test_an_installed_wheel_drives(python: Path, tmp_path: Path) -> None:
+    """A lap; and in real time, where the world's process finds its modules, and the default pipeline its network."""
     for module in ("automodel.cli.main", "firmware_link.arduino", "calibration", "tracks"):
         file = call(python, "-c", f"import {module} as module; print(module.__file__)", cwd=tmp_path).strip()
         assert Path(file).is_relative_to(python.parents[1])
-    arguments = ["run", "--pipeline", "contour", "--track", "oval", "--laps", "1", "--json"]
-    said = call(python, "-m", "automodel", *arguments, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path / "cache"))
-    (row,) = json.loads(said)["rows"]
+    run = functools.partial(call, python, "-m", "automodel", "run", "--track", "oval", "--json", cwd=tmp_path)
+    (row,) = json.loads(run("--pipeline", "contour", "--laps", "1", XDG_CACHE_HOME=str(tmp_path / "cache")))["rows"]
     assert (row["laps"], row["left_lane"], row["stops"]) == (1, 0, 0)
+    (row,) = json.loads(run("--realtime", "--duration", "0.3", XDG_CACHE_HOME=str(tmp_path / "cache")))["rows"]
+    assert row["stops"] == 0
     # Machine code among the modules would keep the package's folder alive when pip removes it.
     assert [path.name for path in tmp_path.iterdir()] == ["cache"]
     assert list((tmp_path / "cache" / "automodel").rglob("*.nbi"))
     assert {file.suffix for file in python.parents[1].rglob("automodel/**/__pycache__/*")} == {".pyc"}
-
-
-def test_an_installed_wheel_runs_in_real_time(python: Path, tmp_path: Path) -> None:
-    """The world's process finds its modules, and the default pipeline its network."""
-    arguments = ["run", "--realtime", "--track", "oval", "--duration", "0.3", "--json"]
-    (row,) = json.loads(call(python, "-m", "automodel", *arguments, cwd=tmp_path))["rows"]
-    assert row["stops"] == 0
 
 
 def test_the_console_script_is_there(wheel: Path) -> None:

@@ -69,21 +69,27 @@ class CameraModel:
     def _undistort(self, xd: FloatArray, yd: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The inverse of `_distort` by Newton's method within the fold radius; NaN elsewhere."""
         k1, k2, p1, p2, k3 = self.distortion
-        x, y = xd, yd
+        found_x, found_y = xd.flatten(), yd.flatten()
+        left = np.arange(found_x.size)  # places that still move
         for _ in range(20):
+            x, y = found_x[left], found_y[left]
             r2 = x * x + y * y
             radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
             slope = 2.0 * (k1 + r2 * (2.0 * k2 + 3.0 * k3 * r2))  # d radial / d r2 * 2
             ex, ey = self._distort(x, y)
-            ex, ey = ex - xd, ey - yd
+            ex, ey = ex - xd.flat[left], ey - yd.flat[left]
             jxx = radial + slope * x * x + 2.0 * p1 * y + 6.0 * p2 * x
             jxy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y
             jyy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x
             det = jxx * jyy - jxy * jxy
             det = np.where(np.abs(det) > 1e-9, det, 1e-9)
-            x, y = x - (jyy * ex - jxy * ey) / det, y - (jxx * ey - jxy * ex) / det
-            shrink = np.minimum(1.0, self.max_radius / np.maximum(np.hypot(x, y), 1e-12))
-            x, y = x * shrink, y * shrink
+            x_next, y_next = x - (jyy * ex - jxy * ey) / det, y - (jxx * ey - jxy * ex) / det
+            shrink = np.minimum(1.0, self.max_radius / np.maximum(np.hypot(x_next, y_next), 1e-12))
+            found_x[left], found_y[left] = x_next, y_next = x_next * shrink, y_next * shrink
+            left = left[np.maximum(np.abs(x_next - x), np.abs(y_next - y)) > 1e-15]  # rounding
+            if not len(left):
+                break
+        x, y = found_x.reshape(xd.shape), found_y.reshape(yd.shape)
         ex, ey = self._distort(x, y)
         found = np.hypot(ex - xd, ey - yd) < 1e-7
         return np.where(found, x, np.nan), np.where(found, y, np.nan)

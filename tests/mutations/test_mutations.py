@@ -13,7 +13,7 @@ from tests.mutations.__main__ import main
 from tests.mutations.catalogue import LAYERS, MUTATIONS, Mutation
 from tests.mutations.runner import ROOT, Copy, Outcome
 
-SAMPLE = 8  # about a minute
+SAMPLE = 5  # two to three minutes: the copy's loops are compiled first
 
 
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=[mutation.name for mutation in MUTATIONS])

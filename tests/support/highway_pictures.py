@@ -40,12 +40,17 @@ def mounted(model: CameraModel | None = None, **extrinsics: float) -> GroundCame
 
 
 @lru_cache(maxsize=4)
+def _rays(model: CameraModel) -> np.ndarray:
+    """The rays (h, w, 3) through `_FINE` by `_FINE` places in each pixel: a lens takes its time to be undone."""
+    u, v = ((np.arange(n * _FINE) + 0.5) / _FINE - 0.5 for n in (model.width_px, model.height_px))
+    return model.rays(np.stack(np.meshgrid(u, v), axis=-1))
+
+
 def _ground(camera: GroundCamera) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of the ground at `_FINE` by `_FINE` places in each pixel."""
-    size = camera.camera.width_px, camera.camera.height_px
-    u, v = ((np.arange(n * _FINE) + 0.5) / _FINE - 0.5 for n in size)
-    ground = camera.px_to_ground(np.stack(np.meshgrid(u, v), axis=-1))
-    return ground[..., 0], ground[..., 1]
+    """x and y of the ground at those places, NaN above the horizon."""
+    x, y, z = np.moveaxis(_rays(camera.camera) @ camera.cam_from_body, -1, 0)
+    scale = camera.centre_m[2] / np.where(z < -1e-9, -z, np.nan)
+    return camera.centre_m[0] + scale * x, camera.centre_m[1] + scale * y
 
 
 def draw(
