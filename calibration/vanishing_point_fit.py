@@ -21,7 +21,7 @@ from automodel.compiled import compiled
 from automodel.geometry import CameraModel
 from automodel.perception.markings.ridge import ridge_sums
 from automodel.sources.images import with_channels
-from automodel.types import Float32Array, FloatArray, Image, Ints
+from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
 WIDTHS_PX = (3, 5, 9, 15, 25)  # of ridges, where nothing is known
 MARKINGS = (0.05, 0.08, 0.13, 0.2, 0.3)  # widths of markings, in camera heights
@@ -86,14 +86,22 @@ def marking_points(image: Image, camera: CameraModel, vanishing_px: FloatArray, 
     ridge = _ridge(values, span, apart)
     margin = apart + span // 2
     known = inside[:, : ridge.shape[1]] & inside[:, -ridge.shape[1] :]
-    noise = [
-        float(np.median(np.abs(line[there]))) if there.any() else 0.0 for line, there in zip(ridge, known, strict=True)
-    ]
-    stands_out = np.where(known, ridge / (np.array(noise)[:, None] + 0.5), -np.inf).astype(np.float32)
+    stands_out = np.where(known, ridge / (_noise(ridge, known)[:, None] + 0.5), -np.inf).astype(np.float32)
     row, at = _summits(stands_out, NOISES_OF_MARKING, span // 2)
     weight = np.minimum(stands_out[row, at], MOST_NOISES)
     column = at + margin
     return np.column_stack((u[row, column], v[row, column], weight))
+
+
+@compiled
+def _noise(ridge: Float32Array, known: Bools) -> FloatArray:
+    """The median (h,) of the size of what is known of each row (h, w), 0 where nothing is."""
+    noise = np.zeros(len(ridge))
+    for i in range(len(ridge)):
+        there = np.abs(ridge[i][known[i]])
+        if len(there):
+            noise[i] = np.median(there)
+    return noise
 
 
 def _ridge(values: Float32Array, span: int, apart: int) -> Float32Array:
