@@ -242,6 +242,19 @@ def test_lamps_contradict_no_motion_that_some_of_the_ground_bears_out(ground: bo
     assert False not in said if ground else said == {False}
 
 
+@pytest.mark.parametrize(("glare", "said"), [(90, {None}), (0, {False})])
+def test_what_moves_in_a_lamps_glare_contradicts_no_motion(glare: int, said: set[bool | None]) -> None:
+    """A wide and soft reflection stands still, and what shines through it seems to move by half."""
+    height, width = np.mgrid[0:HEIGHT, 0:WIDTH]
+    bell = np.exp(-0.5 * (((height - 0.6 * HEIGHT) / 45.0) ** 2 + ((width - 0.5 * WIDTH) / 45.0) ** 2))
+    seen = []
+    for frame in frames(0.4, 0.4, 6, floor()):
+        noise = np.random.default_rng(frame.index).normal(0.0, 3.0, bell.shape)
+        image = np.where(bell > 0.5, frame.image + 0.0, 110.0 + noise) + glare * bell
+        seen.append(dataclasses.replace(frame, image=np.clip(np.rint(image), 0, 255).astype(np.uint8)))
+    assert agrees(seen, 0.8, 0.4) == said
+
+
 @pytest.mark.parametrize(("pitch_deg", "height"), [(1.5, 1.0), (-1.5, 1.0), (0.0, 1.08), (0.0, 0.92)])
 def test_a_camera_that_is_set_a_little_wrong_contradicts_no_right_motion(pitch_deg: float, height: float) -> None:
     place = CAR.camera.extrinsics

@@ -611,6 +611,7 @@ BOUNDS = (
         "tests/estimation/test_image_motion.py",
         ("a-line-tells-its-own-way", "(strong < config.edge * weak)", "(strong < 1e9 * weak)"),
         ("noise-is-texture", "(weak > config.texture * variance)", "(weak > 0.0)"),
+        ("glare-is-ground", "dark < config.glare * np.median", "dark < 1e9 * np.median"),
         ("far-ahead-all-motions-agree", "> 2.0 * config.sigma_px  # far", "> -1.0  # far"),
     ),
     *_of(
