@@ -112,7 +112,7 @@ def _gain(gained: Float32Array, start: FloatArray, end: FloatArray, weight: Floa
 
 @compiled
 def _sum_down(rows: Float32Array) -> None:
-    """Cumulative sum down the rows (h, w) in place, at most 1; of blocks of rows it is in double precision."""
+    """Cumulative sum down the rows (h, w) in place, at most 1; what blocks of rows add up to is of double precision."""
     height, width = rows.shape
     carried = np.zeros(width)
     for first in range(0, height, BLOCK_ROWS):

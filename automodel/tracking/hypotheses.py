@@ -228,7 +228,7 @@ class Hypotheses:
         kinds: LineKinds,
         way: float | None,
     ) -> list[Hypothesis]:
-        """The parent with each plausible assignment of the lines, the `evidence` about its belief; or as it was.
+        """The parent with each plausible assignment of the lines, by the `evidence` about its belief, and as it was.
 
         `things`: how many are in view, out of which the lines that play a role are picked; None where they are not.
         """
