@@ -270,7 +270,7 @@ class ImageMotion:
 
     def _image_of(self, pixels: FloatArray, moved: FloatArray) -> FloatArray:
         """Where pixels (n, 2) of the ground go with motions (..., 2), arcs, in the small image: (..., n, 2)."""
-        distance, turn = moved[..., :1], moved[..., 1:]
+        distance, turn = moved[..., :1], moved[..., 1:]  # as `SE2.arc`, inverted, of many at once
         chord = distance * np.sinc(0.5 * turn / math.pi)
         x, y = self._camera.px_to_ground(pixels * self._scale + self._middle).T
         x, y = x - chord * np.cos(0.5 * turn), y - chord * np.sin(0.5 * turn)

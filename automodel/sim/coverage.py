@@ -113,18 +113,14 @@ def _gain(gained: Float32Array, start: FloatArray, end: FloatArray, weight: Floa
 @compiled
 def _sum_down(rows: Float32Array) -> None:
     """Cumulative sum down the rows (h, w) in place, at most 1; what blocks of rows add up to is of double precision."""
-    height, width = rows.shape
-    carried = np.zeros(width)
-    for first in range(0, height, BLOCK_ROWS):
-        end = min(first + BLOCK_ROWS, height)
-        for k in range(first + 1, end):
-            for j in range(width):
-                rows[k, j] += rows[k - 1, j]
-        for j in range(width):
-            before = np.float32(carried[j])
-            carried[j] += rows[end - 1, j]
-            for k in range(first, end):
-                rows[k, j] = min(rows[k, j] + before, np.float32(1.0))
+    carried = np.zeros(rows.shape[1])
+    for first in range(0, len(rows), BLOCK_ROWS):
+        block = rows[first : first + BLOCK_ROWS]
+        for k in range(1, len(block)):
+            block[k] += block[k - 1]
+        before = carried.astype(np.float32)
+        carried += block[-1]
+        block[:] = np.minimum(block + before, np.float32(1.0))
 
 
 def covered_softly(edges_px: tuple[FloatArray, FloatArray], shape: tuple[int, int]) -> Float32Array:
