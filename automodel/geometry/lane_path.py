@@ -36,6 +36,16 @@ def curvature(state: FloatArray, at_m: float, spacing_m: float) -> float:
 
 
 @compiled
+def _cos_and_sinc(turn: float) -> tuple[float, float]:
+    """cos(turn) and sin(turn) / turn; up to 0.2 rad by their series, which are as exact there and faster."""
+    square = turn * turn
+    if square > 0.04:
+        return math.cos(turn), math.sin(turn) / turn
+    cos = 1.0 - square * (1.0 / 2.0 - square * (1.0 / 24.0 - square * (1.0 / 720.0 - square / 40320.0)))
+    return cos, 1.0 - square * (1.0 / 6.0 - square * (1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)))
+
+
+@compiled
 def lane_path(state: FloatArray, start_m: float, spacing_m: float, reference_x_m: float) -> FloatArray:
     """The centerline of a state, whose first station lies `start_m` behind the reference point's foot."""
     arcs = ARCS * (len(state) - ROAD - 1)
@@ -48,13 +58,12 @@ def lane_path(state: FloatArray, start_m: float, spacing_m: float, reference_x_m
         path[i, 0], path[i, 1], path[i, 2], path[i, 3], path[i, 4] = i * step, x, y, heading, kappa
         path[i, 5], path[i, 6] = cos, sin
         turn = 0.25 * kappa * step  # to the middle the arc turns twice, to its end four times as much
-        straight = abs(turn) < 1e-9
-        c, s = math.cos(turn), math.sin(turn)
-        chord = 0.5 * step if straight else 0.5 * step * s / turn
+        c, sinc = _cos_and_sinc(turn)
+        s, chord = turn * sinc, 0.5 * step * sinc
         along, aside = chord * c, chord * s
         path[i, 7], path[i, 8] = x + along * cos - aside * sin, y + along * sin + aside * cos
+        chord = step * sinc * c
         c, s = c * c - s * s, 2.0 * s * c
-        chord = step if straight else step * s / (2.0 * turn)
         along, aside = chord * c, chord * s
         x, y = x + along * cos - aside * sin, y + along * sin + aside * cos
         c, s = c * c - s * s, 2.0 * s * c

@@ -30,8 +30,11 @@ from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_
 from automodel.types import FloatArray, Ints
 
 NARROWER = 100.0  # of the variances of points, from one round to the next: 10 and 1000 find as many modes
-ROUNDS = 12  # of linearisation and weighing, and halvings of a step, at most
+ROUNDS = 12  # of linearisation and weighing, at most
+LEAST_STEP = 0.0625  # of a whole one: where less goes uphill, nothing is linear
+NO_GAIN = 1e-6  # [twice nats] less is not worth a step
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
+NO_NEWS = 1e-12  # share of a line that counts as none
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
 
@@ -118,15 +121,6 @@ def dot(one: FloatArray, other: FloatArray) -> float:
 
 
 @compiled
-def times(matrix: FloatArray, vector: FloatArray) -> FloatArray:
-    """A matrix times a vector."""
-    result = np.empty(len(matrix))
-    for i in range(len(matrix)):
-        result[i] = dot(matrix[i], vector)
-    return result
-
-
-@compiled
 def whitened(covariance: FloatArray) -> FloatArray:
     """Square root of a covariance (n, n) with the nod (n + 1, n + 1)."""
     size = len(covariance)
@@ -202,48 +196,54 @@ def _weigh(prior: Prior, rest: FloatArray, noise: FloatArray, wide: float, weigh
 
 
 @compiled
-def _equations(
+def _rows(
     prior: Prior,
     path: FloatArray,
     state: FloatArray,
     points: FloatArray,
-    weights: FloatArray,
     role: float,
-    information: FloatArray,
-    vector: FloatArray,
-) -> float:
-    """Fill information and vector of a line, linearised about a state with its path, and return its misfit."""
+    white: FloatArray,
+    rest: FloatArray,
+) -> None:
+    """Fill a line's whitened rows (k, n + 1) about a state with its path, and its residuals (k,) from the belief."""
     size, full = len(state), len(prior.root)
-    away = state - prior.state
-    row, white = np.empty(full), np.empty(full)
-    white_sum, rest_sum, misfit, count = np.zeros(full), 0.0, 0.0, 0.0
-    information[:], vector[:] = 0.0, 0.0
+    away, row = state - prior.state, np.empty(full)
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
         s, left = foot_on(path, x, y)
         heading = path_row(row[:size], path, prior.start_m, prior.spacing_m, prior.reference_x_m, s)[2]
         tilt = _tilt(prior, x, y, heading)
         row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
-        rest = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
-        white[:] = 0.0
+        rest[k] = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
+        white[k] = 0.0
         for i in range(full):  # the root is triangular, and the curvature beyond the point moves it by nothing
             if row[i] != 0.0:
                 for j in range(i + 1):
-                    white[j] += row[i] * prior.root[i, j]
+                    white[k, j] += row[i] * prior.root[i, j]
+
+
+@compiled
+def _equations(
+    prior: Prior, white: FloatArray, rest: FloatArray, weights: FloatArray, information: FloatArray, vector: FloatArray
+) -> None:
+    """Fill information and vector of a line by its whitened rows (k, n + 1), residuals (k,) [m] and weights (k,)."""
+    full = len(vector)
+    white_sum, rest_sum, count = np.zeros(full), 0.0, 0.0
+    information[:], vector[:] = 0.0, 0.0
+    for k in range(len(rest)):
         weight = weights[k]
-        rest_sum, misfit, count = rest_sum + weight * rest, misfit + weight * rest * rest, count + weight
+        rest_sum, count = rest_sum + weight * rest[k], count + weight
         for i in range(full):
-            white_sum[i] += weight * white[i]
-            vector[i] += weight * white[i] * rest
+            white_sum[i] += weight * white[k, i]
+            vector[i] += weight * white[k, i] * rest[k]
             for j in range(i + 1):
-                information[i, j] += weight * white[i] * white[j]
+                information[i, j] += weight * white[k, i] * white[k, j]
     shared = prior.line_share / (1.0 + count * prior.line_share)
     for i in range(full):
         vector[i] = (vector[i] - shared * white_sum[i] * rest_sum) / prior.point_variance
         for j in range(i + 1):
             total = information[i, j] - shared * white_sum[i] * white_sum[j]
             information[i, j] = information[j, i] = total / prior.point_variance
-    return (misfit - shared * rest_sum * rest_sum) / prior.point_variance
 
 
 @compiled
@@ -259,17 +259,55 @@ def _together(information: FloatArray, vector: FloatArray, shares: FloatArray) -
 
 
 @compiled
+def _solved(
+    prior: Prior, white: FloatArray, rest: FloatArray, weights: FloatArray, ends: Ints, shares: FloatArray
+) -> FloatArray:
+    """The place z = W' (W W' + R)^-1 r by rows W (k, n + 1), residuals r (k,) [m] and weights (k,): a lane has more
+    unknowns than lines have points.
+    """
+    count, z = len(rest), np.zeros(len(prior.root))
+    spread = np.empty((count, count))
+    for i in range(count):
+        for j in range(i + 1):
+            spread[i, j] = dot(white[i], white[j])
+    first = 0
+    for line in range(len(ends)):
+        variance = prior.point_variance / max(shares[line], NO_NEWS)
+        for i in range(first, ends[line]):
+            spread[i, i] += variance / weights[i]
+            for j in range(first, i + 1):
+                spread[i, j] += variance * prior.line_share
+        first = ends[line]
+    root = factor(spread)
+    parts = backward(root, forward(root, rest))
+    for k in range(count):
+        for i in range(len(z)):
+            z[i] += parts[k] * white[k, i]
+    return z
+
+
+@compiled
+def _moved(prior: Prior, z: FloatArray) -> FloatArray:
+    """The change of the state and the nod (n + 1,) that whitened ones stand for: the root is triangular."""
+    moved = np.zeros(len(z))
+    for i in range(len(z)):
+        for j in range(i + 1):
+            moved[i] += prior.root[i, j] * z[j]
+    return moved
+
+
+@compiled
 def _climbed(
     prior: Prior, points: FloatArray, ends: Ints, roles: FloatArray, shares: FloatArray, noise: FloatArray, wide: float
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """What a place uphill from the belief costs [twice nats], that place, the points' weights, and what those cost.
 
-    Newton's method on the posterior; each step is halved until it is one uphill. The points are weighed in each round;
-    in the first their errors' variances are `wide` times as large as they are.
+    Newton's method on the posterior; each step is halved until it is one uphill, or would hardly be. The points
+    are weighed in each round; in the first their errors' variances are `wide` times as large as they are.
     """
     count, full = len(roles), len(prior.root)
-    information, vector = np.empty((count, full, full)), np.empty((count, full))
-    misfit, actual, spent, rest = np.empty(count), np.empty(count), np.zeros(count), np.empty(len(points))
+    white, linear, rest = np.empty((len(points), full)), np.empty(len(points)), np.empty(len(points))
+    actual, spent = np.empty(count), np.zeros(count)
     weights = 1.0 / (wide * noise)
     z, state = np.zeros(full), prior.state.copy()
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
@@ -277,32 +315,31 @@ def _climbed(
     for _ in range(ROUNDS):
         for i in range(count):
             its = slice(ends[i - 1] if i else 0, ends[i])
-            misfit[i] = _equations(prior, path, state, points[its], weights[its], roles[i], information[i], vector[i])
+            _rows(prior, path, state, points[its], roles[i], white[its], linear[its])
         if best == np.inf:
-            best = dot(shares, misfit)
-        right, root = _together(information, vector, shares)
-        step = backward(root, forward(root, right)) - z
+            best = _cost(prior, linear, weights, ends, shares)
+        step = _solved(prior, white, linear, weights, ends, shares)
+        for k in range(len(points)):
+            linear[k] -= dot(white[k], step)
+        told = _cost(prior, linear, weights, ends, shares)  # there, if all were linear
+        gain, step = best - told - dot(step, step), step - z
         tried, uphill = 1.0, False
-        for _ in range(ROUNDS):
+        while tried >= LEAST_STEP and gain > NO_GAIN:
             at = z + tried * step
-            moved = times(prior.root, at)
+            moved = _moved(prior, at)
             there = prior.state + moved[:-1]
             trial = lane_path(there, prior.start_m, prior.spacing_m, prior.reference_x_m)
             for i in range(count):
                 its = slice(ends[i - 1] if i else 0, ends[i])
                 _residuals(prior, trial, there, moved[full - 1], points[its], roles[i], rest[its])
-                actual[i] = _misfit(prior, rest[its], weights[its])
-            cost = dot(shares, actual) + dot(at, at)
-            if cost < best:
+            misfit = _cost(prior, rest, weights, ends, shares)
+            if misfit + dot(at, at) < best:
                 uphill = True
                 break
             tried *= 0.5
         if uphill:
-            z, state, path, best = at, there, trial, cost
-            told = 0.0
-            for i in range(count):
-                told += shares[i] * (misfit[i] + dot(z, times(information[i], z)) - 2.0 * dot(vector[i], z))
-            linearised = tried == 1.0 and abs(dot(shares, actual) - told) < 2.0 * LINEAR
+            z, state, path, best = at, there, trial, misfit + dot(at, at)
+            linearised = tried == 1.0 and abs(misfit - told) < 2.0 * LINEAR
         last, wide, gain = wide == 1.0, max(wide / NARROWER, 1.0), 0.0
         for i in range(count):
             its = slice(ends[i - 1] if i else 0, ends[i])
@@ -316,6 +353,16 @@ def _climbed(
         if last and (linearised or not uphill) and gain < 2.0 * LINEAR:
             break
     return best + dot(shares, spent), z, weights, spent
+
+
+@compiled
+def _cost(prior: Prior, rest: FloatArray, weights: FloatArray, ends: Ints, shares: FloatArray) -> float:
+    """The squared residuals (k,) of lines' weighted points over their errors, each line's by its share."""
+    total = 0.0
+    for i in range(len(ends)):
+        its = slice(ends[i - 1] if i else 0, ends[i])
+        total += shares[i] * _misfit(prior, rest[its], weights[its])
+    return total
 
 
 @compiled
@@ -343,16 +390,15 @@ def settled(
         other, z_other, weights_other, spent_other = _climbed(prior, points, ends, roles, shares, noise, wide)
         if other < cost:
             z, weights, spent = z_other, weights_other, spent_other
-    moved = times(prior.root, z)
-    state = prior.state + moved[:-1]
+    state = prior.state + _moved(prior, z)[:-1]
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
     information, vector = np.empty((count, full, full)), np.empty((count, full))
-    misfit, log_volume = np.empty(count), np.empty(count)
+    white, misfit, log_volume = np.empty((len(points), full)), np.empty(count), np.empty(count)
     for i in range(count):
         its = slice(ends[i - 1] if i else 0, ends[i])
-        misfit[i] = spent[i] + _equations(
-            prior, path, state, points[its], weights[its], roles[i], information[i], vector[i]
-        )
+        _rows(prior, path, state, points[its], roles[i], white[its], rest[its])
+        _equations(prior, white[its], rest[its], weights[its], information[i], vector[i])
+        misfit[i] = spent[i] + _misfit(prior, rest[its], weights[its])
         log_volume[i] = math.log1p(weights[its].sum() * prior.line_share)
         for k in range(its.start, its.stop):
             log_volume[i] += math.log(8.0 * prior.point_variance * noise[k])
@@ -399,7 +445,7 @@ def change(prior: Prior, points: FloatArray, role: float, z: FloatArray) -> int:
     less their mean have summed up the most (cumulative sums, Page 1954, "Continuous Inspection Schemes").
     """
     count = len(points)
-    moved, rest, noise = times(prior.root, z), np.empty(count), _noise(prior, points)
+    moved, rest, noise = _moved(prior, z), np.empty(count), _noise(prior, points)
     state = prior.state + moved[:-1]
     path = lane_path(state, prior.start_m, prior.spacing_m, prior.reference_x_m)
     _residuals(prior, path, state, moved[-1], points, role, rest)
@@ -420,9 +466,16 @@ def posterior(prior: Prior, equations: Equations, z: FloatArray, shares: FloatAr
     """State (n,) and covariance (n, n) after lines that count by their `shares` (m,) and put it at z."""
     root = _together(equations.information, equations.vector, shares)[1]
     size = len(root) - 1
-    half, covariance = np.empty((size, size + 1)), np.empty((size, size))
-    for i in range(size):
-        half[i] = forward(root, prior.root[i])
-        for j in range(i + 1):
-            covariance[i, j] = covariance[j, i] = dot(half[i], half[j])
-    return prior.state + times(prior.root, z)[:size], covariance
+    half, covariance = np.empty((size + 1, size)), np.zeros((size, size))  # half: root^-1 L'
+    for i in range(size + 1):
+        for j in range(size):
+            half[i, j] = prior.root[j, i]
+        for k in range(i):
+            for j in range(size):
+                half[i, j] -= root[i, k] * half[k, j]
+        for j in range(size):
+            half[i, j] /= root[i, i]
+        for j in range(size):
+            for k in range(size):
+                covariance[j, k] += half[i, j] * half[i, k]
+    return prior.state + _moved(prior, z)[:size], covariance
