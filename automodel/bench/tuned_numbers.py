@@ -41,8 +41,8 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "estimation.theta.centerline_fusion._GRID": "from 0 to 1",
     "perception.rows.row_ridges.LINE": "rows of an array",
     "pipelines.*.NO_POINTS": "the shape of an empty array",
-    "tracking.hypotheses.LEFT*": "where lines lie, in lane widths",
-    "tracking.hypotheses.RIGHT*": "where lines lie, in lane widths",
+    "tracking.stories.LEFT*": "where lines lie, in lane widths",
+    "tracking.stories.RIGHT*": "where lines lie, in lane widths",
 }
 
 

@@ -183,10 +183,10 @@ class Contour:
             followed = replace(followed, left=left, right=right)
         if not both and self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             anew = self._tracking.judge(self._scan.step(*self._lines_in_view(frame.image)), followed)
+            self.stages.lap("doubt")
             if anew is not None:
                 tracked = self._restart(frame.image, anew)
                 followed = self._followed(tracked, self._seen(tracked))
-            self.stages.lap("doubt")
         self._search.learn(tracked.measured, tracked.inliers)
         estimate = self._tracking.follow(frame, followed)
         if self._tracking.lost:

@@ -20,13 +20,21 @@ import numpy as np
 
 from automodel.curves import DeferredCurve
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
+from automodel.geometry.lane_path import (
+    OFFSET,
+    PITCH,
+    ROAD,
+    THETA,
+    WIDTH,
+    curvature,
+    line_of_path,
+    next_lane,
+)
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose, MotionSource
 from automodel.tracking.evidence import (
     Equations,
     Prior,
-    change,
     innovation,
     own_thing,
     posterior,
@@ -34,6 +42,7 @@ from automodel.tracking.evidence import (
     whitened,
 )
 from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
+from automodel.tracking.stories import ROLES, Things, beside_lane, departure, possible, stories
 from automodel.types import FloatArray
 
 STATION = 0.5  # lane widths between two stations: a bend that begins at once is one half a lane width later
@@ -377,8 +386,7 @@ class Look(NamedTuple):
     """A line in a role, and what it says about a belief.
 
     `place` (n + 1,): where it puts the lane, whitened. `squares`: squared innovation of its points over its covariance;
-    `volume`: logarithm of that covariance's determinant. `rest`: where it goes on as another thing, the logarithm of
-    how likely that is [nats].
+    `volume`: logarithm of that covariance's determinant.
     """
 
     line: SightedLine
@@ -387,12 +395,19 @@ class Look(NamedTuple):
     place: FloatArray
     squares: float
     volume: float
-    rest: float = 0.0
 
     @property
     def log_likelihood(self) -> float:
-        """The logarithm of how likely the line is [nats]; not what it goes on as."""
+        """The logarithm of how likely the line is [nats]."""
         return -0.5 * (self.squares + self.volume)
+
+
+class Played(NamedTuple):
+    """A line that plays a role in a story, or the part of it that does: of which of all lines."""
+
+    line: SightedLine
+    role: float
+    of: int
 
 
 def prior_of(belief: LaneBelief) -> Prior:
@@ -433,40 +448,52 @@ class Evidence:
             known = self._looks[id(line), role] = Look(line, role, equations, place, *innovation(equations))
         return known
 
-    def part(self, look: Look) -> Look | None:
-        """The part of a line that plays its role, the rest being another thing; None where all of it fits."""
-        line, points, anything, at = look.line, look.line.points_m, self.belief.anything(), self._changes(look)
-        near, far = points[: abs(at)], points[abs(at) :]
-        part, rest = (near, far) if at > 0 else (far, near)
-        if at == 0 or len(part) < 2:
-            return None
-        painted_m = line.painted_m * len(part) / len(points)
-        its = self.look(SightedLine(points_m=part, painted_m=painted_m, span_m=0.0), look.role)
-        other = SightedLine(points_m=rest, painted_m=line.painted_m - painted_m, span_m=0.0)
-        return its._replace(rest=anything.of_line(other) - anything.CORNERS)
+    def stories(
+        self, lines: Sequence[SightedLine], things: Things, clutter: FloatArray, kinds: FloatArray, news: FloatArray
+    ) -> list[tuple[list[Played], float, float]]:
+        """The likeliest assignments of lines to roles, with their odds and what of these counts, as `stories`."""
+        points = [line.points_m for line in lines]
+        starts = [0, *itertools.accumulate(map(len, points))]
+        painted_m = np.array([line.painted_m for line in lines])
+        found = stories(
+            self._prior, things, np.concatenate(points), np.array(starts[1:]), painted_m, clutter, kinds, news
+        )
+
+        def played(look: int) -> Played:
+            of, start, stop = int(found.line[look]), int(found.start[look]), int(found.stop[look])
+            line, role = lines[of], float(found.role[look])
+            if stop - start < len(line.points_m):
+                its = line.points_m[start - starts[of] : stop - starts[of]]
+                line = SightedLine(points_m=its, painted_m=line.painted_m * len(its) / len(points[of]), span_m=0.0)
+            return Played(line, role, of)
+
+        return [
+            ([played(look) for look in looks if look >= 0], odds, counted)
+            for looks, odds, counted in zip(
+                found.looks.tolist(), found.odds.tolist(), found.counted.tolist(), strict=True
+            )
+        ]
+
+    def nearest_role(self, line: SightedLine) -> float | None:
+        """The role that a line may rather play than any other; None where it may play none."""
+        points, unit = line.points_m.copy(), self.belief.road.lane_width_m  # a copy has the one layout that is compiled
+        left_m, bend_m, _ = beside_lane(self._prior, points)
+        role = min(ROLES, key=lambda role: abs(left_m - bend_m - role * self.belief.width_m))
+        return role if possible(self._prior, points, role, unit) else None
 
     def departs_m(self, line: SightedLine, role: float) -> float | None:
         """How far ahead of the reference point [m] a line departs from its role; None where all of it fits.
 
         One that does from its first point on may do so anywhere on the way there.
         """
-        at = self._changes(self.look(line, role))
+        look = self.look(line, role)
+        at = departure(self._prior, look.squares, look.place, line.points_m.copy(), role, Clutter.CORNERS)
         x, y = line.points_m[max(at, 0)].tolist()
         ahead_m = math.hypot(x - self.belief.reference_x_m, y)
         return None if at == 0 else ahead_m if at > 0 else 0.5 * ahead_m
 
-    def _changes(self, look: Look) -> int:
-        """The point from which on a line fits its role otherwise than before, by `change`; 0 where all of it fits.
-
-        It must fit so badly that it is likelier to have a corner.
-        """
-        points = look.line.points_m
-        if look.squares < len(points) + 2.0 * self.belief.anything().CORNERS:
-            return 0
-        return change(self._prior, points.copy(), look.role, look.place)  # a copy has the one layout that is compiled
-
     def log_likelihood(self, looks: Sequence[Look]) -> float:
-        """The logarithm of how likely lines are [nats]; not what some go on as."""
+        """The logarithm of how likely lines are [nats]."""
         if len(looks) == 1:
             return looks[0].log_likelihood
         together = Equations(*map(np.concatenate, zip(*(look.equations for look in looks), strict=True)))
@@ -509,12 +536,12 @@ class Clutter:
     CORNERS = 4.0  # [nats] one thing in 50 has
 
     def __init__(self, somewhere: LaneBelief) -> None:
-        self._prior = prior_of(somewhere)
-        self._sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m
+        self.prior = prior_of(somewhere)
+        self.sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m
 
     def of_line(self, line: SightedLine) -> float:
         """The logarithm of how likely a line is [nats]."""
-        return own_thing(self._prior, line.points_m.copy(), self._sigma_m, self.CORNERS)
+        return own_thing(self.prior, line.points_m.copy(), self.sigma_m, self.CORNERS)
 
 
 @functools.lru_cache(maxsize=8)
@@ -534,5 +561,9 @@ def warm_up() -> None:
     after, _ = belief.update(lines)
     Evidence(after).explained(lines, math.inf)
     Evidence(after).departs_m(SightedLine(points_m=2.0 * points, painted_m=6.0, span_m=6.0), 0.5)
+    anything = after.anything()
+    things = Things(anything.prior, anything.sigma_m, anything.CORNERS, 0.0, 0.0, 0.0, 1.0, 1)
+    Evidence(after).stories([line for line, _ in lines], things, np.zeros(1), np.zeros((1, len(ROLES))), np.ones(1))
+    Evidence(after).nearest_role(lines[0].line)
     after.moved(0.1, 0.0, 0.01, True).merged(belief, 0.5).without_road().beside_it(+1)
     _ = belief.lateral_variance(1.0), belief.pose

@@ -16,16 +16,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from automodel.geometry.lane_path import OFFSET, THETA
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.belief import STATION, Assigned, Evidence, LaneBelief, Look, RoadModel
+from automodel.tracking.belief import STATION, Assigned, Clutter, Evidence, LaneBelief, RoadModel
 from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.seen_places import SeenPlaces
+from automodel.tracking.stories import LEFT, RIGHT, ROLES, Things
 
-LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
 BENDING = 2  # lines of a frame that may tell of a new bend, the longest
 STILL_LANES = 0.5  # a second counts as so much way, even of a car that stands: noise and light are new
-ROLES = (LEFT, RIGHT, LEFT_FAR, RIGHT_FAR)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +92,18 @@ class HypothesesConfig:
     line: float = 1.2
     other: float = 0.42
 
-    def length(self, lanes: float) -> float:
-        """How much likelier [nats] a painted length is as a line's than as another thing's."""
-        return math.log(self.other / self.line) + lanes * (1.0 / self.other - 1.0 / self.line)
+    def things(self, anything: Clutter, lane_width_m: float) -> Things:
+        """What lines are weighed by."""
+        return Things(
+            anywhere=anything.prior,
+            sigma_m=anything.sigma_m,
+            corners=anything.CORNERS,
+            length=math.log(self.other / self.line),
+            length_per_lane=1.0 / self.other - 1.0 / self.line,
+            neighbour=self.neighbour_price,
+            lane_width_m=lane_width_m,
+            most=self.most,
+        )
 
 
 class _Sighting(NamedTuple):
@@ -109,19 +116,6 @@ class _Sighting(NamedTuple):
     clutter: float
     news: float
     fresh: float
-
-
-class _Story(NamedTuple):
-    """Lines in roles, what of each is news and fresh, their odds, those that count, and how likely they are as clutter.
-
-    All odds are logarithms [nats].
-    """
-
-    looks: tuple[Look, ...]
-    shares: tuple[tuple[float, float], ...]
-    odds: float
-    counted: float
-    others: float
 
 
 class Hypotheses:
@@ -170,6 +164,7 @@ class Hypotheses:
         config, road = self.config, self.all[0].belief.road
         longest = sorted(lines, key=lambda line: -line.painted_m)[: config.lines]
         anything = self.all[0].belief.anything()  # as clutter, lines are as likely for every hypothesis
+        self._things = config.things(anything, road.lane_width_m)
         fresh = self._places.see(longest, road)
         news = [1.0] * len(fresh) if self._first else fresh
         self._first = False
@@ -232,42 +227,22 @@ class Hypotheses:
 
         `things`: how many are in view, out of which the lines that play a role are picked; None where they are not.
         """
-        config, road = self.config, parent.belief.road
-        unit = road.lane_width_m
-        beam: list[_Story] = [_Story((), (), 0.0, 0.0, 0.0)]
-        for line, clutter, news, fresh in lines:
-            grown = list(beam)
-            roles = [role for role in ROLES if _possible(parent.belief, line, role)]
-            for look in _parted(evidence, [evidence.look(line, role) for role in roles]):
-                for story in beam:
-                    if any(_beside(look, other) for other in story.looks):
-                        continue
-                    both = (*story.looks, look)
-                    odds = evidence.log_likelihood(both) - story.others - clutter - self._price(both)
-                    odds += sum(each.rest for each in both)
-                    odds += sum(config.length(each.line.painted_m / unit) for each in both)
-                    odds += sum(_kind(each.line, kinds.of(each.role), unit) for each in both)
-                    if odds - config.length(look.line.painted_m / unit) > story.odds - 1.0:  # however long, it must fit
-                        counted, shares = story.counted + news * (odds - story.odds), (*story.shares, (news, fresh))
-                        grown.append(_Story(both, shares, odds, counted, story.others + clutter))
-            grown.sort(key=lambda each: -each.odds)
-            beam = grown[: config.most]
+        if not lines:
+            return [replace(parent, assigned=(), news=0.0, counted=0.0)]
+        road = parent.belief.road
+        of_kind = [[_kind(line, kinds.of(role), road.lane_width_m) for role in ROLES] for line, *_ in lines]
+        clutter, news = (np.array([each[k] for each in lines]) for k in (1, 2))
+        found = evidence.stories([each.line for each in lines], self._things, clutter, np.array(of_kind), news)
         children = []
-        if all(story.looks for story in beam):
-            beam.append(_Story((), (), 0.0, 0.0, 0.0))
-        for looks, shares, odds, counted, _ in beam:
+        for looks, odds, counted in found:
             picked = 0.0 if things is None or not looks else _picked(things, len(looks))
-            news_of, fresh_of = np.array(shares).reshape(-1, 2).T
+            news_of, fresh_of = np.array([lines[look.of][2:] for look in looks]).reshape(-1, 2).T
             odds, counted = odds - picked, counted - picked * (float(news_of.mean()) if looks else 0.0)
             assigned, belief = tuple(Assigned(look.line, look.role) for look in looks), parent.belief
             if assigned:
                 belief = evidence.update(assigned, fresh_of.copy() if way is None else road.news_of(len(looks), way))
             children.append(Hypothesis(belief, parent.log_odds + counted, assigned, odds, counted, parent.placed))
         return children
-
-    def _price(self, looks: Sequence[Look]) -> float:
-        """What it costs [nats] to believe in neighbouring lanes."""
-        return self.config.neighbour_price * sum(abs(look.role) > 1.0 for look in looks)
 
     def _keep(self, grown: list[Hypothesis], far_m: float) -> None:
         grown.sort(key=lambda each: -each.log_odds)
@@ -298,19 +273,12 @@ def _beside_alike(one: Hypothesis, other: Hypothesis, most: float) -> bool:
     return max(lateral, abs(one.belief.heading_rad - other.belief.heading_rad)) < most
 
 
-def _parted(evidence: Evidence, looks: Sequence[Look]) -> list[Look]:
-    """Looks at a line, and at the parts of it that play the roles better than the whole."""
-    parts = [evidence.part(look) for look in looks]
-    return [*looks, *(part for part in parts if part is not None)]
-
-
 def _departures(evidence: Evidence, lines: Sequence[SightedLine]) -> list[float]:
     """How far ahead of the reference point [m] a new bend may begin: where lines depart from the nearest role."""
-    belief, unit, at_m = evidence.belief, evidence.belief.road.lane_width_m, dict[int, float]()
+    unit, at_m = evidence.belief.road.lane_width_m, dict[int, float]()
     for line in lines:
-        left_m, bend_m = _left_m(belief, line)
-        role = min(ROLES, key=lambda role: abs(left_m - bend_m - role * belief.width_m))
-        ahead_m = evidence.departs_m(line, role) if _possible(belief, line, role) else None
+        role = evidence.nearest_role(line)
+        ahead_m = None if role is None else evidence.departs_m(line, role)
         if ahead_m is not None:
             at_m[round(ahead_m / (STATION * unit))] = ahead_m
     return list(at_m.values())
@@ -328,29 +296,6 @@ def _picked(things: int, lines: int) -> float:
     is not known; integrated over Jeffreys' prior of a rate (1 / sqrt(rate)) m things have Gamma(m + 1/2).
     """
     return math.lgamma(things + 0.5) - math.lgamma(things - lines + 0.5)
-
-
-def _beside(one: Look, other: Look) -> bool:
-    """Whether two lines lie next to each other in the same role."""
-    low = max(one.line.points_m[0, 0], other.line.points_m[0, 0])
-    high = min(one.line.points_m[-1, 0], other.line.points_m[-1, 0])
-    return one.role == other.role and bool(high > low)
-
-
-def _possible(belief: LaneBelief, line: SightedLine, role: float) -> bool:
-    """Whether the line may play the role: what lies too far aside need not be weighed."""
-    (x, _), (left, bend) = line.points_m[0].tolist(), _left_m(belief, line)
-    x -= belief.reference_x_m
-    offset, theta = (math.sqrt(belief.covariance[i, i]) for i in (OFFSET, THETA))
-    reach = 4.0 * offset + 4.0 * theta * abs(x) + 0.5 * belief.road.lane_width_m
-    return abs(left - role * belief.width_m) < reach + abs(bend)
-
-
-def _left_m(belief: LaneBelief, line: SightedLine) -> tuple[float, float]:
-    """How far to the left of the middle of a straight lane a line begins, and by how much the lane bends there [m]."""
-    x, y = (line.points_m[0] - (belief.reference_x_m, 0.0)).tolist()
-    left = y * math.cos(belief.heading_rad) + x * math.sin(belief.heading_rad) + belief.offset_m
-    return left, 0.5 * belief.curvature_per_m * (x * x + y * y)
 
 
 def _kind(line: SightedLine, dashed: float, lane_width_m: float) -> float:

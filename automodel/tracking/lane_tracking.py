@@ -35,20 +35,11 @@ from automodel.signals import (
 )
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, LearntRoad, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
-from automodel.tracking.hypotheses import (
-    LEFT,
-    LEFT_FAR,
-    RIGHT,
-    RIGHT_FAR,
-    STILL_LANES,
-    Hypotheses,
-    HypothesesConfig,
-    Hypothesis,
-    LineKinds,
-)
+from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
 from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
+from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.types import FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.perception.line_scan import SightedLine
-from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
+from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.types import FloatArray
 
 SLOTS = (LEFT_FAR, LEFT, RIGHT, RIGHT_FAR)  # the lines of the followed lane and its neighbours, from left to right

@@ -549,15 +549,20 @@ BOUNDS = (
         "automodel/tracking/hypotheses.py",
         "tests/tracking/test_hypotheses.py",
         ("new-bends-are-clutter", "if not any(_explains(child, seen) for child in children):", "if False:"),
-        (
-            "whatever-departs-bends",
-            "return [*looks, *(part for part in parts if part is not None)]",
-            "return list(looks)",
-        ),
         ("learnt-twice", "        if not learnt:\n", "        if True:\n"),
         ("picking-has-no-price", "math.lgamma(things + 0.5) - math.lgamma(things - lines + 0.5)", "0.0"),
-        ("a-speck-is-a-line", "odds += sum(config.length(each.line.painted_m / unit) for each in both)", "pass"),
-        ("a-second-sight-is-a-witness", "counted + news * (odds - story.odds)", "counted + (odds - story.odds)"),
+    ),
+    *_of(
+        "automodel/tracking/stories.py",
+        "tests/tracking/test_hypotheses.py",
+        ("whatever-departs-bends", "if at == 0 or", "if True or"),
+        ("a-speck-is-a-line", "things.length + share * painted_m[i]", "things.length + 0.0 * painted_m[i]"),
+        ("a-second-sight-is-a-witness", "counted[story] + news[i] * (", "counted[story] + ("),
+    ),
+    *_of(
+        "automodel/tracking/stories.py",
+        "tests/tracking/test_stories.py",
+        ("two-lines-in-a-place", "role[one] == role[look] and high > low", "False"),
     ),
     *_of(
         "automodel/tracking/hypotheses.py",

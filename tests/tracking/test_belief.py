@@ -15,10 +15,10 @@ from automodel.geometry import SE2
 from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import MotionSource
-from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, Look, RoadModel
-from automodel.tracking.hypotheses import LEFT, RIGHT
+from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, RoadModel
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import TrackingConfig
+from automodel.tracking.stories import LEFT, RIGHT
 from automodel.types import FloatArray
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.sighted_lines import ROAD_MODEL, belief, line_of, sighted
@@ -306,11 +306,6 @@ def likelihood(believed: LaneBelief, line: SightedLine, role: float = LEFT) -> f
     return believed.update((Assigned(line, role),))[1]
 
 
-def part(believed: LaneBelief, line: SightedLine) -> Look | None:
-    evidence = Evidence(believed)
-    return evidence.part(evidence.look(line, LEFT))
-
-
 def explained(believed: LaneBelief, line: Assigned) -> bool:
     return bool(Evidence(believed).explained((line,), TrackingConfig(coast_s=1.0, coast_lanes=1.0).gate)[0])
 
@@ -329,20 +324,6 @@ def test_a_line_that_goes_on_as_another_is_not_explained_though_no_clutter_is_li
     mixed = sighted(points)
     assert likelihood(sure, mixed) > sure.anything().of_line(mixed)
     assert not explained(sure, Assigned(mixed, LEFT))
-
-
-@pytest.mark.parametrize(("moved", "rest"), [(slice(6, None), slice(6)), (slice(3), slice(3, None))])
-def test_the_part_of_a_line_that_plays_the_role_is_told_from_the_rest(moved: slice, rest: slice) -> None:
-    sure, points = belief(STRAIGHT, (0.01, 0.02, 0.05, 0.01)), line_of(STRAIGHT, LEFT, count=10).points_m.copy()
-    assert part(sure, sighted(points)) is None
-    points[moved, 1] += 0.3 * LANE_M
-    look = part(sure, sighted(points))
-    assert look is not None
-    assert len(points[rest]) - 1 <= len(look.line.points_m) <= len(points[rest])
-    assert look.line.points_m[:, 1] == pytest.approx(0.5 * LANE_M)
-    other = look.line.points_m[0, 0] > points[0, 0]  # the near ones
-    left = points[: -len(look.line.points_m)] if other else points[len(look.line.points_m) :]
-    assert look.rest == sure.anything().of_line(sighted(left)) - sure.anything().CORNERS
 
 
 def test_a_new_bend_begins_where_a_line_departs_or_anywhere_before_it() -> None:

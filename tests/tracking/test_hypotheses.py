@@ -12,18 +12,9 @@ import pytest
 from automodel.geometry.lane_path import OFFSET
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned
-from automodel.tracking.hypotheses import (
-    LEFT,
-    LEFT_FAR,
-    RIGHT,
-    RIGHT_FAR,
-    STILL_LANES,
-    Hypotheses,
-    HypothesesConfig,
-    Hypothesis,
-    LineKinds,
-)
+from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
 from automodel.tracking.lane_motion import Part
+from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.sighted_lines import DASHED, ROAD_MODEL, belief, bending, line_of, sighted
 
@@ -280,10 +271,10 @@ def test_of_many_specks_two_lie_where_lines_would_and_are_no_lane() -> None:
 
 def test_a_short_piece_is_less_of_a_line_than_a_long_one() -> None:
     """By the lengths of lines and of other things, and nothing else."""
-    road, model = road_at(0.0), HypothesesConfig()
+    road, things = road_at(0.0), HypothesesConfig().things(START.anything(), LANE_M)
     pair = [line_of(road, RIGHT), line_of(road, LEFT)]
     worn = replace(pair[1], painted_m=0.1 * LANE_M)
-    lost = model.length(pair[1].painted_m / LANE_M) - model.length(0.1)
+    lost = things.length_per_lane * (pair[1].painted_m / LANE_M - 0.1)
     assert lost > 3.0
     assert started(*pair).all[0].log_odds - started(pair[0], worn).all[0].log_odds == pytest.approx(lost)
 

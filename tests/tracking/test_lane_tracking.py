@@ -22,10 +22,10 @@ from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_motion, seen_places
 from automodel.tracking.belief import LaneBelief
-from automodel.tracking.hypotheses import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
+from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.types import FloatArray
 from tests.support.drawn_roads import Road
 from tests.support.sighted_lines import DASHED, bending, line_of, sighted
