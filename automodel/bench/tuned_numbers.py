@@ -39,6 +39,8 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "estimation.theta.pose_filter._DIRECTION": "rows of the measurement",
     "estimation.theta.theta_rls.ThetaRls._DAMPING": "numerical tolerance",
     "estimation.theta.centerline_fusion._GRID": "from 0 to 1",
+    "tracking.evidence.NO_NEWS": "numerical tolerance",
+    "tracking.evidence.CERTAIN": "numerical tolerance",
     "perception.rows.row_ridges.LINE": "rows of an array",
     "pipelines.*.NO_POINTS": "the shape of an empty array",
     "tracking.stories.LEFT*": "where lines lie, in lane widths",

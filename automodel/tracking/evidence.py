@@ -32,7 +32,6 @@ from automodel.types import FloatArray, Ints
 NARROWER = 100.0  # of the variances of points, from one round to the next: 10 and 1000 find as many modes
 ROUNDS = 12  # of linearisation and weighing, at most
 LEAST_STEP = 0.0625  # of a whole one: where less goes uphill, nothing is linear
-NO_GAIN = 1e-6  # [twice nats] less is not worth a step
 LINEAR = 0.5  # [nats] by which a linearised likelihood may be wrong
 NO_NEWS = 1e-12  # share of a line that counts as none
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
@@ -302,8 +301,8 @@ def _climbed(
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """What a place uphill from the belief costs [twice nats], that place, the points' weights, and what those cost.
 
-    Newton's method on the posterior; each step is halved until it is one uphill, or would hardly be. The points
-    are weighed in each round; in the first their errors' variances are `wide` times as large as they are.
+    Newton's method on the posterior; each step is halved until it is one uphill. The points are weighed in each round;
+    in the first their errors' variances are `wide` times as large as they are.
     """
     count, full = len(roles), len(prior.root)
     white, linear, rest = np.empty((len(points), full)), np.empty(len(points)), np.empty(len(points))
@@ -318,14 +317,13 @@ def _climbed(
             _rows(prior, path, state, points[its], roles[i], white[its], linear[its])
         if best == np.inf:
             best = _cost(prior, linear, weights, ends, shares)
-        step = _solved(prior, white, linear, weights, ends, shares)
+        aim = _solved(prior, white, linear, weights, ends, shares)
         for k in range(len(points)):
-            linear[k] -= dot(white[k], step)
+            linear[k] -= dot(white[k], aim)
         told = _cost(prior, linear, weights, ends, shares)  # there, if all were linear
-        gain, step = best - told - dot(step, step), step - z
         tried, uphill = 1.0, False
-        while tried >= LEAST_STEP and gain > NO_GAIN:
-            at = z + tried * step
+        while tried >= LEAST_STEP:
+            at = z + tried * (aim - z)
             moved = _moved(prior, at)
             there = prior.state + moved[:-1]
             trial = lane_path(there, prior.start_m, prior.spacing_m, prior.reference_x_m)
