@@ -20,27 +20,10 @@ import numpy as np
 
 from automodel.curves import DeferredCurve
 from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
-from automodel.geometry.lane_path import (
-    OFFSET,
-    PITCH,
-    ROAD,
-    THETA,
-    WIDTH,
-    curvature,
-    line_of_path,
-    next_lane,
-)
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose, MotionSource
-from automodel.tracking.evidence import (
-    Equations,
-    Prior,
-    innovation,
-    own_thing,
-    posterior,
-    settled,
-    whitened,
-)
+from automodel.tracking.evidence import Equations, Prior, innovation, own_thing, posterior, settled, whitened
 from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
 from automodel.tracking.stories import ROLES, Things, beside_lane, departure, possible, stories
 from automodel.types import FloatArray

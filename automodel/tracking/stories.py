@@ -14,14 +14,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature
-from automodel.tracking.evidence import (
-    Equations,
-    Prior,
-    change,
-    innovation,
-    own_thing,
-    settled,
-)
+from automodel.tracking.evidence import Equations, Prior, change, innovation, own_thing, settled
 from automodel.types import FloatArray, Ints
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
