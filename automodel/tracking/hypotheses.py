@@ -207,12 +207,6 @@ class Hypotheses:
         shares = zip(self.all, self.posterior(), strict=True)
         return sum(share for one, share in shares if _beside_alike(self.all[0], one, self.config.same))
 
-    @property
-    def certainty_of_lines(self) -> float:
-        """The probability that both of the lane's lines are where the likeliest hypothesis puts them beside the car."""
-        shares = zip(self.all, self.posterior(), strict=True)
-        return sum(share for one, share in shares if _lines_alike(self.all[0], one, self.config.same))
-
     def posterior(self) -> list[float]:
         """Probabilities of the hypotheses, in their order."""
         best = max((one.log_odds for one in self.all), default=0.0)
@@ -277,12 +271,6 @@ def _beside_alike(one: Hypothesis, other: Hypothesis, most: float) -> bool:
     """Whether two put the lane at the same place beside the car, to so many lane widths and radians."""
     lateral = abs(one.belief.offset_m - other.belief.offset_m) / one.belief.road.lane_width_m
     return max(lateral, abs(one.belief.heading_rad - other.belief.heading_rad)) < most
-
-
-def _lines_alike(one: Hypothesis, other: Hypothesis, most: float) -> bool:
-    """As `_beside_alike`, of each line: a lone line, and it with another thing as its pair, differ in the width."""
-    lateral_m = abs(one.belief.offset_m - other.belief.offset_m) + 0.5 * abs(one.belief.width_m - other.belief.width_m)
-    return _beside_alike(one, other, most) and lateral_m < most * one.belief.road.lane_width_m
 
 
 def _departures(evidence: Evidence, lines: Sequence[SightedLine]) -> list[float]:

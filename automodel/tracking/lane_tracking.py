@@ -300,7 +300,7 @@ class LaneTracking:
             self._hypotheses.start(())
             return None
         roles = {role for _, role in best.assigned}
-        if self._sure(best) and self._hypotheses.certainty_of_lines > self.config.sure:
+        if self._sure(best):
             self._believe(best.belief)
         elif roles & {LEFT, RIGHT} and not best.bounds_a_lane and self._alone(best):
             self._reckon(self._anywhere())

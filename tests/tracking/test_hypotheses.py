@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from automodel.geometry.lane_path import OFFSET, WIDTH
+from automodel.geometry.lane_path import OFFSET
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.belief import Assigned
 from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
@@ -267,17 +267,6 @@ def test_of_many_specks_two_lie_where_lines_would_and_are_no_lane() -> None:
             claimed[picked] += hypotheses.all[0].log_odds > 5.0
     assert claimed[True] <= 2
     assert claimed[False] >= 8
-
-
-@pytest.mark.parametrize(("narrower", "certain"), [(0.0, 1.0), (0.25, 0.5)])
-def test_hypotheses_that_disagree_on_the_width_put_the_lines_at_two_places(narrower: float, certain: float) -> None:
-    """A lone line, and the same line with a lamp's reflection beside it, put the lane's middle close to each other."""
-    state = START.state.copy()
-    state[WIDTH] *= 1.0 - narrower
-    hypotheses = Hypotheses()
-    hypotheses.start(((START, 0.0), (replace(START, state=state), 0.0)))
-    assert hypotheses.certainty == pytest.approx(1.0)
-    assert hypotheses.certainty_of_lines == pytest.approx(certain)
 
 
 def test_a_short_piece_is_less_of_a_line_than_a_long_one() -> None:
