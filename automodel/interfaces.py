@@ -86,6 +86,12 @@ class VehicleLink(Protocol):
         """Disarm if the connection allows it, and close; may be called twice."""
 
 
+def wake_of(link: object) -> int | None:
+    """When a link wants its next `poll`, on that clock: what its `wake_ns` says, None where it has none or no wish."""
+    wake_ns: int | None = getattr(link, "wake_ns", None)
+    return wake_ns
+
+
 class Recorder(Protocol):
     """Records a run. Calls return at once; another thread writes."""
 

@@ -24,10 +24,25 @@ VALID_NS = 100 * _MS  # no command is valid for longer
 ERRORS_MAX = 3  # error frames in `ERRORS_NS` that are a fault: a disturbance is one or two, a wrong bit rate many
 ERRORS_NS = 100 * _MS
 LASTING_NS = 100 * _MS  # what one frame shows lasts so long: a second sender, a touch of the brake
-EARLY_SHARE = 0.25  # of a period: a loop of the same rate that comes a little early sends, and keeps the rate
-OVERDUE_SHARE = -0.25  # without a new command the last one is repeated that much after its time
-PACE_SHARE = 0.05  # of how far a command comes from a message's time, by which that moves: 20 commands, 0.4 s at 50 Hz
+EARLY_NS = 1 * _MS  # a message leaves that much before its time rather than wait: a loop's shortest wait
+OVERDUE_SHARE = 0.25  # of a period: without a new command the last one is repeated that much after its time
+PACE_SHARE = 0.05  # of how far a command comes from where it is expected, by which that moves: 20 commands, 0.4 s
+SPREADS = 2.0  # mean deviations of the commands' times by which a message comes after their mean: 95 % of a normal one
+WAIT_SHARE = 0.25  # of a period that a command waits for its message at most
 NEEDED = ("speed_mps", "steering_rad")  # without these no command can be limited
+
+
+@dataclass(slots=True)
+class _Schedule:
+    """When a message is sent.
+
+    Commands come when a step is done, which takes longer now and then. A message that leaves with each command repeats
+    that unevenness; one that leaves `SPREADS` mean deviations after their mean time does not, but for the rest.
+    """
+
+    due_ns: int
+    spread_ns: float = 0.0  # mean deviation of the commands' times
+    sent_ns: int | None = None
 
 
 @dataclass(slots=True)
@@ -52,15 +67,15 @@ class _Session:
     steering_rad: float = 0.0  # as it was sent last
     accel_mps2: float = 0.0  # likewise; 0 while nothing is asked for
     sent_ns: int | None = None
-    due_ns: dict[str, int] = field(default_factory=dict)  # message: when it is to be sent next
+    schedules: dict[str, _Schedule] = field(default_factory=dict)  # by the message's name; missing: to be sent at once
 
 
 class CanLink:
     """The vehicle of a CAN mapping.
 
-    - Messages go out in their period, from `send`, or from `poll` where no command came in time: a loop that hangs
-      sends nothing, and no timer or thread sends for it. Their times move to those of the commands. A command is valid
-      for 100 ms at most; expired, it disarms.
+    - Messages go out in their period, from `send` and `poll`, which `wake_ns` asks for: a loop that hangs sends
+      nothing, and no timer or thread sends for it. Their times move to where most commands are there. A command is
+      valid for 100 ms at most; expired, it disarms.
     - While the vehicle is not armed, messages are sent with enable 0 and the measured steering angle, so that nothing
       jumps when it is engaged.
     - Armed means that a person asked for it, the vehicle says that it is engaged (where it can), and nothing is wrong:
@@ -117,8 +132,21 @@ class CanLink:
         if not session.ready:
             return None
         self._judge(session, now_ns)
-        self._transmit(session, now_ns, OVERDUE_SHARE)
+        self._transmit(session, now_ns)
         return self._state(session, now_ns)
+
+    @property
+    def command(self) -> Command | None:
+        """The command that messages carry, None while there is none."""
+        return None if self._session is None else self._session.command
+
+    @property
+    def wake_ns(self) -> int | None:
+        """When `poll` has the next message to send, on the clock of `poll`; None while nothing may be sent."""
+        session = self._session
+        if session is None or not session.ready or not session.schedules:
+            return None
+        return min(self._leaves_ns(session, writer) for writer in self._writers if writer.name in session.schedules)
 
     def send(self, command: Command, now_ns: int) -> None:
         """Take over a command and send it when its message is due; ignored while `poll` still gives None."""
@@ -127,7 +155,7 @@ class CanLink:
             session.ramp_mps2 = _ramp_mps2(session.command, command)
             session.command, session.command_ns = command, now_ns
             self._keep_pace(session, now_ns)
-            self._transmit(session, now_ns, EARLY_SHARE)
+            self._transmit(session, now_ns, EARLY_NS)
 
     def arm(self, now_ns: int) -> None:
         """Ask the vehicle to follow; ignored where something is wrong or a person drives."""
@@ -245,30 +273,45 @@ class CanLink:
 
     def _let_go(self, session: _Session) -> None:
         if session.wants_armed:
-            session.due_ns.clear()  # tell it at once
+            session.schedules.clear()  # tell it at once
         session.wants_armed = session.armed = False
         session.command = None
 
     def _keep_pace(self, session: _Session, now_ns: int) -> None:
-        """Move the times of messages towards those of commands: one that just misses its message waits for the next."""
+        """Move the times of messages to where most commands are there: one that just misses its message waits."""
         for writer in self._writers:
-            due_ns, half_ns = session.due_ns.get(writer.name), writer.period_ns // 2
-            if due_ns is not None:
-                off_ns = (now_ns - due_ns + half_ns) % writer.period_ns - half_ns
-                session.due_ns[writer.name] = due_ns + round(PACE_SHARE * off_ns)
+            schedule = session.schedules.get(writer.name)
+            if schedule is None:
+                continue
+            half_ns = writer.period_ns // 2
+            late_ns = (now_ns - schedule.due_ns + half_ns) % writer.period_ns - half_ns
+            off_ns = late_ns + min(SPREADS * schedule.spread_ns, WAIT_SHARE * writer.period_ns)
+            schedule.due_ns += round(PACE_SHARE * off_ns)
+            schedule.spread_ns += PACE_SHARE * (abs(off_ns) - schedule.spread_ns)
 
-    def _transmit(self, session: _Session, now_ns: int, share: float) -> None:
-        """Send the messages that are due in at most `share` of their period (below 0: since so long)."""
-        due = [w for w in self._writers if now_ns >= session.due_ns.get(w.name, now_ns) - share * w.period_ns]
+    def _leaves_ns(self, session: _Session, writer: MessageWriter) -> int:
+        """When a message is to be sent: at its time with a new command, later without one."""
+        schedule = session.schedules[writer.name]
+        fresh = session.command is not None and (schedule.sent_ns is None or session.command_ns > schedule.sent_ns)
+        return schedule.due_ns + (0 if fresh else round(OVERDUE_SHARE * writer.period_ns))
+
+    def _transmit(self, session: _Session, now_ns: int, early_ns: float = 0.0) -> None:
+        """Send the messages that leave within `early_ns`, and those that were never sent."""
+        due = [
+            writer
+            for writer in self._writers
+            if writer.name not in session.schedules or now_ns >= self._leaves_ns(session, writer) - early_ns
+        ]
         if not due:
             return
         intent = self._intent(session, now_ns)
         told = {**intent, "steering_rad": intent["steering_rad"] * self._config.steering_ratio}
         for writer in due:
             self._port.send(writer.frame_id, writer.payload(told), writer.extended)
-            due_ns = session.due_ns.get(writer.name, now_ns)
-            late = abs(now_ns - due_ns) > writer.period_ns
-            session.due_ns[writer.name] = (now_ns if late else due_ns) + writer.period_ns
+            schedule = session.schedules.setdefault(writer.name, _Schedule(now_ns))
+            late = abs(now_ns - schedule.due_ns) > writer.period_ns
+            schedule.due_ns = (now_ns if late else schedule.due_ns) + writer.period_ns
+            schedule.sent_ns = now_ns
         session.steering_rad, session.accel_mps2 = intent["steering_rad"], intent.get("accel_mps2", 0.0)
         session.sent_ns = now_ns
 

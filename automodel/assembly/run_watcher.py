@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from automodel.interfaces import Source, VehicleLink
+from automodel.interfaces import Source, VehicleLink, wake_of
 from automodel.output_files import output_text
 from automodel.runtime.input_checks import UNCERTAIN
 from automodel.runtime.latencies import Latencies
@@ -280,6 +280,11 @@ class TimedLink:
 
     def __init__(self, link: VehicleLink, watch: Stopwatch) -> None:
         self._link, self._watch = link, watch
+
+    @property
+    def wake_ns(self) -> int | None:
+        """As the link's."""
+        return wake_of(self._link)
 
     def open(self) -> None:
         """As the link's."""

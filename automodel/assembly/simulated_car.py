@@ -20,6 +20,7 @@ from automodel.config.parts import LINKS
 from automodel.geometry import SE2, GroundCamera
 from automodel.interfaces import Source, VehicleLink
 from automodel.runtime.clocks import MonotonicClock, VirtualClock
+from automodel.signals import Command
 from automodel.sim.appearance import Appearance
 from automodel.sim.full_size import FullSizeConfig, FullSizePlant
 from automodel.sim.plant import CarState, Plant, PlantConfig
@@ -205,26 +206,42 @@ def served_full_size_world(
 
 
 class PacedCanPort:
-    """A port that notes how evenly its first message leaves."""
+    """A port that notes how evenly its first message leaves, and how old the frame is that its command came from."""
 
-    def __init__(self, port: PythonCanPort, period_s: float) -> None:
+    def __init__(self, port: PythonCanPort, period_s: float, validity_s: float) -> None:
         self.place, self.open, self.receive, self.close = port.place, port.open, port.receive, port.close
-        self._port, self._period_s = port, period_s
+        self.carried: Callable[[], Command | None] = lambda: None  # the command in a message that is sent
+        self._port, self._period_s, self._validity_s = port, period_s, validity_s
         self._frame_id: int | None = None
         self._times_ns: list[int] = []
+        self._ages_ns: list[float] = []  # of each command's frame, as the first message with it left
+        self._newest: Command | None = None
 
     def send(self, frame_id: int, data: bytes, extended: bool) -> None:
         """Send a frame."""
         self._port.send(frame_id, data, extended)
-        if self._frame_id in (None, frame_id):
-            self._frame_id = frame_id
-            self._times_ns.append(time.monotonic_ns())
+        if self._frame_id not in (None, frame_id):
+            return
+        now_ns, command = time.monotonic_ns(), self.carried()
+        self._frame_id = frame_id
+        self._times_ns.append(now_ns)
+        if command is not None and command is not self._newest:
+            captured_ns = command.valid_until_ns - self._validity_s * 1e9
+            if captured_ns < command.t_ns:  # a standstill comes from no frame
+                self._ages_ns.append(now_ns - captured_ns)
+        self._newest = command
 
     def metrics(self) -> dict[str, object]:
-        """Median and 99th percentile of how far the intervals are from the period; None of fewer than two messages."""
-        off_ms = np.abs(np.diff(np.array(self._times_ns, dtype=np.float64)) * 1e-6 - self._period_s * 1e3)
-        shares = {"jitter_p50_ms": 50, "jitter_p99_ms": 99}
-        return {key: float(np.percentile(off_ms, share)) if len(off_ms) else None for key, share in shares.items()}
+        """How far intervals are from the period, and the time from a frame's capture to the message with its command.
+
+        Median and 99th percentile [ms]; None where there was nothing to measure.
+        """
+        off_ns = np.abs(np.diff(np.array(self._times_ns, dtype=np.float64)) - self._period_s * 1e9)
+        return {
+            f"{name}_p{share}_ms": float(np.percentile(times_ns, share)) * 1e-6 if len(times_ns) else None
+            for name, times_ns in (("jitter", off_ns), ("frame_to_bus", self._ages_ns))
+            for share in (50, 99)
+        }
 
 
 def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene], None]) -> SimulatedCar:
@@ -238,8 +255,10 @@ def real_time(car: CarConfig, simulation: Simulation, on_scene: Callable[[Scene]
         source = RealTimeWorld(serve, arguments, shape, car.camera.rate_hz, on_scene, pair=pair)
         leaving.callback(source.close)
         if simulation.link == "can":
-            port = PacedCanPort(PythonCanPort(BUS, source.port, car.link.can.bitrate), car.link.can.send[0].period_s)
+            bus, period_s = PythonCanPort(BUS, source.port, car.link.can.bitrate), car.link.can.send[0].period_s
+            port = PacedCanPort(bus, period_s, car.safety.command_validity_s)
             link = make_part(LINKS, "can", car, port)
+            port.carried = lambda: link.command
             return SimulatedCar(
                 source=source,
                 link=link,

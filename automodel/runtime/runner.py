@@ -1,9 +1,9 @@
 """The run: one cycle after the other until someone says stop, and the car in neutral however it ends.
 
-A cycle waits for the newest frame, at most 20 ms, so that the vehicle is polled, the safety machine stepped and a
-signal answered at that pace whatever the camera does. What goes to the wire goes first; recording, telling and the
-collector come after it. The whole run lives on the clock it is given: with a `VirtualClock` and a source that
-advances it inside `read` the same code runs in lock-step.
+A cycle waits for the newest frame, at most 20 ms and no longer than the link asks for, so that the vehicle is polled,
+the safety machine stepped and a signal answered at that pace whatever the camera does. What goes to the wire goes
+first; recording, telling and the collector come after it. The whole run lives on the clock it is given: with a
+`VirtualClock` and a source that advances it inside `read` the same code runs in lock-step.
 
 Event kinds besides those of `automodel.runtime.safety`: fault (something not finite, or an exception of the chain),
 vehicle-fault, link-lost, link-back, source-failed, source-back, camera-missing and camera-back (of a pair, while the
@@ -217,10 +217,13 @@ class Runner:
 
     def _await_frame(self) -> Frame | StereoFrame | None:
         now_ns = self._clock.now_ns()
-        due_ns = self._safety.frame_due_ns()
+        due_ns, wake_ns = self._safety.frame_due_ns(), self._link.wake_ns
         wait_ns = SLICE_NS
         if due_ns is not None and due_ns > now_ns:
-            wait_ns = max(min(SLICE_NS, due_ns - now_ns), SLICE_MIN_NS)
+            wait_ns = min(wait_ns, due_ns - now_ns)
+        if wake_ns is not None:
+            wait_ns = min(wait_ns, wake_ns - now_ns)
+        wait_ns = max(wait_ns, SLICE_MIN_NS)
         return self._source.read(wait_ns / NS_PER_S, self._at_rest())
 
     def _listen(self, now_ns: int) -> tuple[VehicleState | None, tuple[str, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from automodel.interfaces import VehicleLink
+from automodel.interfaces import VehicleLink, wake_of
 from automodel.runtime.clocks import NS_PER_S
 from automodel.runtime.loop import state_faults
 from automodel.runtime.safety import LINK_SILENCE_S
@@ -39,6 +39,11 @@ class SupervisedLink:
     def ready(self) -> bool:
         """Whether the vehicle has said hello through a pipe that holds: before that nothing may be sent."""
         return self._up and self._hello
+
+    @property
+    def wake_ns(self) -> int | None:
+        """When the link wants to be polled next, None where it does not say."""
+        return wake_of(self._link) if self._up else None
 
     def open(self, now_ns: int) -> None:
         """Open the pipe for the first time; raises the link's OSError."""

@@ -108,8 +108,9 @@ def test_it_drives_in_real_time_on_a_bus_of_another_process(cli, tmp_path: Path)
     rows = rows_of(truth)
     moved_m = math.hypot(*(float(rows[-1][key]) - float(rows[0][key]) for key in ("x_m", "y_m")))
     assert moved_m > 5.0
-    assert row["jitter_p50_ms"] is not None
     assert 0.0 <= row["jitter_p50_ms"] <= row["jitter_p99_ms"]
+    assert 0.0 < row["frame_to_bus_p50_ms"] <= row["frame_to_bus_p99_ms"]
+    assert row["frame_to_bus_p50_ms"] < 100.0, "no older command may be obeyed"
 
 
 def test_a_bus_that_is_not_there_is_one_line(cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

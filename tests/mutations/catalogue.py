@@ -116,6 +116,7 @@ SAFETY = (
             "command = self._standstill(self._on_wire.steering_rad, now_ns)",
             "command = self._on_wire",
         ),
+        ("link-not-woken", "wait_ns = min(wait_ns, wake_ns - now_ns)", "pass"),
         ("neutral-not-sent", "elif decision.action is Action.NEUTRAL:", "elif False:"),
         ("exceptions-fall-through", "except Exception as error:", "except ArithmeticError as error:"),
         ("states-not-finite", "faults = state_faults(said)", "faults: tuple[str, ...] = ()"),
@@ -266,6 +267,8 @@ WIRE = (
         ("bus-errors-ignored", "if len(session.errors_ns) >= ERRORS_MAX:", "if False:"),
         ("disengaged-ignored", "elif session.armed and engaged == 0:", "elif False:"),
         ("can-commands-wait-a-frame", "            self._keep_pace(session, now_ns)\n", ""),
+        ("can-messages-as-uneven-as-steps", "SPREADS = 2.0", "SPREADS = 0.0"),
+        ("can-stale-command-first", "(0 if fresh else round(OVERDUE_SHARE * writer.period_ns))", "0"),
         ("never-engaged-ignored", "if not session.armed and now_ns - session.arm_ns > ARM_NS:", "if False:"),
     ),
     *_of(

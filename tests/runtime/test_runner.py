@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import signal
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import pytest
 
 from automodel.runtime.loop import Loop
 from automodel.runtime.runner import RunConfig, RunEnd, Runner, RunParts
+from automodel.signals import VehicleState
 from tests.support.runner_car import ARMING, DISARMED, DRIVING, HOLD, STOPPED, Car, assert_parked, sent
 from tests.support.runner_fakes import MS, frames
 
@@ -159,6 +161,28 @@ def test_waits_are_short_so_that_signals_are_answered() -> None:
     car.run()
     assert min(car.source.waits_s) >= 0.001
     assert max(car.source.waits_s) <= 0.020
+
+
+def test_a_link_is_polled_when_it_asks_for_it() -> None:
+    """It asks for 7 ms after each poll; frames come every 16 ms."""
+    car, polls_ns = Car(), []
+    poll = car.link.poll
+
+    def polling(now_ns: int) -> VehicleState | None:
+        polls_ns.append(now_ns)
+        car.link.wake_ns = now_ns + 7 * MS
+        return poll(now_ns)
+
+    car.link.poll = polling  # type: ignore[method-assign]
+    car.run()
+    assert max(b - a for a, b in itertools.pairwise(polls_ns)) == 7 * MS
+
+
+def test_a_link_whose_time_has_passed_does_not_stop_the_clock() -> None:
+    car = Car()
+    car.link.wake_ns = 0
+    car.run()
+    assert min(car.source.waits_s) == max(car.source.waits_s) == 0.001
 
 
 def test_without_a_recorder() -> None:

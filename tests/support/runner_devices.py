@@ -64,7 +64,8 @@ class FakeLink:
     """A board: says hello `hello_ms` after opening, obeys arm and disarm, reports at every poll.
 
     `down_ms` is the span (from, to) in which every call fails, `restart_ms` when the board restarts by itself,
-    `disarm_ms` when it disarms itself, `silent_ms` from when on it reports nothing new.
+    `disarm_ms` when it disarms itself, `silent_ms` from when on it reports nothing new. It asks for a
+    poll at `wake_ns`.
     """
 
     def __init__(self, clock: VirtualClock, hello_ms: float = 0.0) -> None:
@@ -76,6 +77,7 @@ class FakeLink:
         self.obeys_arm = True
         self.state_at: Callable[[VehicleState], VehicleState] = lambda state: state
         self.armed = False
+        self.wake_ns: int | None = None
         self.boot_id = 7
         self._opened_ns = 0
         self._newest: VehicleState | None = None
