@@ -534,6 +534,19 @@ LAYERS = {
 
 BOUNDS = (
     *_of(
+        "automodel/estimation/theta/tracked_line.py",
+        "tests/estimation/theta/test_tracked_line.py",
+        ("hidden-bend-told-by-each-frame", "if near > self._moved_m:", "if False:"),
+    ),
+    *_of(
+        "automodel/estimation/theta/tracked_lane.py",
+        "tests/estimation/theta/test_tracked_lane.py",
+        ("forgotten-line-followed", "tracked.rls.heading_variance_here() < self.KNOWN_RAD**2", "True"),
+        ("width-ahead-unseen", "self._width_ahead(left, right) if all(seen) else None", "None"),
+        ("a-glimpse-is-a-line", "tracked.known_m < TrackedLine.STEP_LANES * self.unit", "False"),
+        ("width-ahead-told-by-each-frame", "min(self._since_width_m / s, 1.0)", "1.0"),
+    ),
+    *_of(
         "automodel/perception/line_scan.py",
         "tests/perception/test_line_scan.py",
         ("worn-paint-is-specks", "self._pieces(lines, (near & paint) | lines)", "self._pieces(lines, lines)"),

@@ -11,7 +11,7 @@ the foot of the perpendicular the reference point moves from (0, d) to (X, Y), a
     theta' = theta + atan2(kappa X, 1 - kappa Y) - dpsi
 
 which is exact on arcs and needs no special case for the straight. Also beyond the paper: a gate for each measurement,
-updates with one line, and the centerline's direction as a measurement of its own.
+updates with one line, and the centerline's direction, and the width ahead, as measurements of their own.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from automodel.geometry.se2 import wrap_angle
 from automodel.types import FloatArray
 
 _LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
-_DIRECTION = slice(4, 5)
+_DIRECTION, _WIDTH = slice(4, 5), slice(5, 6)
 LEAST_WIDTH = 0.4  # lane widths: two lines that are closer are one; the inverse bounds a lane's width from above
 
 
@@ -45,12 +45,12 @@ class State(IntEnum):
 
 
 def predicted_measurement(state: FloatArray, reference_x_m: float) -> tuple[FloatArray, FloatArray]:
-    """h (5,), eq. (25), and its Jacobian (5, 3): P_L and P_R in the body frame, and the centerline's direction."""
+    """h (6,), eq. (25), and its Jacobian (6, 3): P_L and P_R in the body frame, the lane's direction, its width."""
     theta, rho, width = (float(value) for value in state)
     cos, sin, half = math.cos(theta), math.sin(theta), 0.5 * width
     left, right = 0.5 * (1.0 - rho), 0.5 * (1.0 + rho)  # [lane widths]
     a, b = width * left, width * right
-    h = np.array((reference_x_m - a * sin, a * cos, reference_x_m + b * sin, -b * cos, theta))
+    h = np.array((reference_x_m - a * sin, a * cos, reference_x_m + b * sin, -b * cos, theta, width))
     jacobian = np.array(
         (
             (-a * cos, half * sin, -left * sin),
@@ -58,6 +58,7 @@ def predicted_measurement(state: FloatArray, reference_x_m: float) -> tuple[Floa
             (b * cos, half * sin, right * sin),
             (b * sin, -half * cos, -right * cos),
             (1.0, 0.0, 0.0),
+            (0.0, 0.0, 1.0),
         )
     )
     return h, jacobian
@@ -240,12 +241,17 @@ class LanePoseFilter:
         self._ekf.P = 0.5 * (self._ekf.P + self._ekf.P.T)
 
     def update(
-        self, left: LinePoint | None, right: LinePoint | None, theta: tuple[float, float] | None = None
+        self,
+        left: LinePoint | None,
+        right: LinePoint | None,
+        theta: tuple[float, float] | None = None,
+        width: tuple[float, float] | None = None,
     ) -> PoseUpdate:
         """Update by this frame's measurements; one that is None, not finite or outside its gate is ignored.
 
         `theta`: the centerline's direction [rad], eq. (20), and its variance [rad^2], a measurement beyond the paper's
-        four for one line, or two lines seen in one point each.
+        four for one line, or two lines seen in one point each. `width`: the lane's width [m], and its variance [m^2],
+        measured ahead of the car.
         """
         h, jacobian = predicted_measurement(self._ekf.x, self.config.reference_x_m)
         measured = [
@@ -256,6 +262,8 @@ class LanePoseFilter:
         if theta is not None and math.isfinite(theta[0]):
             off = wrap_angle(theta[0] - float(h[_DIRECTION][0]))
             measured.append((2, _DIRECTION, np.array((off,)), np.array(((theta[1],),))))
+        if width is not None and math.isfinite(width[0]):
+            measured.append((3, _WIDTH, np.array((width[0] - h[_WIDTH][0],)), np.array(((width[1],),))))
         good = [part for part in measured if self._passes(part[2], jacobian[part[1]], part[3])]
         used = {which for which, *_ in good}
         if not good:

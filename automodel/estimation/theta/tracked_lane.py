@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from automodel.estimation.road import LOST_PACE
+from automodel.estimation.road import LOST_PACE, TAPER
 from automodel.estimation.theta.centerline_fusion import CenterlineFusion
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import MIN_POINTS
 from automodel.estimation.theta.pose_filter import LanePoseFilter, LinePoint, PoseFilterConfig
 from automodel.estimation.theta.theta_rls import ThetaRlsConfig
-from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine, move_line
+from automodel.estimation.theta.tracked_line import LEAST_NEWS, SeenLine, TrackedLine, move_line
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
@@ -27,6 +27,7 @@ class TrackedLane:
 
     KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
     NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
+    KNOWN_RAD = 0.1  # two sigma of an unseen line's direction lead out of the search's reach within a lane width
     GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
@@ -37,6 +38,7 @@ class TrackedLane:
         self.pose = LanePoseFilter(PoseFilterConfig(lane_width_m=lane_width_m, reference_x_m=reference_x_m))
         self.blind_m = 0.0
         self.motion_known = True
+        self._since_width_m = math.inf  # the distance driven since the width was measured ahead
 
     @property
     def centerline(self) -> HeadingPolynomial:
@@ -71,6 +73,7 @@ class TrackedLane:
         move_line(self._fusion.rls, after_from_before, distance_m, dt_s, known)
         self.blind_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self.motion_known = known
+        self._since_width_m += abs(distance_m)
 
     def update(self, left: SeenLine, right: SeenLine) -> tuple[bool, bool]:
         """Update by a frame's lines; returns which of them were seen."""
@@ -81,7 +84,7 @@ class TrackedLane:
             if tracked.unseen_m > self.KEPT_LANES * self.unit:
                 tracked.forget()
         self._fusion.update(self.left.rls, self.right.rls, self.pose.width_m, float(self.pose.covariance[2, 2]))
-        self._correct(seen)
+        self._correct(seen, self._width_ahead(left, right) if all(seen) else None)
         self.blind_m = 0.0
         return seen
 
@@ -94,7 +97,7 @@ class TrackedLane:
     def expected(self, side: float, ahead_m: float) -> tuple[FloatArray, FloatArray, float]:
         """Predicted line on `side` (+1 left, -1 right) up to arc length `ahead_m`.
 
-        It follows its own model while it was seen lately, else it lies beside the centerline.
+        It follows its own model while that is known or was seen just now, else it lies beside the centerline.
         Returns points (n, 2) [m], headings (n,) [rad], and the arc length from the first point up to which they are
         supported by measurements.
         """
@@ -111,7 +114,10 @@ class TrackedLane:
 
     def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
-        return tracked.line if tracked.unseen_m < self.KEPT_LANES * self.unit else None
+        if tracked.unseen_m <= TrackedLine.STEP_LANES * self.unit:
+            return tracked.line
+        known = tracked.line is not None and tracked.rls.heading_variance_here() < self.KNOWN_RAD**2
+        return tracked.line if known and tracked.unseen_m < self.KEPT_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
         enough = 1 if tracked.line is not None else self._first_points(seen)
@@ -124,7 +130,26 @@ class TrackedLane:
         away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
         return MIN_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
-    def _correct(self, seen: tuple[bool, bool]) -> None:
+    def _width_ahead(self, left: SeenLine, right: SeenLine) -> tuple[float, float] | None:
+        """The lane's width where a line begins that is not seen back to the car [m], and its variance [m^2]; or None.
+
+        Up to there it may taper as any lane does, in frames that follow each other by the same. A line that was seen
+        for less than `STEP_LANES` may be anything.
+        """
+        sides = (self.left, left, self.right), (self.right, right, self.left)
+        tracked, seen, other = sides[0] if self.left.hidden_m > self.right.hidden_m else sides[1]
+        hidden = tracked.hidden_m > TrackedLine.KNOT_LANES * self.unit
+        if not hidden or tracked.known_m < TrackedLine.STEP_LANES * self.unit or other.line is None:
+            return None
+        point = seen.points_m[0].tolist()
+        s, distance = other.line.foot(tuple(point), float(point[0]) - self.reference_x_m)
+        if not 0.0 < s <= other.line.s_max_m:
+            return None
+        variance = 2.0 * float(seen.sigma_m[0]) ** 2 + (TAPER * s) ** 2
+        news, self._since_width_m = min(self._since_width_m / s, 1.0), 0.0
+        return abs(distance), variance / max(news, LEAST_NEWS)
+
+    def _correct(self, seen: tuple[bool, bool], width: tuple[float, float] | None = None) -> None:
         """Update the pose by the points in which the seen lines meet the perpendicular, eq. (22)-(25)."""
         lines = [tracked if there else None for tracked, there in zip((self.left, self.right), seen, strict=True)]
         there = [tracked for tracked in lines if tracked is not None and tracked.line is not None]
@@ -134,7 +159,7 @@ class TrackedLane:
         theta = self.centerline.heading_at(0.0)
         hidden = min((tracked.heading_sigma_rad for tracked in there), default=0.0)
         variance = self._fusion.rls.heading_variance_here() + hidden * hidden
-        self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance))
+        self.pose.update(self._point(lines[0], theta), self._point(lines[1], theta), (theta, variance), width)
 
     def _point(self, tracked: TrackedLine | None, theta_rad: float) -> LinePoint | None:
         if tracked is None or tracked.line is None:

@@ -15,6 +15,7 @@ from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
+LEAST_NEWS = 1e-6  # share of what is seen that counts as none, of a car that stands
 FORGET_UNKNOWN = 8.0  # factor by which a line is forgotten faster while the motion is unknown
 
 
@@ -43,7 +44,8 @@ class TrackedLine:
     The camera sees the ground only ahead of the car. So that points lie beside the car too, the nearest ones of each
     frame are remembered, moved by the odometry, and dropped some distance behind the car. `line` is None until `update`
     has made one; `unseen_m` is the distance driven since. `lateral_sigma_m`, `heading_sigma_rad`: uncertainty due to a
-    bend that cannot be seen where no points lie beside the car.
+    bend that cannot be seen where no points lie beside the car, up to the nearest in `hidden_m`. `known_m` is the
+    distance driven since the first update.
     """
 
     KEEP_POINTS = 4  # per round: the nearest, which leave the image next
@@ -62,9 +64,10 @@ class TrackedLine:
         """Drop the line and all remembered points."""
         self.rls.forget()
         self._memory: FloatArray = np.empty((0, 3))  # x, y, sigma
-        self._since_kept_m = np.inf
+        self._since_kept_m = self._moved_m = np.inf
         self.unseen_m = 0.0
         self.lateral_sigma_m = self.heading_sigma_rad = 0.0
+        self.hidden_m, self.known_m = math.inf, 0.0
 
     @property
     def line(self) -> HeadingPolynomial | None:
@@ -76,6 +79,8 @@ class TrackedLine:
         move_line(self.rls, after_from_before, distance_m, dt_s, known)
         self.unseen_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self._since_kept_m += abs(distance_m)
+        self._moved_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
+        self.known_m += abs(distance_m) if self.line is not None else 0.0
         if not known:
             self._memory = self._memory[:0]
         elif len(self._memory):
@@ -113,13 +118,21 @@ class TrackedLine:
         self.rls.line = self.rls.line.ending(last_m, 0.0 if ended else math.inf)
 
     def _set_hidden_bend(self, s_m: FloatArray) -> None:
-        """Uncertainty by a bend between the car and the points next to it."""
+        """Uncertainty by a bend between the car and the points next to it.
+
+        Frames that miss the same stretch make the same error. What each one tells anew is the share of the stretch that
+        the car has driven since the last one; all frames of a stretch weigh as one.
+        """
         ahead, behind = s_m[s_m >= 0.0], -s_m[s_m < 0.0]
         b = float(ahead.min()) if len(ahead) else math.inf
         a = float(behind.min()) if len(behind) else math.inf
         near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
         kappa = self.HIDDEN_BEND_LANES / self.unit
+        self.hidden_m = near
+        if near > self._moved_m:
+            kappa /= math.sqrt(max(self._moved_m / near, LEAST_NEWS))
         self.lateral_sigma_m, self.heading_sigma_rad = 0.5 * kappa * near * far, kappa * near
+        self._moved_m = 0.0
 
     def _along(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) along the known line, accurate enough to sort points."""

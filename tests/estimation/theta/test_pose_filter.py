@@ -185,6 +185,16 @@ def test_a_direction_helps_where_the_points_say_little() -> None:
     assert tracker.heading_rad == pytest.approx(0.3, abs=0.002)
 
 
+def test_a_width_that_was_measured_ahead_is_weighed_by_its_variance() -> None:
+    tracker = LanePoseFilter(FILTER)
+    tracker.start(0.02, 0.0, UNIT, (0.1, 0.1, 0.1))
+    before = tracker.covariance[2, 2]
+    assert tracker.update(None, None, None, (1.1 * UNIT, before)).dimensions == 1
+    assert tracker.width_m == pytest.approx(1.05 * UNIT)
+    assert tracker.covariance[2, 2] == pytest.approx(0.5 * before)
+    assert tracker.update(None, None, None, (math.nan, before)).dimensions == 0
+
+
 def test_directions_wrap() -> None:
     tracker = LanePoseFilter(FILTER)
     tracker.start(0.0, 3.1, UNIT, START)

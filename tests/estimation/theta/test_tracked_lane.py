@@ -146,6 +146,55 @@ def test_a_line_that_is_not_seen_is_kept_for_a_while() -> None:
     drive.check(0.004)
 
 
+def test_a_line_whose_direction_is_forgotten_is_expected_beside_the_centerline() -> None:
+    """In a bend that began while it was out of sight."""
+    bend = 0.8
+    lane = WorldLane(lambda s: np.where(s < 4.0, 0.0, bend), 10.0, UNIT)
+    drive = Drive(lane, s_m=2.0)
+    drive.go(round(1.6 / STEP_M))
+    sees = round(0.8 * TrackedLane.KEPT_LANES * UNIT / STEP_M)
+    drive.go(sees, "left")
+    right = drive.tracked.right
+    assert right.line is not None
+    assert right.rls.heading_variance_here() > TrackedLane.KNOWN_RAD**2
+    points, _, _ = drive.tracked.expected(-1.0, 1.0)
+    beside = lane.beside(np.linspace(0.0, 9.0, 45_001), -0.5 * UNIT)
+    away = [np.hypot(*(beside - place).T).min() for place in drive.car.apply(points)]
+    assert max(away) < 0.02
+
+
+def glimpse(drive: Drive, sees: str, frames: int) -> None:
+    """Frames that show the line that was not seen from 0.9 m ahead on."""
+    for _ in range(frames):
+        drive.go(1, "none")
+        left, right = drive.seen("both")
+        far = drive.seen("both", least_m=0.9)
+        drive.tracked.update(*((left, far[1]) if sees == "left" else (far[0], right)))
+
+
+@pytest.mark.parametrize("sees", ["left", "right"])
+def test_the_width_is_measured_where_a_line_comes_into_view(sees: str) -> None:
+    """By both lines there; beside the car only one of them has been seen."""
+    width_m = 1.2 * UNIT
+    drive = Drive(arc(0.0, width_m=width_m), sees=sees)
+    drive.go(30, sees)
+    known = drive.tracked.pose.width_m
+    glimpse(drive, sees, 1)
+    assert abs(drive.tracked.pose.width_m - width_m) > 0.8 * abs(known - width_m), "a glimpse is none"
+    glimpse(drive, sees, 2)
+    assert abs(drive.tracked.pose.width_m - width_m) < 0.5 * abs(known - width_m)
+
+
+def test_frames_that_measure_the_same_width_ahead_weigh_as_one() -> None:
+    """Its taper up to there is the same for all of them."""
+    drive = Drive(arc(0.0), sees="left")
+    drive.go(30, "left")
+    glimpse(drive, "left", 3)
+    first = math.sqrt(drive.tracked.pose.covariance[2, 2])
+    glimpse(drive, "left", 3)
+    assert math.sqrt(drive.tracked.pose.covariance[2, 2]) > 0.9 * first
+
+
 def test_blind_way_and_what_is_coasted() -> None:
     drive = Drive(arc(0.6))
     drive.go(60)

@@ -172,6 +172,23 @@ def test_doubt_grows_with_the_way_from_the_points() -> None:
     assert lateral[1] / lateral[0] == pytest.approx(4.0, rel=0.4)
 
 
+@pytest.mark.parametrize("frames", [12, 30, 120])
+def test_frames_that_miss_the_same_bend_weigh_as_one(frames: int) -> None:
+    """Over 0.6 m, from a line that is seen from 1 m ahead on, however many frames that takes."""
+    run = Drive(arc(0.0), s_m=2.0)
+    weight = 0.0
+    for frame in range(frames + 1):
+        if frame:
+            run.go(distance_m=0.6 / frames)
+        points = run.lane.seen_from(run.car, np.arange(3.0, 4.5, 0.05), 1)
+        assert run.tracked.update(SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004)))
+        if frame:
+            weight += run.tracked.heading_sigma_rad**-2
+    kappa = TrackedLine.HIDDEN_BEND_LANES / UNIT
+    near_m = np.linspace(1.0, 0.4, 1001)
+    assert weight == pytest.approx(0.6 * np.mean(near_m**-3) / kappa**2, rel=0.35)
+
+
 def test_there_is_little_doubt_where_points_lie_beside_the_car() -> None:
     run = Drive(arc(0.5))
     run.drive(1)
