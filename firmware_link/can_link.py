@@ -41,8 +41,8 @@ class _Schedule:
     """
 
     due_ns: int
+    sent_ns: int
     spread_ns: float = 0.0  # mean deviation of the commands' times
-    sent_ns: int | None = None
 
 
 @dataclass(slots=True)
@@ -292,7 +292,7 @@ class CanLink:
     def _leaves_ns(self, session: _Session, writer: MessageWriter) -> int:
         """When a message is to be sent: at its time with a new command, later without one."""
         schedule = session.schedules[writer.name]
-        fresh = session.command is not None and (schedule.sent_ns is None or session.command_ns > schedule.sent_ns)
+        fresh = session.command is not None and session.command_ns > schedule.sent_ns
         return schedule.due_ns + (0 if fresh else round(OVERDUE_SHARE * writer.period_ns))
 
     def _transmit(self, session: _Session, now_ns: int, early_ns: float = 0.0) -> None:
@@ -308,7 +308,7 @@ class CanLink:
         told = {**intent, "steering_rad": intent["steering_rad"] * self._config.steering_ratio}
         for writer in due:
             self._port.send(writer.frame_id, writer.payload(told), writer.extended)
-            schedule = session.schedules.setdefault(writer.name, _Schedule(now_ns))
+            schedule = session.schedules.setdefault(writer.name, _Schedule(now_ns, now_ns))
             late = abs(now_ns - schedule.due_ns) > writer.period_ns
             schedule.due_ns = (now_ns if late else schedule.due_ns) + writer.period_ns
             schedule.sent_ns = now_ns

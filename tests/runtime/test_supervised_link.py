@@ -164,6 +164,20 @@ def test_a_port_that_vanishes_in_hold_stops_too() -> None:
     assert stop.text == "the link to the vehicle is down"
 
 
+def test_a_link_that_is_down_asks_for_nothing() -> None:
+    events: list[Event] = []
+    link = FakeLink(VirtualClock())
+    supervised = SupervisedLink(link, events.append)
+    assert supervised.wake_ns is None
+    supervised.open(0)
+    supervised.poll(0)
+    link.wake_ns = 7 * MS
+    assert supervised.wake_ns == 7 * MS
+    link.down_ms = (0.0, math.inf)
+    supervised.poll(MS)
+    assert supervised.wake_ns is None
+
+
 def test_the_supervised_link_alone() -> None:
     clock = VirtualClock()
     events: list[Event] = []
