@@ -536,7 +536,7 @@ BOUNDS = (
     *_of(
         "automodel/estimation/theta/tracked_line.py",
         "tests/estimation/theta/test_tracked_line.py",
-        ("hidden-bend-told-by-each-frame", "if near > self._moved_m:", "if False:"),
+        ("hidden-bend-told-by-each-frame", "if near > moved_m:", "if False:"),
     ),
     *_of(
         "automodel/estimation/theta/tracked_lane.py",

@@ -133,8 +133,9 @@ class TrackedLane:
     def _width_ahead(self, left: SeenLine, right: SeenLine) -> tuple[float, float] | None:
         """The lane's width where a line begins that is not seen back to the car [m], and its variance [m^2]; or None.
 
-        Up to there it may taper as any lane does, in frames that follow each other by the same. A line that was seen
-        for less than `STEP_LANES` may be anything.
+        Up to there the lane may taper, which is the same error in frames that follow each other: what one tells anew is
+        the share of that way that was driven since the last one. A line that was seen for less than `STEP_LANES` may be
+        anything.
         """
         sides = (self.left, left, self.right), (self.right, right, self.left)
         tracked, seen, other = sides[0] if self.left.hidden_m > self.right.hidden_m else sides[1]

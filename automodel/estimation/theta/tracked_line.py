@@ -64,7 +64,7 @@ class TrackedLine:
         """Drop the line and all remembered points."""
         self.rls.forget()
         self._memory: FloatArray = np.empty((0, 3))  # x, y, sigma
-        self._since_kept_m = self._moved_m = np.inf
+        self._since_kept_m = np.inf
         self.unseen_m = 0.0
         self.lateral_sigma_m = self.heading_sigma_rad = 0.0
         self.hidden_m, self.known_m = math.inf, 0.0
@@ -79,7 +79,6 @@ class TrackedLine:
         move_line(self.rls, after_from_before, distance_m, dt_s, known)
         self.unseen_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self._since_kept_m += abs(distance_m)
-        self._moved_m += abs(distance_m) if known else LOST_PACE * self.unit * dt_s
         self.known_m += abs(distance_m) if self.line is not None else 0.0
         if not known:
             self._memory = self._memory[:0]
@@ -91,6 +90,7 @@ class TrackedLine:
     def update(self, seen: SeenLine) -> bool:
         """Update by a frame's points; False if they make no line."""
         points_m, sigma_m = seen.points_m, seen.sigma_m
+        moved_m = math.inf if self.line is None else self.unseen_m
         points = np.concatenate((self._memory[:, :2], points_m))
         sigma = np.concatenate((self._memory[:, 2], sigma_m))
         s = self._along(points)
@@ -103,7 +103,7 @@ class TrackedLine:
             return False
         self.rls.take(sampled)
         self.end(seen.ended, float(s.max()))
-        self._set_hidden_bend(s)
+        self._set_hidden_bend(s, moved_m)
         self.unseen_m = 0.0
         if self._since_kept_m >= self.STEP_LANES * unit:
             kept = slice(0, self.KEEP_POINTS)
@@ -117,11 +117,11 @@ class TrackedLine:
             return
         self.rls.line = self.rls.line.ending(last_m, 0.0 if ended else math.inf)
 
-    def _set_hidden_bend(self, s_m: FloatArray) -> None:
+    def _set_hidden_bend(self, s_m: FloatArray, moved_m: float) -> None:
         """Uncertainty by a bend between the car and the points next to it.
 
         Frames that miss the same stretch make the same error. What each one tells anew is the share of the stretch that
-        the car has driven since the last one; all frames of a stretch weigh as one.
+        the car has driven since the last one, `moved_m`; all frames of a stretch weigh as one.
         """
         ahead, behind = s_m[s_m >= 0.0], -s_m[s_m < 0.0]
         b = float(ahead.min()) if len(ahead) else math.inf
@@ -129,10 +129,9 @@ class TrackedLine:
         near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
         kappa = self.HIDDEN_BEND_LANES / self.unit
         self.hidden_m = near
-        if near > self._moved_m:
-            kappa /= math.sqrt(max(self._moved_m / near, LEAST_NEWS))
+        if near > moved_m:
+            kappa /= math.sqrt(max(moved_m / near, LEAST_NEWS))
         self.lateral_sigma_m, self.heading_sigma_rad = 0.5 * kappa * near * far, kappa * near
-        self._moved_m = 0.0
 
     def _along(self, points_m: FloatArray) -> FloatArray:
         """Arc length (n,) along the known line, accurate enough to sort points."""
