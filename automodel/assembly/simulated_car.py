@@ -226,7 +226,7 @@ class PacedCanPort:
         self._frame_id = frame_id
         self._times_ns.append(now_ns)
         if command is not None and command is not self._newest:
-            captured_ns = command.valid_until_ns - self._validity_s * 1e9
+            captured_ns = command.valid_until_ns - self._validity_s * 1e9  # a command lives from its frame on
             if captured_ns < command.t_ns:  # a standstill comes from no frame
                 self._ages_ns.append(now_ns - captured_ns)
         self._newest = command
