@@ -1,8 +1,8 @@
 """`bench stereo-paper`: the highway sequence of the paper behind `stereo`, simulated, beside the paper's figures.
 
 The paper's sequence is 25 s long, driven at 95 km/h with yaw rates up to 2 deg/s, and has one lane change. Here it is
-driven by day and by night, by a level car and by one that pitches by up to a degree at 1.5 Hz, on a road of
-`sim.highway`; the monocular pipelines see the left camera's frames.
+driven by day and by night, by a level car and by one that pitches by up to a degree at 1.5 Hz, over hills and in
+traffic, on a road of `sim.highway`; the monocular pipelines see the left camera's frames.
 
 How far they can be compared:
 
@@ -10,6 +10,7 @@ How far they can be compared:
   here are those against the simulator's truth.
 - Its cameras' data are not given. Here two of different lenses look outwards from the mirrors, 1.9 m apart.
 - An estimate counts as one of the lane whose truth it is nearest to; a lane change is where that is another lane.
+- Over hills the pitch is that against the slope under the car, and the plane is one of ground that bends away.
 - Its rate is that of MATLAB on one core of 2008; ours that of one thread of this machine.
 """
 
@@ -30,12 +31,14 @@ from automodel.config.camera import SecondCamera
 from automodel.config.pipelines import CenterlineConfig, ContourConfig, StereoConfig, WindowsConfig
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
+from automodel.geometry.stereo_rig import Plane
 from automodel.interfaces import Pipeline, cameras_of
 from automodel.pipelines.stereo import Stereo
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sim.appearance import Appearance
-from automodel.sim.highway import Highway, HighwayDrive, LaneChange
+from automodel.sim.highway import HILLS, Highway, HighwayDrive, LaneChange, traffic
 from automodel.sim.random_worlds import Nod
+from automodel.sim.renderer import Standing
 from automodel.sim.trajectory import Odometer
 from automodel.sim.truth import Truth, TruthFollower
 
@@ -62,6 +65,8 @@ LIGHTS = {  # by day and by night: headlights on wet-dark asphalt, a camera at t
     ),
 }  # fmt: skip
 BOUNCES_DEG = (0.0, 1.0)
+BEND_RAD = 0.035  # by which the ground turns upwards or down at the far end of the view, at most
+HEAVE_M_PER_DEG = 0.02  # of a body that rolls
 
 
 def mirror_car() -> CarConfig:
@@ -100,18 +105,40 @@ def mirror_car() -> CarConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Ride:
-    """One drive along the sequence, or its first `seconds`."""
+    """One drive along the sequence, or its first `seconds`.
+
+    `bounce_deg`: pitch of the body, either way; `sway_deg`: its roll, with some heave. `hills`, `traffic`: whether
+    there are any.
+    """
 
     light: str
     bounce_deg: float
     pipelines: tuple[str, ...]
     seed: int = 0
     seconds: float = SECONDS
+    sway_deg: float = 0.0
+    hills: bool = False
+    traffic: bool = False
 
     @property
     def words(self) -> str:
         """In a few words."""
-        return f"{self.light}, pitch +-{self.bounce_deg:g} deg" if self.bounce_deg else self.light
+        words = [self.light]
+        words += [f"{name} +-{deg:g} deg" for name, deg in (("pitch", self.bounce_deg), ("roll", self.sway_deg)) if deg]
+        words += [name for name, there in (("hills", self.hills), ("traffic", self.traffic)) if there]
+        return ", ".join(words)
+
+    def body(self, t_s: float) -> Plane:
+        """How the car's body stands over the road."""
+        pitch, roll, heave = (
+            Nod(amplitude_rad=most, rate_hz=hz, phase_rad=phase).at(t_s)
+            for most, hz, phase in (
+                (math.radians(self.bounce_deg), 1.5, 0.0),
+                (math.radians(self.sway_deg), 1.1, 1.0),
+                (HEAVE_M_PER_DEG * self.sway_deg, 1.3, 2.0),
+            )
+        )
+        return Plane(heave, pitch, roll)
 
 
 @dataclass(slots=True)
@@ -196,22 +223,34 @@ def measure_ride(ride: Ride, tick: Tick) -> list[Row]:
     track, lanes = Highway().build()
     drive = HighwayDrive(lanes[0], SPEED_MPS, (LANE_CHANGE,))
     followers = [TruthFollower(lane, car.vehicle.reference_x_m) for lane in lanes]
-    bounce = Nod(amplitude_rad=math.radians(ride.bounce_deg), rate_hz=1.5, phase_rad=0.0)
     look = replace(LIGHTS[ride.light], noise_seed=ride.seed, floor_seed=ride.seed, wear_seed=ride.seed)
-    eyes = renderers(track, car, look, bounce.amplitude_rad)
+    turned_rad = math.radians(ride.bounce_deg + ride.sway_deg) + BEND_RAD * ride.hills
+    eyes, rig = renderers(track, car, look, turned_rad), Stereo.rig(car)
+    others = traffic(SPEED_MPS, ride.seed) if ride.traffic else ()
     odometer, watched = Odometer(ride.seed), [Watched(make_pipeline(name, car)) for name in ride.pipelines]
     count = round(min(ride.seconds, drive.lasts_s) * RATE_HZ)
     for index in range(count):
         t_s = index / RATE_HZ
-        pose, nod = drive.pose(t_s), bounce.at(t_s)
+        pose, body = drive.pose(t_s), ride.body(t_s)
         place = pose.x_m, pose.y_m, pose.yaw_rad
-        left, right = (eye.render(*place, pose.speed_mps, pose.yaw_rate_radps, index, nod_rad=nod) for eye in eyes)
+        ground = HILLS.ahead(track.road.project(place[:2])[0]) if ride.hills else None
+        parts = tuple(filter(None, (other.parts(lanes, t_s) for other in others)))
+        left, right = (
+            eye.render(
+                *place,
+                pose.speed_mps,
+                pose.yaw_rate_radps,
+                index,
+                standing=Standing(camera=camera if turned_rad else None, height_m=ground, traffic=parts),
+            )
+            for eye, camera in zip(eyes, rig.over(body), strict=True)
+        )
         # odometry measures the distance since the frame before: its speeds are those of the middle between both
         motion = odometer.motion(drive.pose(max(t_s - 0.5 / RATE_HZ, 0.0)), round(t_s * 1e9))
         truths = [follower.step(*place) for follower in followers]
         pair = StereoFrame(t_ns=motion.t_ns, index=index, left=left, right=right)
         for one in watched:
-            one.see(pair, motion, truths, nod)
+            one.see(pair, motion, truths, body.pitch_rad)
         tick(1.0 / count)
     return [{"ride": ride.words, "pipeline": one.pipeline.name, **one.row()} for one in watched]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -402,6 +403,11 @@ def contour_paper(
 @click.option("--light", "lights", multiple=True, type=click.Choice(["day", "night"]), help="[default: both]")
 @click.option("--bounce", "bounces", multiple=True, type=click.FloatRange(0.0, 2.0), callback=finite,
               help="Pitch of the car on its springs, in degrees either way.  [default: 0 and 1]")  # fmt: skip
+@click.option("--sway", "sway_deg", type=click.FloatRange(0.0, 2.0), callback=finite, default=0.0, show_default=True,
+              help="Roll of the car on its springs, in degrees either way, and 2 cm of heave for each.")  # fmt: skip
+@click.option("--hills/--flat", default=None, help="Slopes and vertical curves.  [default: flat, and hills by day]")
+@click.option("--traffic/--empty", "in_traffic", default=None,
+              help="Other vehicles, which hide lines.  [default: none, and some by day]")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(1.0, 25.0), callback=finite, default=25.0, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of floor, noise and odometry.")
 @SWEEP
@@ -411,6 +417,9 @@ def stereo_paper(
     pipelines: tuple[str, ...],
     lights: tuple[str, ...],
     bounces: tuple[float, ...],
+    sway_deg: float,
+    hills: bool | None,
+    in_traffic: bool | None,
     seconds: float,
     seed: int,
     sweep: Sweep,
@@ -427,11 +436,23 @@ def stereo_paper(
 
     check_outputs({"--csv": csv_file}, {})
     names = pipelines or (*PAIR_PIPELINES, *PIPELINE_NAMES)
+    ride = Ride(
+        light="day",
+        bounce_deg=0.0,
+        sway_deg=sway_deg,
+        hills=bool(hills),
+        traffic=bool(in_traffic),
+        pipelines=names,
+        seed=seed,
+        seconds=seconds,
+    )
     rides = [
-        Ride(light=light, bounce_deg=bounce, pipelines=names, seed=seed, seconds=seconds)
+        dataclasses.replace(ride, light=light, bounce_deg=bounce)
         for light in lights or LIGHTS
         for bounce in bounces or BOUNCES_DEG
     ]
+    if not (lights or bounces) and hills is None and in_traffic is None:
+        rides += [dataclasses.replace(ride, hills=True), dataclasses.replace(ride, traffic=True)]
     rows = measure(rides, sweep)
     _write(csv_file, rows, seed)
     show("bench stereo-paper", rows, as_json, COLUMNS)

@@ -6,6 +6,7 @@ import copy
 import functools
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -27,6 +28,7 @@ from automodel.sim.ground_light import (
     wear_pattern,
 )
 from automodel.sim.ground_projection import GroundProjection
+from automodel.sim.hills import HeightAhead, seen_ground
 from automodel.sim.paint import Paint
 from automodel.sim.track import Obstacle
 from automodel.types import Float32Array, FloatArray, Image
@@ -35,32 +37,40 @@ FRACTION_BITS = 6
 
 
 def draw_obstacles(
-    image: Image, obstacles: Sequence[Obstacle], camera: GroundCamera, pose: SE2, light: FloatArray
+    image: Image,
+    obstacles: Sequence[Sequence[Obstacle]],
+    camera: GroundCamera,
+    pose: SE2,
+    light: FloatArray,
+    height_m: HeightAhead | None = None,
 ) -> None:
-    """Draw convex obstacles into an image (h, w[, 3]), the farthest first; `light` is a factor for each channel."""
+    """Draw groups of convex obstacles into an image (h, w[, 3]), the farthest group first, each in its own order.
+
+    `light` is a factor for each channel; `height_m` tells how high the ground is under a group.
+    """
     body_from_world = pose.inverse()
-    near = [
-        (float(np.linalg.norm(body_from_world.apply(o.polygon_m).mean(axis=0))), i) for i, o in enumerate(obstacles)
-    ]
-    for _, i in sorted(near, reverse=True):
-        outline = body_from_world.apply(obstacles[i].polygon_m)
-        for face, shade in _faces(outline, obstacles[i].height_m, camera.centre_m, pose.yaw_rad):
-            polygon = _projected(face, camera)
-            if len(polygon) >= 3:
-                colour = np.clip(obstacles[i].grey * shade * light, 0.0, 255.0).round().tolist()
-                fixed = np.round(polygon * (1 << FRACTION_BITS)).astype(np.int32)
-                cv2.fillPoly(image, [fixed], colour, cv2.LINE_AA, FRACTION_BITS)
+    outlines = [[body_from_world.apply(part.polygon_m) for part in group] for group in obstacles]
+    middles = [np.mean([outline.mean(axis=0) for outline in group], axis=0) for group in outlines]
+    for i in sorted(range(len(obstacles)), key=lambda i: (float(np.linalg.norm(middles[i])), i), reverse=True):
+        up_m = np.array((0.0, 0.0, 0.0 if height_m is None else float(height_m(middles[i][:1])[0])))
+        for part, outline in zip(obstacles[i], outlines[i], strict=True):
+            for face, shade in _faces(outline, part, camera.centre_m - up_m, pose.yaw_rad):
+                polygon = _projected(face + up_m, camera)
+                if len(polygon) >= 3:
+                    colour = np.clip(part.grey * shade * light, 0.0, 255.0).round().tolist()
+                    fixed = np.round(polygon * (1 << FRACTION_BITS)).astype(np.int32)
+                    cv2.fillPoly(image, [fixed], colour, cv2.LINE_AA, FRACTION_BITS)
 
 
-def _faces(outline: FloatArray, height_m: float, eye_m: FloatArray, yaw_rad: float) -> list[tuple[FloatArray, float]]:
+def _faces(outline: FloatArray, part: Obstacle, eye_m: FloatArray, yaw_rad: float) -> list[tuple[FloatArray, float]]:
     """Faces (n, 3) [m] visible from `eye_m`, and their brightness; the light's direction is fixed in the world."""
-    faces = []
+    faces, low_m, height_m = [], part.base_m, part.base_m + part.height_m
     for a, b in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         along = b - a
         if along[0] * (eye_m[1] - a[1]) - along[1] * (eye_m[0] - a[0]) >= 0.0:
             continue  # this wall faces away
         outwards = math.atan2(-along[0], along[1]) + yaw_rad
-        wall = np.array([(*a, 0.0), (*b, 0.0), (*b, height_m), (*a, height_m)])
+        wall = np.array([(*a, low_m), (*b, low_m), (*b, height_m), (*a, height_m)])
         faces.append((wall, 0.7 + 0.25 * math.cos(outwards - 0.8)))
     if eye_m[2] > height_m:
         faces.append((np.column_stack((outline, np.full(len(outline), height_m))), 1.0))
@@ -194,8 +204,8 @@ SHADES = {
 }  # shares of the floor's grey
 
 
-class NoddingView:
-    """A camera that pitches with its car, about its optical centre: its image is a view of a `wide` camera's at rest.
+class MovingView:
+    """A camera that moves with its car: its image is a view of a `wide` camera's at rest on flat ground.
 
     `wide` has the same lens and place and a margin on each side, for pitches up to `max_rad` either way.
     """
@@ -222,27 +232,62 @@ class NoddingView:
         self.max_rad = max_rad
         self.wide = copy.copy(camera)
         self.wide.camera = CameraModel(lens, model.width_px + 2 * across, model.height_px + 2 * down)
-        self._size = (model.width_px, model.height_px)
+        self._camera, self._size = camera, (model.width_px, model.height_px)
         self._cam_from_body = camera.cam_from_body
         self._inverse = np.linalg.solve(model.matrix, np.eye(3))
-        self._rays: FloatArray | None = None
-        if model.distortion.any():
-            rows, columns = np.mgrid[0 : model.height_px, 0 : model.width_px]
-            self._rays = model.rays(np.stack((columns, rows), axis=-1).astype(np.float64))
+
+    @functools.cached_property
+    def _rays(self) -> FloatArray:
+        """The ray (h, w, 3) of each pixel, in the cam frame."""
+        rows, columns = np.mgrid[0 : self._size[1], 0 : self._size[0]]
+        return self._camera.camera.rays(np.stack((columns, rows), axis=-1).astype(np.float64))
+
+    def moved(self, image: Image, camera: GroundCamera, height_m: HeightAhead | None) -> Image:
+        """The image of the `camera` as it stands now over ground whose height is `height_m` ahead.
+
+        Each pixel shows the place on the ground, or the direction above it, that it sees now. What stands on the ground
+        is not moved rightly: draw it afterwards.
+        """
+        ground_m = seen_ground(camera, self._rays, height_m)
+        sky = np.isnan(ground_m[..., 0])
+        away = np.concatenate((ground_m, np.zeros((*sky.shape, 1))), axis=-1) - self.wide.centre_m
+        above = self._rays[sky] @ camera.cam_from_body
+        above[:, 2] = np.maximum(above[:, 2], 0.0)  # behind a crest there is no ground, and no sky was drawn
+        away[sky] = above
+        maps = self.wide.camera.project(away @ self.wide.cam_from_body.T).astype(np.float32)
+        seen = cv2.remap(image, maps, NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(seen, dtype=np.uint8)
 
     def turned(self, image: Image, nod_rad: float) -> Image:
-        """The image of the nodding camera; `nod_rad` is positive downwards. Raises ValueError beyond `max_rad`."""
+        """The image of a camera that nods about its own centre; `nod_rad` is positive downwards.
+
+        Raises ValueError beyond `max_rad`.
+        """
         if abs(nod_rad) > self.max_rad:
             raise ValueError(f"nod_rad: expected at most {self.max_rad} either way, got {nod_rad}")
         cos, sin = math.cos(nod_rad), math.sin(nod_rad)
         pitch = np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])  # of the body frame
         rest_from_nodding = self._cam_from_body @ pitch @ self._cam_from_body.T
-        if self._rays is None:
+        if not self._camera.camera.distortion.any():
             wide_from_px = self.wide.camera.matrix @ rest_from_nodding @ self._inverse
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             return np.asarray(cv2.warpPerspective(image, wide_from_px, self._size, flags=flags), dtype=np.uint8)
         maps = self.wide.camera.project(self._rays @ rest_from_nodding.T).astype(np.float32)
         return np.asarray(cv2.remap(image, maps, NO_MAP, cv2.INTER_LINEAR), dtype=np.uint8)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Standing:
+    """How a car stands at an instant, where it is not level on flat and empty ground.
+
+    `camera` is the one that renders, as it stands over the plane under the car now; None where that is as at rest.
+    `height_m`: of the ground ahead over that plane. `traffic`: other cars on it, each of parts from low to high. A
+    camera or a height needs a Renderer with a `nod_max_rad`: the largest angle by which the ground may turn.
+    """
+
+    camera: GroundCamera | None = None
+    height_m: HeightAhead | None = None
+    traffic: tuple[tuple[Obstacle, ...], ...] = ()
 
 
 class Renderer:
@@ -267,8 +312,8 @@ class Renderer:
         nod_max_rad: float = 0.0,
     ) -> None:
         self.camera, self.appearance, self.colour = camera, appearance, colour
-        self.obstacles = tuple(obstacles)
-        self._nod = NoddingView(camera, nod_max_rad) if nod_max_rad > 0.0 else None
+        self.obstacles = tuple((each,) for each in obstacles)
+        self._nod = MovingView(camera, nod_max_rad) if nod_max_rad > 0.0 else None
         self._eye = eye = camera if self._nod is None else self._nod.wide
         model, projection = eye.camera, GroundProjection(eye)
         self._shape = (model.height_px, model.width_px)
@@ -300,10 +345,12 @@ class Renderer:
         yaw_rate_radps: float = 0.0,
         index: int = 0,
         nod_rad: float = 0.0,
+        standing: Standing | None = None,
     ) -> Image:
         """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure.
 
-        `nod_rad` is the pitch of the car, and of its camera with it, positive downwards.
+        `nod_rad` is the pitch of the car, and of its camera with it, positive downwards; `standing` says how it stands
+        otherwise. Obstacles are not hazed then.
         """
         pose = SE2(x_m, y_m, yaw_rad)
         gain = self.appearance.light * exposure(self.appearance, index)
@@ -312,10 +359,20 @@ class Renderer:
         if self._row0 < self._shape[0]:
             image[self._row0 :] = self._ground(pose, speed_mps * self.appearance.exposure_s, light)
         self._put_background(image, yaw_rad, light)
-        draw_obstacles(image, self.obstacles, self._eye, pose, light)
+        if standing is None:
+            draw_obstacles(image, self.obstacles, self._eye, pose, light)
         if self._haze is not None:
             image = self._haze.apply(image, light)
-        if self._nod is not None:
+        if standing is not None:
+            camera = standing.camera or self.camera
+            if standing.camera is not None or standing.height_m is not None:
+                if self._nod is None:
+                    raise ValueError("standing: expected a Renderer with a nod_max_rad, the camera has no margin")
+                image = self._nod.moved(image, camera, standing.height_m)
+            elif self._nod is not None:
+                image = self._nod.turned(image, 0.0)
+            draw_obstacles(image, (*self.obstacles, *standing.traffic), camera, pose, light, standing.height_m)
+        elif self._nod is not None:
             image = self._nod.turned(image, nod_rad)
         return self._effects.apply(image, yaw_rate_radps, index)
 

@@ -37,12 +37,13 @@ class Lane:
 class Obstacle:
     """An upright prism on the floor: its outline (n, 2) [m] in the world frame, anticlockwise and convex.
 
-    `grey` is the brightness of its lit faces, 0 .. 255.
+    `grey` is the brightness of its lit faces, 0 .. 255. It stands `base_m` above the floor.
     """
 
     polygon_m: FloatArray
     height_m: float
     grey: int
+    base_m: float = 0.0
 
     def __post_init__(self) -> None:
         polygon = np.array(self.polygon_m, dtype=np.float64)

@@ -380,7 +380,7 @@ def _long_ones(
                 count += 1
         along = ground[order[count - 1]] - ground[order[start]]
         length = math.hypot(along[0], along[1])
-        good = count - start >= 3 and length >= least_m
+        good = count - start >= 2 and length >= least_m
         if good:
             for k in range(start, count):
                 one, other = order[max(k - 2, start)], order[min(k + 2, count - 1)]
