@@ -1,4 +1,4 @@
-"""A highway of several lanes, a drive on it that changes lanes, and its traffic: the road of the stereo paper's sequence.
+"""A highway of several lanes, drives that change lanes, and its traffic: the road of the stereo paper's sequence.
 
 The road is straight, bends to the left, is straight again and bends to the right, with clothoids in between. Its
 curvature is that at which a car of the paper's speed turns at the paper's largest yaw rate.
