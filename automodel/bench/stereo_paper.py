@@ -97,7 +97,7 @@ def mirror_car() -> CarConfig:
         pipeline=PipelineConfig(  # a highway's bends are wide, and its dashes 18 m apart
             centerline=CenterlineConfig(view_ahead_lanes=8.0),
             contour=ContourConfig(look_ahead_lanes=8.0, radius_lanes=50.0),
-            stereo=StereoConfig(look_ahead_lanes=20.0, rows=160, lane_changes=True),
+            stereo=StereoConfig(look_ahead_lanes=20.0, rows=128, lane_changes=True),
             windows=WindowsConfig(view_ahead_lanes=8.0),
         ),
     )

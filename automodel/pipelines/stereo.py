@@ -18,7 +18,7 @@ from automodel.config import CarConfig
 from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
 from automodel.estimation.parabola.plane_filter import PlaneFilter
 from automodel.geometry import GroundCamera, View
-from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, on_ground
+from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, bearings, on_ground
 from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
@@ -55,7 +55,7 @@ class Stereo:
     def __init__(self, car: CarConfig) -> None:
         options, unit = car.pipeline.stereo, car.lane.width_m
         self._options, self._lane, self._unit = options, car.lane, unit
-        self._reference_x_m = car.vehicle.reference_x_m
+        self._reference_x_m, self._radius_lanes = car.vehicle.reference_x_m, car.pipeline.contour.radius_lanes
         self._size = (car.camera.height_px, car.camera.width_px)
         self._rig = self.rig(car)
         self._plane = PlaneFilter(float(self._rig.middle_m[2]))
@@ -64,7 +64,7 @@ class Stereo:
         self._far_m = near_m + options.look_ahead_lanes * unit
         self._rows_m = self._stations(near_m)
         # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
-        bend_walk = 1.0 / (car.pipeline.contour.radius_lanes**2 * BEND_LANES)
+        bend_walk = 1.0 / (self._radius_lanes**2 * BEND_LANES)
         self._pair = ParabolaPair(unit, self._reference_x_m, self._far_m, bend_walk)
         self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
@@ -85,8 +85,9 @@ class Stereo:
         """Look for markings of this width from now on."""
         options, unit, markings = self._options, self._unit, self._lane.markings
         self._marking_m = marking_m
+        half_lanes, turn_rad = options.view_half_lanes, options.look_ahead_lanes / self._radius_lanes
         self._searches = [
-            StripeSearch(marking_m, unit, options.view_half_lanes, options.contrast, self._size, options.rows, dark)
+            StripeSearch(marking_m, unit, half_lanes, options.contrast, self._size, options.rows, dark, turn_rad)
             for dark in (False, True)
             if markings in ("both", "dark" if dark else "light")
         ]
@@ -94,7 +95,7 @@ class Stereo:
         view = View(
             x_near_m=0.0,
             x_far_m=self._far_m + self._reference_x_m,
-            half_width_m=options.view_half_lanes * unit,
+            half_width_m=half_lanes * unit,
             m_per_px=0.25 * marking_m,
             m_per_row=self._spacing_m,
         )
@@ -283,7 +284,8 @@ class Stereo:
             known_m = self._plane.height_sigma_m(on_ground(one.eye, one.directions) - self._rig.middle_m[:2])
             odds = log_odds(one, witnesses(one, other, (image, other_image), known_m, NOISE_PX))
         camera, reflections = (self._rig.left, self._rig.right)[eye], self._reflections[eye]
-        ground = camera.px_to_ground(one.pixels)
+        at_rest = Eye.of(camera)
+        ground = on_ground(at_rest, bearings(at_rest, one.pixels))
         for k in np.flatnonzero((odds >= 0.0) & (odds < SURE)).tolist():
             its = one.stripe == k
             if radial(ground[its] - camera.centre_m[:2], reflections.config.pointing_rad) < 0.5:

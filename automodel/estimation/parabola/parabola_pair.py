@@ -172,6 +172,16 @@ def _off_lines(
     return found
 
 
+@compiled
+def _places(path: FloatArray, s_m: FloatArray) -> Complexes:
+    """The places (n,) x + i y [m] on a `lane_path` at arc lengths (n,) [m]."""
+    places = np.empty(len(s_m), np.complex128)
+    for k in range(len(s_m)):
+        x, y, _ = place_on(path, s_m[k])
+        places[k] = complex(x, y)
+    return places
+
+
 class ParabolaPair:
     """One lane, tracked from frame to frame: `state` and `covariance`, of `SIZE`, in the order of `Part`."""
 
@@ -287,8 +297,7 @@ class ParabolaPair:
 
     def ahead(self, s_m: FloatArray) -> Complexes:
         """The centerline's places (n,) x + i y [m] at arc lengths (n,), in the body frame."""
-        path = lane_path(self.state, self.start_m, self._section_m, self._reference_x_m)
-        return np.array([complex(*place_on(path, s)[:2]) for s in s_m.tolist()])
+        return _places(lane_path(self.state, self.start_m, self._section_m, self._reference_x_m), s_m)
 
     def side_of(self, points_m: FloatArray) -> float:
         """Which line the points (n, 2) [m] of a stripe lie on: +1 left, -1 right, 0 neither.

@@ -35,7 +35,7 @@ class Matches:
 
     `left`, `right` (m,): stripes; `ridge` (m,): of the left image. `points_m` (m, 3) in the level body frame.
     `disparity_px` (m,): how far along the epipolar line the match lies from where the predicted ground puts it;
-    `per_m` (m,): the same for a point of the ground that is a metre higher [px/m].
+    `per_m` (m,): the same for each metre by which the point is higher than that [px/m].
     """
 
     left: Ints
@@ -160,22 +160,29 @@ def _epipolar_line(one: Eye, other: Eye, ray: FloatArray) -> _Line:
 
 
 @compiled
-def _crossing(line: _Line, pixels: FloatArray, chain: Ints, k: int) -> tuple[float, float, float]:
-    """Where an epipolar line crosses a chain between ridges k and k + 1.
+def _side(line: _Line, pixel: FloatArray) -> float:
+    """How far [px] a pixel (2,) lies beside an epipolar line: positive to one side, 0 on it."""
+    beside = line.along_u * (pixel[1] - line.v) - line.along_v * (pixel[0] - line.u)
+    return beside if abs(beside) > _ON_PX else 0.0
+
+
+@compiled
+def _crossing(
+    line: _Line, pixels: FloatArray, chain: Ints, k: int, side: float, beyond: float
+) -> tuple[float, float, float]:
+    """Where an epipolar line crosses a chain between ridges k and k + 1, which lie `side` and `beyond` [px] beside it.
 
     Returns the share of the way between both, how far along the line from where the ground puts it [px], and the sine
     of the angle; NaN for no crossing. A line through a ridge crosses the chain once: images that are rectified have the
     same rows, and there it is rounding alone that tells on which side of it a ridge lies.
     """
     none = math.nan, math.nan, math.nan
-    du, dv = pixels[k, 0] - line.u, pixels[k, 1] - line.v
-    eu, ev = pixels[k + 1, 0] - line.u, pixels[k + 1, 1] - line.v
-    side, beyond = line.along_u * dv - line.along_v * du, line.along_u * ev - line.along_v * eu
-    side, beyond = (side if abs(side) > _ON_PX else 0.0), (beyond if abs(beyond) > _ON_PX else 0.0)
     if side == beyond or not side * beyond <= 0.0:
         return none
     if beyond == 0.0 and k + 2 < len(pixels) and chain[k + 2] == chain[k + 1]:
         return none  # the next section begins there
+    du, dv = pixels[k, 0] - line.u, pixels[k, 1] - line.v
+    eu, ev = pixels[k + 1, 0] - line.u, pixels[k + 1, 1] - line.v
     share = side / (side - beyond)
     far = line.along_u * (du + share * (eu - du)) + line.along_v * (dv + share * (ev - dv))
     return share, far, abs(beyond - side) / math.hypot(eu - du, ev - dv)
@@ -256,10 +263,11 @@ def _borne_out(
             continue
         room = GATE * math.hypot(line.rise * height_sigma_m[i], noise_px)
         reach = room + ridges.width_px[i]
-        nearest = math.inf
+        nearest, beyond = math.inf, _side(line, traces.pixels[0]) if len(traces.pixels) else 0.0
         for k in range(len(traces.pixels) - 1):
-            if traces.chain[k] == traces.chain[k + 1]:
-                away = abs(_crossing(line, traces.pixels, traces.chain, k)[1])
+            side, beyond = beyond, _side(line, traces.pixels[k + 1])
+            if side * beyond <= 0.0 and traces.chain[k] == traces.chain[k + 1]:
+                away = abs(_crossing(line, traces.pixels, traces.chain, k, side, beyond)[1])
                 nearest = away if away < nearest else nearest
         if nearest <= room:
             found[i] = 1
@@ -307,16 +315,19 @@ def _cut(
     for i in range(len(directions)):
         line = _epipolar_line(left, right, directions[i])
         room = GATE * math.hypot(line.rise * height_sigma_m[i], noise_px)
+        beyond = _side(line, pixels[0]) if len(pixels) else 0.0
         for k in range(len(pixels) - 1 if line.rise > 0.0 else 0):
-            if other[k] != other[k + 1] or count == most:
+            side, beyond = beyond, _side(line, pixels[k + 1])
+            if side * beyond > 0.0 or other[k] != other[k + 1] or count == most:
                 continue
-            share, far, sine = _crossing(line, pixels, other, k)
+            share, far, sine = _crossing(line, pixels, other, k, side, beyond)
             if not (sine >= GLANCING and abs(far) <= room):
                 continue
             one_stripe[count], other_stripe[count], ridge[count] = stripe[i], other[k], i
             ray_there = across[k] + share * (across[k + 1] - across[k])
             points[count] = midpoint(left.centre_m, directions[i], right.centre_m, ray_there)
-            disparity[count], per_m[count] = far, line.rise
+            high = points[count, 2] / left.centre_m[2]
+            disparity[count], per_m[count] = far, far / points[count, 2] if abs(high) > _STEP else line.rise
             count += 1
     return (
         one_stripe[:count], other_stripe[:count], ridge[:count], points[:count], disparity[:count], per_m[:count]

@@ -2,13 +2,14 @@
 
 After the stereo paper's stages 1 and 2 (marking extraction in image space, stripe models). Rows are read as far as the
 road about the predicted lane reaches, whatever its direction there: a stripe that runs across the image is the wider on
-a row the flatter it lies, and filters of several widths find it. Rows lie evenly in the image, so that ridges that
-continue each other make the mid-line of a blob: a stripe. Its width across its own direction is a marking's; what is
+a row the flatter it lies, and filters of several widths find it. Ridges that continue each other from row to row make
+the mid-line of a blob: a stripe. Its width across its own direction is a marking's; what is
 short or round has too few ridges.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.geometry import GroundCamera
+from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.stereo_rig import Eye, bearings, image_of, on_ground
 from automodel.perception.line_scan import ScanConfig
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
@@ -24,11 +25,9 @@ from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKIN
 from automodel.perception.rows.row_search import MAX_TURN
 from automodel.types import Complexes, FloatArray, Image, Ints
 
-SLANTS = (
-    1.0,
-    1.8,
-    3.2,
-)  # widths of the filters, in markings straight ahead: the last finds what lies 75 degrees across
+SLANTS = (1.0, 1.8, 3.2)  # widths of the filters, in markings straight ahead
+MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
+WIDER = 1.4  # a filter finds stripes that are wider than itself by so much
 WIDTHS = (0.5, 1.7)  # of a stripe across its direction, in markings: the width in use may be wrong by a third
 THIN = 4  # every so many-th sample measures a row's noise: as long as the filter's windows
 NARROW_PX = 0.75  # rows on which a marking is narrower show none
@@ -83,7 +82,8 @@ class StripeSearch:
     """Finds stripes on `rows` rows in images of `size` (height, width) px.
 
     It looks up to `half_lanes` lane widths to each side of the predicted lane. `contrast` [grey levels] is a ridge's
-    minimum; 0: it follows the noise. `dark`: markings are darker than the ground.
+    minimum; 0: it follows the noise. `dark`: markings are darker than the ground. `turn_rad`: by which the road turns
+    in view, at most.
     """
 
     def __init__(
@@ -95,10 +95,15 @@ class StripeSearch:
         size: tuple[int, int],
         rows: int = 64,
         dark: bool = False,
+        turn_rad: float = math.inf,
     ) -> None:
         self._marking_m, self._half_m = marking_m, half_lanes * lane_width_m
         self._contrast, self._size, self._rows, self._dark = contrast, size, rows, dark
         self._least_m = ScanConfig().least_lanes * lane_width_m
+        widest = 1.0 / math.cos(min(turn_rad + MAX_TURN, MOST_TURN))  # of a stripe along a row
+        self._slants = np.array(
+            [1.0, *(wide for wide, before in zip(SLANTS[1:], SLANTS, strict=False) if WIDER * before < widest)]
+        )
         self._noises = least_ridge(rows * 2.0 * self._half_m / marking_m * PER_MARKING / FALSE_SAMPLES)
 
     def look(self, grey: Image, camera: GroundCamera, place: Complexes) -> Stripes:
@@ -108,20 +113,18 @@ class StripeSearch:
         """
         eye = Eye.of(camera)
         rows = _laid_rows(eye, place, self._half_m, self._size, self._rows)
-        knots = np.linspace(0.0, self._size[1] - 1.0, _KNOTS)
-        pixels = np.column_stack((np.tile(knots, len(rows)), np.repeat(rows, _KNOTS).astype(np.float64)))
-        ground = on_ground(eye, bearings(eye, pixels)).reshape(len(rows), _KNOTS, 2)
-        foot = complex(eye.centre_m[0], eye.centre_m[1])
-        scale = _scales(ground, foot, place, self._half_m, knots[1])
+        apart_px = (self._size[1] - 1.0) / (_KNOTS - 1)
+        scale = _scales(eye, _knot_rays(camera.camera), rows, place, self._half_m, apart_px)
         sample_m = self._marking_m / PER_MARKING
-        row, at, width_px, ends = _ridges(grey, rows, scale, sample_m, self._noises, self._contrast, self._dark)
+        found = _ridges(grey, rows, scale, sample_m, self._noises, self._contrast, self._dark, self._slants)
+        row, at, width_px, ends = found
         pixels = np.column_stack((at, rows[row].astype(np.float64)))
         directions = bearings(eye, pixels)
-        found = on_ground(eye, directions)
+        places = on_ground(eye, directions)
         half = np.column_stack((0.5 * width_px, np.zeros(len(at))))
         wide = on_ground(eye, bearings(eye, pixels + half)) - on_ground(eye, bearings(eye, pixels - half))
-        chain = _linked(row, found, wide, self._marking_m)
-        order, stripe = _long_ones(chain, found, wide, self._least_m, self._marking_m)
+        chain = _linked(row, places, wide, self._marking_m)
+        order, stripe = _long_ones(chain, places, wide, self._least_m, self._marking_m)
         return Stripes(
             pixels=pixels[order],
             width_px=width_px[order],
@@ -133,9 +136,19 @@ class StripeSearch:
         )
 
 
+@functools.lru_cache(maxsize=8)
+def _knot_rays(camera: CameraModel) -> FloatArray:
+    """The rays (h, knots, 3) of the knots of each image row, in the cam frame."""
+    rows, columns = np.arange(float(camera.height_px)), np.linspace(0.0, camera.width_px - 1.0, _KNOTS)
+    return camera.rays(np.stack(np.meshgrid(columns, rows), axis=-1))
+
+
 @compiled
 def _laid_rows(eye: Eye, place: Complexes, half_m: float, size: tuple[int, int], most: int) -> Ints:
-    """The image rows (r,), from below, on which ground is that lies within `half_m` of the centerline."""
+    """The image rows (r,), from below, on which ground is that lies within `half_m` of the centerline.
+
+    Each is read at the far end, where a row is metres of road, and ever fewer towards the car.
+    """
     top = size[0]
     for k in range(len(place)):
         before = place[max(k - 1, 0)]
@@ -151,26 +164,39 @@ def _laid_rows(eye: Eye, place: Complexes, half_m: float, size: tuple[int, int],
         return np.empty(0, np.intp)
     count = min(most, height + 1)
     rows = np.empty(count, np.intp)
-    for r in range(count):
-        rows[r] = size[0] - 1 - int(np.rint(height * r / max(count - 1, 1)))
+    more = 2.0 * (height / max(count - 1, 1) - 1.0) / max(count - 2, 1)  # by which a step is longer than the one before
+    for k in range(count):
+        rows[count - 1 - k] = top + int(np.rint(k + 0.5 * more * k * (k - 1)))
     return rows
 
 
 @compiled
-def _scales(ground: FloatArray, foot: complex, place: Complexes, half_m: float, apart_px: float) -> FloatArray:
-    """Pixels a metre (r, knots) along rows whose knots show the `ground` (r, knots, 2).
+def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m: float, apart_px: float) -> FloatArray:
+    """Pixels a metre (r, knots) along rows `at_rows` (r,), by the `rays` (h, knots, 3) of all rows' knots.
 
-    0 where it is not near the centerline, or farther than that reaches from the `foot` below the camera.
+    0 where their ground is not near the centerline, or farther than that reaches from the foot below the camera.
     """
-    rows, knots = ground.shape[:2]
-    found, reach = np.zeros((rows, knots)), np.abs(place - foot).max()
+    turn, centre, rows, knots = eye.rotation, eye.centre_m, len(at_rows), rays.shape[1]
+    foot, ground = complex(centre[0], centre[1]), np.full((rows, knots, 2), math.nan)
+    for r in range(rows):
+        for j in range(knots):
+            x, y = rays[at_rows[r], j, 0], rays[at_rows[r], j, 1]
+            down = x * turn[0, 2] + y * turn[1, 2] + turn[2, 2]
+            if down < 0.0:
+                far = -centre[2] / down
+                ground[r, j, 0] = centre[0] + far * (x * turn[0, 0] + y * turn[1, 0] + turn[2, 0])
+                ground[r, j, 1] = centre[1] + far * (x * turn[0, 1] + y * turn[1, 1] + turn[2, 1])
+    found, away = np.zeros((rows, knots)), np.abs(place - foot)
+    reach, nearest = away.max(), 0
     for r in range(rows):
         for j in range(knots):
             x, y = ground[r, j]
-            near = False
-            for k in range(len(place) if math.hypot(x - foot.real, y - foot.imag) <= reach else 0):
-                if (place[k].real - x) ** 2 + (place[k].imag - y) ** 2 < half_m * half_m:
-                    near = True
+            far = math.hypot(x - foot.real, y - foot.imag)
+            near = (place[nearest].real - x) ** 2 + (place[nearest].imag - y) ** 2 < half_m * half_m and far <= reach
+            for k in range(len(place) if far <= reach and not near else 0):
+                # A place that is nearer to the foot, or farther from it, by more than that cannot be near.
+                if abs(away[k] - far) < half_m and (place[k].real - x) ** 2 + (place[k].imag - y) ** 2 < half_m**2:
+                    near, nearest = True, k
                     break
             if near:
                 one, other = max(j - 1, 0), min(j + 1, knots - 1)
@@ -189,20 +215,20 @@ def _sampled(
 
     `sums` (w + 1,): the row's cumulative sums. A sample is the mean of as many pixels as it is long.
     """
-    apart = (len(sums) - 2) / (len(scale) - 1)
-    u, end, count = first * apart, last * apart, 0
-    while u <= end and count < len(at):
-        knot = min(int(u / apart), last - 1)
-        share = u / apart - knot
-        step = sample_m * ((1.0 - share) * scale[knot] + share * scale[knot + 1])
-        half = max(0.5 * step, 0.5)
-        low, high = max(u + 0.5 - half, 0.0), min(u + 0.5 + half, len(sums) - 1.0)
-        a, b = int(low), min(int(high), len(sums) - 2)
-        below = sums[a] + (low - a) * (sums[a + 1] - sums[a])
-        above = sums[b] + (high - b) * (sums[b + 1] - sums[b])
-        at[count], values[0, count] = u, (above - below) / (high - low)
-        u += step
-        count += 1
+    apart, top = (len(sums) - 2) / (len(scale) - 1), len(sums) - 1.0
+    u, count = first * apart, 0
+    for knot in range(first, last):
+        start, per_px = knot * apart, sample_m * (scale[knot + 1] - scale[knot]) / apart
+        while (u < start + apart or (knot == last - 1 and u <= last * apart)) and count < len(at):
+            step = sample_m * scale[knot] + per_px * (u - start)
+            half = max(0.5 * step, 0.5)
+            low, high = max(u + 0.5 - half, 0.0), min(u + 0.5 + half, top)
+            a, b = int(low), min(int(high), len(sums) - 2)
+            below = sums[a] + (low - a) * (sums[a + 1] - sums[a])
+            above = sums[b] + (high - b) * (sums[b + 1] - sums[b])
+            at[count], values[0, count] = u, (above - below) / (high - low)
+            u += step
+            count += 1
     return count
 
 
@@ -228,7 +254,14 @@ def _half_width(values: FloatArray, best: int, count: int) -> tuple[float, float
 
 @compiled
 def _ridges(
-    grey: Image, rows: Ints, scale: FloatArray, sample_m: float, noises: float, contrast: float, dark: bool
+    grey: Image,
+    rows: Ints,
+    scale: FloatArray,
+    sample_m: float,
+    noises: float,
+    contrast: float,
+    dark: bool,
+    slants: FloatArray,
 ) -> tuple[Ints, FloatArray, FloatArray, FloatArray]:
     """The ridges (n,) of a marking's width, by row: index of the row, column and width [px]; and the field's ends."""
     width = grey.shape[1]
@@ -237,9 +270,9 @@ def _ridges(
     ends = np.full((len(rows), 2), math.nan)
     samples = 8 * width
     at, values = np.empty(samples), np.empty((1, samples), np.float32)
-    sums, lengths, height, size = np.empty(width + 1), np.empty(samples + 1), np.empty(samples), np.empty(samples)
+    sums, window, height, size = np.empty(width + 1), np.empty(samples), np.empty(samples), np.empty(samples)
     zero, least, place = np.zeros(1, np.intp), np.empty(1, np.float32), np.empty(1, np.intp)
-    half, count, sign = WINDOW // 2, 0, -1.0 if dark else 1.0
+    half, count, sign, sums[0] = WINDOW // 2, 0, -1 if dark else 1, 0.0
     for r in range(len(rows)):
         first, last = 0, _KNOTS - 1
         while first < _KNOTS and scale[r, first] * sample_m * PER_MARKING < NARROW_PX:
@@ -251,27 +284,27 @@ def _ridges(
             within = within and bool(scale[r, j] > 0.0)
         if not within:
             continue
-        sums[0] = 0.0
+        total = 0
         for k in range(width):
-            sums[k + 1] = sums[k] + sign * grey[rows[r], k]
+            total += sign * np.int64(grey[rows[r], k])
+            sums[k + 1] = total
         of_row = count
-        for slant in SLANTS:
+        for slant in slants:
             n = _sampled(sums, scale[r], first, last, slant * sample_m, at, values)
             if n < 2 * MARGIN + PER_MARKING:
                 break
             if slant == 1.0:
                 ends[r] = at[MARGIN], at[n - 1 - MARGIN]
-            lengths[0] = 0.0
-            for k in range(n):
-                lengths[k + 1] = lengths[k] + values[0, k]
-            sizes = 0
+            for k in range(half, n - half):
+                window[k] = 0.0
+                for i in range(-half, half + 1):
+                    window[k] += values[0, k + i]
             for k in range(MARGIN, n - MARGIN):
-                one = lengths[k - SIDE + half + 1] - lengths[k - SIDE - half]
-                other = lengths[k + SIDE + half + 1] - lengths[k + SIDE - half]
-                height[k] = lengths[k + half + 1] - lengths[k - half] - max(one, other)
-                if k % THIN == 0:
-                    size[sizes] = abs(height[k])
-                    sizes += 1
+                height[k] = window[k] - max(window[k - SIDE], window[k + SIDE])
+            sizes = 0
+            for k in range(MARGIN + THIN - 1 - (MARGIN - 1) % THIN, n - MARGIN, THIN):
+                size[sizes] = abs(height[k])
+                sizes += 1
             if contrast > 0.0:
                 least[0] = contrast * WINDOW
             else:
