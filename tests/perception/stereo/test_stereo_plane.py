@@ -15,7 +15,7 @@ from automodel.perception.stereo.ground_plane import PlaneFit, fit_plane
 from automodel.perception.stereo.matching import Matches, match, midpoint, mirrored, witnesses
 from automodel.perception.stereo.reconstruction import log_odds, radial
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
-from tests.support.highway_pictures import LANE_M, Line
+from tests.support.highway_pictures import LANE_M, Line, camera_model, draw, mounted
 from tests.support.stereo_pictures import LINES, draw_pair, mirror_cameras, straight_ahead
 
 RIG = mirror_cameras()
@@ -68,6 +68,42 @@ def test_lines_across_the_road_make_no_stripes() -> None:
         image[300:306] = 250
         image[360:372] = 250
     assert all(stripes.count == 0 for stripes in look(RIG, pair))
+
+
+def test_rows_are_read_one_by_one_where_the_road_is_far() -> None:
+    rows = look(RIG, draw_pair(RIG))[0].field.rows
+    steps = -np.diff(rows)
+    assert (len(rows), rows[0]) == (128, 479.0)
+    assert (steps[-5:] == 1.0).all()
+    assert steps.min() >= 1.0
+    assert steps[0] == steps.max() > 2.0
+    assert (np.abs(np.diff(steps)) <= 1.0).all()
+
+
+def test_a_dash_that_is_two_rows_high_is_a_stripe() -> None:
+    eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (480, 640), rows=128)
+    dash = draw(eye, [Line(0.5 * LANE_M, pattern=(4.5, 95.5), phase_m=-38.0)], noise=0.0)
+    assert (dash[220:, 200:440].max(axis=1) > 125).sum() <= 3
+    stripes = search.look(dash, eye, np.geomspace(4.0, 60.0, 80) + 0j)
+    assert (stripes.count, len(stripes.pixels)) == (1, 2)
+    x, y = on_ground(stripes.eye, stripes.directions).T
+    assert ((x > 37.0) & (x < 43.5)).all()
+    np.testing.assert_allclose(y, 0.5 * LANE_M, atol=0.1)
+
+
+def test_stripes_across_are_looked_for_where_the_road_may_turn_so_far() -> None:
+    eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
+    ahead = draw(eye, [Line(0.3 * LANE_M)], noise=0.0)
+    across = draw(eye, [Line(-18.0)], heading_rad=2.0, noise=0.0)  # a slope of 2: 63 degrees
+    counts = []
+    for turn_rad in (math.inf, 0.1):
+        search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (480, 640), rows=128, turn_rad=turn_rad)
+        counts.append([search.look(image, eye, np.geomspace(4.0, 40.0, 80) + 0j).count for image in (ahead, across)])
+    assert counts[0][0] >= 1
+    assert counts[0][1] >= 1
+    assert counts[1][0] == counts[0][0]
+    assert counts[1][1] == 0
 
 
 def test_the_midpoint_of_rays_that_meet_is_where_they_meet() -> None:
@@ -130,9 +166,9 @@ def test_matches_lie_on_the_lines_in_space() -> None:
 )
 def test_the_plane_is_recovered(plane: Plane) -> None:
     found = settled(RIG, draw_pair(RIG, plane)).plane
-    assert found.height_m == pytest.approx(plane.height_m, abs=0.02)
-    assert np.degrees(found.pitch_rad) == pytest.approx(np.degrees(plane.pitch_rad), abs=0.15)
-    assert np.degrees(found.roll_rad) == pytest.approx(np.degrees(plane.roll_rad), abs=0.3)
+    assert found.height_m == pytest.approx(plane.height_m, abs=0.005)
+    assert np.degrees(found.pitch_rad) == pytest.approx(np.degrees(plane.pitch_rad), abs=0.02)
+    assert np.degrees(found.roll_rad) == pytest.approx(np.degrees(plane.roll_rad), abs=0.02)
 
 
 def test_a_bend_and_a_heading_do_not_move_the_plane() -> None:
