@@ -65,7 +65,6 @@ class Stereo:
         self._rows_m = self._stations(near_m)
         # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
         bend_walk = 1.0 / (self._radius_lanes**2 * BEND_LANES)
-        self._pair = ParabolaPair(unit, self._reference_x_m, self._far_m, bend_walk)
         self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
@@ -75,6 +74,8 @@ class Stereo:
             TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, hypotheses=anyhow),
             self._far_m,
         )
+        width_sigma_m = self._tracking.road.width_sigma * unit
+        self._pair = ParabolaPair(unit, width_sigma_m, self._reference_x_m, self._far_m, bend_walk)
         self._changes = LaneChanges()
         if options.lane_changes and not car.lane.left == car.lane.right == "any":
             raise ValueError('lane_changes: needs [lane] left and right "any": each lane has lines of its own')
@@ -161,6 +162,7 @@ class Stereo:
         self._missing = [0, 0]  # frames without an image of the left camera, of the right one
         self._off = 0  # pairs with a plane that does not fit the calibration
         self._found: PairStages | None = None  # what the stages made of the last frame
+        self._lasts = 1.0  # frames for which an error of the plane lasts: they are one witness of it
         self._one_eyed = False  # whether the last pair was none: nothing measured the plane
         self._tracking.reset()
         self._changes.reset()
@@ -220,7 +222,10 @@ class Stereo:
             self._pair.forget()
         else:
             self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
-        self._plane.predict(self._plane.config.settles_s if moved is None else moved.dt_s, self._one_eyed)
+        settles_s = self._plane.config.settles_s
+        dt_s = settles_s if moved is None else moved.dt_s
+        self._plane.predict(dt_s, self._one_eyed)
+        self._lasts = max(settles_s / max(dt_s, 1e-3), 1.0)
 
     def _stripes(self, images: Sequence[Image | None], place: Complexes) -> tuple[Stripes, Stripes]:
         """The stripes of both images about the predicted centerline, of that polarity that shows more of them."""
@@ -248,7 +253,9 @@ class Stereo:
         matches = match(left, right, known_m, NOISE_PX)
         self.stages.lap("matching")
         row_m = np.diff(self._rows_m).mean()
-        fit = fit_plane(matches, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0))
+        fit = fit_plane(
+            matches, left.eye.centre_m, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0)
+        )
         self._one_eyed = not fit.inliers.any()
         self.plane_reach_m = float(matches.points_m[fit.inliers, 0].max(initial=0.0))
         self._plane.update(fit.step, fit.covariance)
@@ -356,7 +363,7 @@ class Stereo:
         if not side or self._tracking.in_doubt:
             return estimate
         before = self._pair.state, self._pair.covariance
-        self._pair.change_lane(side, self._tracking.road.width_sigma * self._unit)
+        self._pair.change_lane(side)
         followed = self._fit(lines)
         if not (followed.left.seen and followed.right.seen):  # there may be no lane
             self._pair.state, self._pair.covariance = before
@@ -368,15 +375,15 @@ class Stereo:
     def _sigma_m(self, points_m: FloatArray, together: Ints) -> FloatArray:
         """Lateral standard deviations (n,) [m] of knots: of paint and pixels, and by the plane's uncertainty.
 
-        `together` (n,): the knots of each one's line, which share an error: a whole line can be one wrong thing, and
-        as many knots are no more witnesses than one.
+        `together` (n,): the knots of each one's line, which share errors: a whole line can be one wrong thing, and lies
+        on one plane; as many knots are no more witnesses than one.
         """
         middle, road = self._rig.middle_m, self._tracking.road
         away = points_m - middle[:2]
         pixel = NOISE_PX * np.hypot(*away.T) / self._rig.left.camera.matrix[0, 0]
         tilted = away[:, 1] / middle[2] * self._plane.height_sigma_m(away)
-        shared = together * (road.line_sigma * self._unit) ** 2
-        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + tilted**2 + shared)
+        shared = together * ((road.line_sigma * self._unit) ** 2 + self._lasts * tilted**2)
+        return np.sqrt((road.point_markings * road.marking_width_m) ** 2 + pixel**2 + shared)
 
     def _line(self, points_m: FloatArray, lanes: float) -> LaneLine:
         seen = len(points_m) >= SEEN

@@ -30,7 +30,7 @@ STATES = [
 
 
 def lane(state: np.ndarray, bends: float = BENDS) -> ParabolaPair:
-    pair = ParabolaPair(LANE, REFERENCE, FAR, bends)
+    pair = ParabolaPair(LANE, 0.12 * LANE, REFERENCE, FAR, bends)
     pair.start(state[[Part.OFFSET, Part.THETA, Part.ROAD, Part.WIDTH]], np.diag((0.2, 0.02, 1e-2, 0.1)))
     return pair
 
@@ -54,6 +54,14 @@ def line_points(state: np.ndarray, side: int, near: float = 5.0, far: float = 25
 def both_lines(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     points = np.concatenate([line_points(state, side) for side in (1, -1)])
     return points, np.repeat((1.0, -1.0), len(points) // 2)
+
+
+def test_a_width_that_nothing_tells_is_known_as_any_lanes_is() -> None:
+    pair = lane(STATES[0])
+    for _ in range(200):
+        pair.move(1.0, 0.0, 0.05, True)
+    assert pair.covariance[Part.WIDTH, Part.WIDTH] == pytest.approx((0.12 * LANE) ** 2)
+    assert np.linalg.eigvalsh(pair.covariance).min() > 0.0
 
 
 @pytest.mark.parametrize("state", STATES)

@@ -12,7 +12,7 @@ import pytest
 
 from automodel.assembly.parts import make_pipeline
 from automodel.assembly.simulated_car import renderers
-from automodel.bench.stereo_paper import mirror_car
+from automodel.bench.stereo_paper import LIGHTS, SPEED_MPS, mirror_car
 from automodel.config import CarConfig, ConfigError, LaneConfig, SecondCamera
 from automodel.geometry.stereo_rig import Plane
 from automodel.pipelines.stereo import Stereo
@@ -22,7 +22,9 @@ from automodel.runtime.loop import Loop
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, StereoFrame
 from automodel.sim.appearance import Appearance
 from automodel.sim.highway import Highway, HighwayDrive, LaneChange
+from automodel.sim.paint import Paint
 from automodel.sim.track_files import load_track
+from automodel.sim.trajectory import Odometer
 from automodel.sim.truth import TruthFollower
 from tests.support.rendered_drives import Seen, check_sound
 from tests.support.stereo_drives import StereoDrive, stereo_car
@@ -275,6 +277,35 @@ def test_the_loop_gives_pairs_to_a_pipeline_of_two_cameras() -> None:
         with pytest.raises(KeyboardInterrupt):
             loop.tick(pair, motion(1), None, 1)
         assert isinstance(pipeline.seen[0], kind)
+
+
+@pytest.mark.slow
+def test_a_line_that_both_cameras_lose_for_two_seconds_costs_little() -> None:
+    """The solid right line of a highway ends and begins again: its far end alone tells nothing of the width."""
+    car, (track, lanes) = mirror_car(), Highway().build()
+    unpainted_m = 50.0, 50.0 + 2.0 * SPEED_MPS + 45.0  # out of view for two seconds
+
+    def missing(paint: Paint) -> bool:
+        s, aside = np.transpose([track.road.project(corner) for corner in paint.polygon_m])
+        return bool(abs(aside.mean() + 5.25) < 0.3 and s.max() > unpainted_m[0] and s.min() < unpainted_m[1])
+
+    track = replace(track, painted=tuple(paint for paint in track.painted if not missing(paint)))
+    drive, pipeline, odometer = HighwayDrive(lanes[0], SPEED_MPS), Stereo(car), Odometer(0)
+    eyes, follower = renderers(track, car, LIGHTS["day"]), TruthFollower(lanes[0], car.vehicle.reference_x_m)
+    alone, errors = 0, []
+    for index in range(110):
+        at = drive.pose(index / 20.0)
+        place = at.x_m, at.y_m, at.yaw_rad
+        left, right = (eye.render(*place, at.speed_mps, at.yaw_rate_radps, index) for eye in eyes)
+        moved = odometer.motion(drive.pose(max(index / 20.0 - 0.025, 0.0)), round(index * 5e7))
+        estimate = pipeline.step(StereoFrame(t_ns=moved.t_ns, index=index, left=left, right=right), moved)
+        assert estimate.pose is not None
+        alone += estimate.status is LaneStatus.ONE_LINE
+        error = abs(estimate.pose.offset_m - follower.step(*place).offset_m)
+        errors.append(error)
+        assert error < min(0.1, estimate.pose.offset_bound_m)
+    assert alone >= 40
+    assert np.mean(errors) < 0.04
 
 
 @pytest.fixture(scope="module")

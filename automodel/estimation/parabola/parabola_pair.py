@@ -185,10 +185,15 @@ def _places(path: FloatArray, s_m: FloatArray) -> Complexes:
 class ParabolaPair:
     """One lane, tracked from frame to frame: `state` and `covariance`, of `SIZE`, in the order of `Part`."""
 
-    def __init__(self, lane_width_m: float, reference_x_m: float, far_m: float, bend_walk: float) -> None:
-        """`far_m`: arc length up to which points are given [m]; `bend_walk`: variance that the curvature gains per lane
-        width of road [1 / lane width^2]."""
-        self._unit, self._reference_x_m, self._far_m = lane_width_m, reference_x_m, far_m
+    def __init__(
+        self, lane_width_m: float, width_sigma_m: float, reference_x_m: float, far_m: float, bend_walk: float
+    ) -> None:
+        """`width_sigma_m`: by how much lanes differ from `lane_width_m` and from each other [m]; `far_m`: arc length
+        up to which points are given [m]; `bend_walk`: variance that the curvature gains per lane width of road
+        [1 / lane width^2].
+        """
+        self._unit, self._width_sigma_m = lane_width_m, width_sigma_m
+        self._reference_x_m, self._far_m = reference_x_m, far_m
         self._section_m, self._bend = far_m / SECTIONS, bend_walk / lane_width_m**3
         self.forget()
 
@@ -207,12 +212,9 @@ class ParabolaPair:
         for last in range(ROAD, SIZE - 1):
             self._go_on(last)
 
-    def change_lane(self, side: int, width_sigma_m: float) -> None:
-        """The neighbour lane on a side, +1 left or -1 right, becomes the lane.
-
-        `width_sigma_m`: by how much its width differs from this one's.
-        """
-        self.state, self.covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
+    def change_lane(self, side: int) -> None:
+        """The neighbour lane on a side, +1 left or -1 right, becomes the lane."""
+        self.state, self.covariance = next_lane(self.state, self.covariance, side, self._width_sigma_m)
 
     @property
     def curvature_per_m(self) -> float:
@@ -232,6 +234,14 @@ class ParabolaPair:
             walk[[OFFSET, THETA]] += dt_s * (LOST_STEP * unit) ** 2, dt_s * LOST_TURN_RAD**2
             walk[ROAD:] += self._bend * unit * way
         self.covariance[np.diag_indices(SIZE)] += walk
+        self._bound_width()
+
+    def _bound_width(self) -> None:
+        """However long no line told it, the width is known as well as any lane's."""
+        known, most = self.covariance[WIDTH, WIDTH], self._width_sigma_m**2
+        if known > most:
+            gain = self.covariance[:, WIDTH] / known
+            self.covariance -= np.outer(gain, gain) * (known - most)
 
     def _advance(self, distance_m: float, turn_rad: float) -> None:
         """The rear axle's centre drives an arc; the reference point is carried along with the body."""

@@ -17,6 +17,7 @@ from automodel.geometry.elimination import solve
 from automodel.perception.stereo.matching import Matches
 from automodel.types import Bools, FloatArray, Floats, Ints
 
+ROUNDS = 3  # of the fit
 CHAINS = 8  # the longest ones, which propose planes: 28 pairs
 
 
@@ -34,22 +35,27 @@ class PlaneFit:
     residual_px: float
 
 
-def fit_plane(matches: Matches, middle_m: FloatArray, prior: FloatArray, noise_px: float, witnesses: float) -> PlaneFit:
+def fit_plane(
+    matches: Matches,
+    left_m: FloatArray,
+    middle_m: FloatArray,
+    prior: FloatArray,
+    noise_px: float,
+    witnesses: float,
+) -> PlaneFit:
     """The plane of the matches.
 
-    `middle_m` (3,): about which the cameras turn; `prior` (3, 3): covariance of the predicted plane; `noise_px`: of a
-    match, at least: a larger one is measured; `witnesses`: the share of a match that counts, since
-    neighbouring ridges have their errors in common.
+    `left_m` (3,): the left camera, over the predicted plane; `middle_m` (3,): about which the cameras turn; `prior`
+    (3, 3): covariance of the predicted plane; `noise_px`: of a match, at least: a larger one is measured; `witnesses`:
+    the share of a match that counts, since neighbouring ridges have their errors in common.
     """
-    ahead = matches.points_m[:, :2] - middle_m[:2]
-    # A plane that is h higher and rises by p ahead and by q to the left, seen from cameras that are lower by h, and
-    # look down by p and lean to the left by q more.
-    rows = np.column_stack((-np.ones(len(ahead)), ahead[:, 0], -ahead[:, 1])) * matches.per_m[:, None]
     chain = matches.left * (1 + int(matches.right.max(initial=0))) + matches.right
     known = np.linalg.solve(prior, np.eye(3))
-    step, covariance, inliers = _fit(rows, matches.disparity_px, chain, known, noise_px, witnesses)
-    rest = matches.disparity_px[inliers] - rows[inliers] @ step
-    residual = math.sqrt(float(rest @ rest) / len(rest)) if len(rest) else math.nan
+    level = middle_m * (1.0, 1.0, 0.0)
+    points, left = matches.points_m - level, left_m - level
+    step, covariance, inliers, residual = _fit(
+        points, left, matches.per_m, matches.disparity_px, chain, known, noise_px, witnesses
+    )
     return PlaneFit(step=step, covariance=covariance, inliers=inliers, residual_px=residual)
 
 
@@ -86,10 +92,41 @@ def _on_plane(rows: FloatArray, value: FloatArray, chain: Ints, chains: Ints, st
 
 
 @compiled
+def _rows(points: FloatArray, left: FloatArray, per_m: FloatArray, step: Floats) -> FloatArray:
+    """What each match (m, 3) says of the plane (m, 3) [px]: at the place where its ray meets the plane of a `step`.
+
+    A plane that is h higher and rises by p ahead and by q to the left is seen from cameras that are lower by h, and
+    look down by p and lean to the left by q more.
+    """
+    rows, slope_x, slope_y = np.empty(points.shape), step[1], -step[2]
+    above = left[2] + step[0] - slope_x * left[0] - slope_y * left[1]
+    for k in range(len(points)):
+        x, y, z = points[k] - left
+        down = slope_x * x + slope_y * y - z
+        share = above / down if down > 0.0 else 1.0  # of the way to the match
+        rows[k, 0] = -per_m[k]
+        rows[k, 1] = per_m[k] * (left[0] + share * x)
+        rows[k, 2] = -per_m[k] * (left[1] + share * y)
+    return rows
+
+
+@compiled
 def _fit(
-    rows: FloatArray, value: FloatArray, chain: Ints, known: Floats, noise: float, witnesses: float
-) -> tuple[Floats, Floats, Bools]:
-    """See `fit_plane`."""
+    points: FloatArray,
+    left: FloatArray,
+    per_m: FloatArray,
+    value: FloatArray,
+    chain: Ints,
+    known: Floats,
+    noise: float,
+    witnesses: float,
+) -> tuple[Floats, Floats, Bools, float]:
+    """See `fit_plane`; points and the left camera from the ground below the middle of both.
+
+    Where a match lies is as noisy as its height, and with it: a plane through the places of matches leans. So what it
+    says is taken where its ray meets the plane of the round before.
+    """
+    rows = np.column_stack((-per_m, per_m * points[:, 0], -per_m * points[:, 1]))
     chains = np.unique(chain)
     sizes = np.array([-np.count_nonzero(chain == c) for c in chains])
     longest = chains[np.argsort(sizes, kind="mergesort")][:CHAINS]
@@ -103,9 +140,11 @@ def _fit(
             count = int(inside.sum())
             if count > most:
                 best, most = inside, count
-    for _ in range(2):
+    squares = 0.0
+    for _ in range(ROUNDS):
         information, vector = _normal_equations(rows, value, best, weight, known)
         step = solve(information, vector)[:, 0]
+        rows = _rows(points, left, per_m, step)
         best = _on_plane(rows, value, chain, chains, step, room)
         squares = 0.0
         for k in range(len(rows)):
@@ -114,4 +153,5 @@ def _fit(
         weight = witnesses / max(noise**2, squares / max(best.sum(), 1.0))
     information, vector = _normal_equations(rows, value, best, weight, known)
     covariance = solve(information.copy(), np.eye(3))
-    return (covariance @ vector)[:, 0].copy(), covariance, best
+    residual = math.sqrt(squares / best.sum()) if best.any() else math.nan
+    return (covariance @ vector)[:, 0].copy(), covariance, best, residual

@@ -29,6 +29,7 @@ SLANTS = (1.0, 1.8, 3.2)  # widths of the filters, in markings straight ahead
 MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
 WIDER = 1.4  # a filter finds stripes that are wider than itself by so much
 WIDTHS = (0.5, 1.7)  # of a stripe across its direction, in markings: the width in use may be wrong by a third
+WHOLE = 3  # ridges of a stripe beside the first or the last, at least, that tell where its ends are
 THIN = 4  # every so many-th sample measures a row's noise: as long as the filter's windows
 NARROW_PX = 0.75  # rows on which a marking is narrower show none
 _KNOTS = 33  # columns of a row whose ground is computed; linear in between
@@ -125,10 +126,11 @@ class StripeSearch:
         wide = on_ground(eye, bearings(eye, pixels + half)) - on_ground(eye, bearings(eye, pixels - half))
         chain = _linked(row, places, wide, self._marking_m)
         order, stripe = _long_ones(chain, places, wide, self._least_m, self._marking_m)
+        on_stripes = _with_straight_ends(pixels[order], stripe)
         return Stripes(
-            pixels=pixels[order],
+            pixels=on_stripes,
             width_px=width_px[order],
-            directions=directions[order],
+            directions=bearings(eye, on_stripes),
             stripe=stripe,
             eye=eye,
             traces=Traces(*_continued(chain, pixels)),
@@ -422,8 +424,26 @@ def _long_ones(
                 across[k] = abs(tx * w[1] - ty * w[0]) / max(math.hypot(tx, ty), 1e-9)
             middle = np.median(across[start:count])
             good = bool(WIDTHS[0] * marking_m < middle < WIDTHS[1] * marking_m)
-        if good:
-            stripes += 1
-        else:
+        if not good:
             count = start
+            continue
+        stripes += 1
     return order[:count], stripe[:count]
+
+
+@compiled
+def _with_straight_ends(pixels: FloatArray, stripe: Ints) -> FloatArray:
+    """The ridges (n, 2) of stripes, the first and the last of each where the ones beside them lead to.
+
+    Paint begins and ends within a row, which shows the middle of a part of it: aside, where the stripe leans.
+    """
+    straight, first = pixels.copy(), 0
+    for end in range(1, len(stripe) + 1):
+        if end < len(stripe) and stripe[end] == stripe[first]:
+            continue
+        if end - first > WHOLE + 1:
+            for at, step in ((first, 1), (end - 1, -1)):
+                one, other = pixels[at + step], pixels[at + step * WHOLE]
+                straight[at, 0] = one[0] + (one[0] - other[0]) * (pixels[at, 1] - one[1]) / (one[1] - other[1])
+        first = end
+    return straight

@@ -33,7 +33,7 @@ def measure(rig: StereoRig, pair: tuple[np.ndarray, ...], known: PlaneFilter) ->
     left, right = look(rig, pair, known.plane)
     sigma = known.height_sigma_m(on_ground(left.eye, left.directions) - rig.middle_m[:2])
     matches = match(left, right, sigma, NOISE_PX)
-    return matches, fit_plane(matches, rig.middle_m, known.covariance, NOISE_PX, 0.2)
+    return matches, fit_plane(matches, left.eye.centre_m, rig.middle_m, known.covariance, NOISE_PX, 0.2)
 
 
 def settled(rig: StereoRig, pair: tuple[np.ndarray, ...], frames: int = 5) -> PlaneFilter:
@@ -90,6 +90,28 @@ def test_a_dash_that_is_two_rows_high_is_a_stripe() -> None:
     x, y = on_ground(stripes.eye, stripes.directions).T
     assert ((x > 37.0) & (x < 43.5)).all()
     np.testing.assert_allclose(y, 0.5 * LANE_M, atol=0.1)
+
+
+def test_a_leaning_dash_is_in_its_middle_where_it_begins_and_ends() -> None:
+    eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
+    search = StripeSearch(0.15, LANE_M, 1.6, 0.0, (480, 640), rows=128)
+    off_m = []
+    for phase_m in np.arange(0.0, 4.0, 0.5):
+        dash = draw(eye, [Line(-0.8 * LANE_M, pattern=(15.0, 85.0), phase_m=-20.0 - phase_m, width_m=0.15)], noise=0.0)
+        stripes = search.look(dash, eye, np.geomspace(4.0, 60.0, 80) + 0j)
+        assert stripes.count == 1
+        off_m.append(on_ground(stripes.eye, stripes.directions)[[0, -1], 1] + 0.8 * LANE_M)
+    assert np.abs(off_m).mean() < 0.03
+    assert np.abs(off_m).max() < 0.08
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lone_line_does_not_lean_the_ground(seed: int) -> None:
+    """A match off along its epipolar line lies aside and higher: a slope across that no ground has."""
+    pair = draw_pair(RIG, lines=(Line(0.5 * LANE_M, (4.0, 96.0), phase_m=-6.0),), seed=10 * seed, noise=8.0)
+    found = settled(RIG, pair, frames=12).plane
+    assert abs(np.degrees(found.roll_rad)) < 0.4
+    assert abs(found.height_m) < 0.02
 
 
 def test_stripes_across_are_looked_for_where_the_road_may_turn_so_far() -> None:
