@@ -96,22 +96,25 @@ def test_a_leaning_dash_is_in_its_middle_where_it_begins_and_ends() -> None:
     eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
     search = StripeSearch(0.15, LANE_M, 1.6, 0.0, (480, 640), rows=128)
     off_m = []
-    for phase_m in np.arange(0.0, 4.0, 0.5):
-        dash = draw(eye, [Line(-0.8 * LANE_M, pattern=(15.0, 85.0), phase_m=-20.0 - phase_m, width_m=0.15)], noise=0.0)
+    for phase_m in np.arange(-30.0, -34.0, -0.5):
+        dash = draw(eye, [Line(-0.8 * LANE_M, pattern=(15.0, 185.0), phase_m=phase_m, width_m=0.15)], noise=0.0)
         stripes = search.look(dash, eye, np.geomspace(4.0, 60.0, 80) + 0j)
         assert stripes.count == 1
         off_m.append(on_ground(stripes.eye, stripes.directions)[[0, -1], 1] + 0.8 * LANE_M)
-    assert np.abs(off_m).mean() < 0.03
-    assert np.abs(off_m).max() < 0.08
+    assert np.abs(off_m).max() < 0.025
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_lone_line_does_not_lean_the_ground(seed: int) -> None:
-    """A match off along its epipolar line lies aside and higher: a slope across that no ground has."""
-    pair = draw_pair(RIG, lines=(Line(0.5 * LANE_M, (4.0, 96.0), phase_m=-6.0),), seed=10 * seed, noise=8.0)
-    found = settled(RIG, pair, frames=12).plane
-    assert abs(np.degrees(found.roll_rad)) < 0.4
-    assert abs(found.height_m) < 0.02
+def test_a_lone_line_does_not_lean_the_ground() -> None:
+    """A match that is off along its epipolar line lies aside and higher: a slope across that no ground has."""
+    rng, left, known = np.random.default_rng(0), RIG.left.centre_m, PlaneFilter(float(RIG.middle_m[2])).covariance
+    ground = np.column_stack((np.linspace(6.0, 12.0, 60), np.full(60, 1.7), np.zeros(60)))
+    per_m, rolls_deg = 1250.0 / ground[:, 0], []
+    for _ in range(20):
+        off_px, none = rng.normal(0.0, 1.0, 60), np.zeros(60, np.intp)
+        points = ground + (off_px / per_m / left[2])[:, None] * (left - ground)
+        matches = Matches(none, none, np.arange(60), points, off_px, per_m)
+        rolls_deg.append(np.degrees(fit_plane(matches, left, RIG.middle_m, known, 1.0, 1.0).step[2]))
+    assert abs(np.mean(rolls_deg)) < 0.05
 
 
 def test_stripes_across_are_looked_for_where_the_road_may_turn_so_far() -> None:
