@@ -66,7 +66,7 @@ LIGHTS = {  # by day and by night: headlights on wet-dark asphalt, a camera at t
 }  # fmt: skip
 BOUNCES_DEG = (0.0, 1.0)
 BEND_RAD = 0.035  # by which the ground turns upwards or down at the far end of the view, at most
-HEAVE_M_PER_DEG = 0.02  # of a body that rolls
+HEAVE_M_PER_RAD = 1.15  # of a body that rolls: 2 cm for each degree, at a rate of its own
 
 
 def mirror_car() -> CarConfig:
@@ -130,15 +130,11 @@ class Ride:
 
     def body(self, t_s: float) -> Plane:
         """How the car's body stands over the road."""
-        pitch, roll, heave = (
-            Nod(amplitude_rad=most, rate_hz=hz, phase_rad=phase).at(t_s)
-            for most, hz, phase in (
-                (math.radians(self.bounce_deg), 1.5, 0.0),
-                (math.radians(self.sway_deg), 1.1, 1.0),
-                (HEAVE_M_PER_DEG * self.sway_deg, 1.3, 2.0),
-            )
-        )
-        return Plane(heave, pitch, roll)
+        bounce_rad, sway_rad = math.radians(self.bounce_deg), math.radians(self.sway_deg)
+        pitch = Nod(amplitude_rad=bounce_rad, rate_hz=1.5, phase_rad=0.0).at(t_s)
+        roll = Nod(amplitude_rad=sway_rad, rate_hz=1.1, phase_rad=1.0).at(t_s)
+        lift = Nod(amplitude_rad=sway_rad, rate_hz=1.3, phase_rad=2.0).at(t_s)
+        return Plane(HEAVE_M_PER_RAD * lift, pitch, roll)
 
 
 @dataclass(slots=True)

@@ -349,9 +349,11 @@ class Renderer:
     ) -> Image:
         """The image (h, w) grey or (h, w, 3) BGR from a pose of the body frame at the middle of the exposure.
 
-        `nod_rad` is the pitch of the car, and of its camera with it, positive downwards; `standing` says how it stands
-        otherwise. Obstacles are not hazed then.
+        `nod_rad` is the pitch of the car, and of its camera with it, positive downwards. `standing`, in its place, says
+        how the car stands; obstacles are not hazed then. Raises ValueError for both, and for what needs a margin.
         """
+        if nod_rad and standing is not None:
+            raise ValueError("nod_rad: expected 0 beside standing, whose camera is pitched")
         pose = SE2(x_m, y_m, yaw_rad)
         gain = self.appearance.light * exposure(self.appearance, index)
         light = gain * self._channels(np.array(self.appearance.light_tint))

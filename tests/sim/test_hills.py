@@ -112,6 +112,12 @@ def test_a_camera_without_a_margin_cannot_see_hills() -> None:
         eye.render(0.0, 0.0, 0.0, standing=Standing(height_m=lambda x: 0.01 * x))
 
 
+def test_a_nod_beside_a_standing_is_refused() -> None:
+    eye = Renderer([], FLOOR, [], camera(160), Appearance(), nod_max_rad=0.05)
+    with pytest.raises(ValueError, match="nod_rad: expected 0 beside standing"):
+        eye.render(0.0, 0.0, 0.0, nod_rad=0.01, standing=Standing())
+
+
 def test_traffic_stands_where_it_is_on_the_ground_as_it_is() -> None:
     eye = camera(z_m=1.2)
     box = Obstacle(polygon_m=rectangle(10.0, 12.0, -0.9, 0.9), height_m=0.5, grey=200, base_m=0.3)

@@ -32,10 +32,11 @@ GATE = 2 * PER_MARKING  # samples on each side of a run's middle among which its
 REACH = GATE + 2 * MARGIN  # samples on each side of a run's middle; bare ground is measured where the gate's ends are
 BLURRED = 0.5  # of the usual edge of paint: a blurrier ridge is a reflection
 LINE, BAR = range(2)
+WIDEST = 1.4 * PER_MARKING  # samples of a line
 LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 
 _BODY = 7  # samples: half of what counts as the marking itself
-_NARROWEST, _WIDEST, _WIDEST_BAR = 0.65 * PER_MARKING, 1.4 * PER_MARKING, 2.2 * PER_MARKING
+_NARROWEST, _WIDEST_BAR = 0.65 * PER_MARKING, 2.2 * PER_MARKING
 _MAX_BESIDE, _MIN_BESIDE = 2.0 * PER_MARKING, 0.5 * PER_MARKING  # brightness beside a line, and beside a bar
 
 
@@ -91,7 +92,7 @@ def measure_ridges(
         height[i] = middle - max(one, other)
         edge[i] = min(rise, fall)
         marked = height[i] > least[row[i]] and width > _NARROWEST
-        flags[LINE, i] = marked and width < _WIDEST and beside * share < _MAX_BESIDE
+        flags[LINE, i] = marked and width < WIDEST and beside * share < _MAX_BESIDE
         flags[BAR, i] = marked and width < _WIDEST_BAR and beside * share > _MIN_BESIDE and not flags[LINE, i]
     return place, height, edge, flags
 

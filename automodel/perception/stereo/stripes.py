@@ -3,8 +3,8 @@
 After the stereo paper's stages 1 and 2 (marking extraction in image space, stripe models). Rows are read as far as the
 road about the predicted lane reaches, whatever its direction there: a stripe that runs across the image is the wider on
 a row the flatter it lies, and filters of several widths find it. Ridges that continue each other from row to row make
-the mid-line of a blob: a stripe. Its width across its own direction is a marking's; what is
-short or round has too few ridges.
+the mid-line of a blob: a stripe. Its width across its own direction is a marking's; what is short or round has too few
+ridges.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.stereo_rig import Eye, bearings, image_of, on_ground
 from automodel.perception.line_scan import ScanConfig
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
-from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WINDOW, measure_ridges
+from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WIDEST, WINDOW, measure_ridges
 from automodel.perception.rows.row_search import MAX_TURN
 from automodel.types import Complexes, FloatArray, Image, Ints
 
 SLANTS = (1.0, 1.8, 3.2)  # widths of the filters, in markings straight ahead
 MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
-WIDER = 1.4  # a filter finds stripes that are wider than itself by so much
+WIDER = WIDEST / PER_MARKING  # a filter finds stripes that are wider than itself by so much
 WIDTHS = (0.5, 1.7)  # of a stripe across its direction, in markings: the width in use may be wrong by a third
 WHOLE = 3  # ridges of a stripe beside the first or the last, at least, that tell where its ends are
 THIN = 4  # every so many-th sample measures a row's noise: as long as the filter's windows
@@ -304,7 +304,7 @@ def _ridges(
             for k in range(MARGIN, n - MARGIN):
                 height[k] = window[k] - max(window[k - SIDE], window[k + SIDE])
             sizes = 0
-            for k in range(MARGIN + THIN - 1 - (MARGIN - 1) % THIN, n - MARGIN, THIN):
+            for k in range(MARGIN, n - MARGIN, THIN):
                 size[sizes] = abs(height[k])
                 sizes += 1
             if contrast > 0.0:
