@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import math
 import multiprocessing
 import os
 import random
@@ -23,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import aiohttp
-import numpy as np
 
 from automodel.assembly.drive import RunOptions, drive_simulated
 from automodel.bench.accuracy import Row
@@ -47,6 +47,7 @@ _PATIENCE_S = 20.0
 _HOLD_S = 0.1  # as the page says it
 _AT_REST = (SafetyMode.STOPPED.value, SafetyMode.DISARMED.value)
 _WELL_S = 1.0  # after a stop all must be well for half a second before the car may be armed
+_NEWS_S = 5.0  # a busy machine's page tells so late that the car was armed
 _PAUSES_S = (0.3, 1.0)  # between driving and STOP
 _STATM_PAGES = 1  # the resident ones in /proc/PID/statm
 
@@ -87,11 +88,11 @@ def _stopped(car: CarConfig, pages: int, stops: int, record: Path) -> Row:
     operator = _Page()
     with _driving(car, options, with_page=True) as drive, LoopCores():
         asyncio.run(_look(drive, [operator, *(_Page() for _ in range(pages - 1))], stops))
-    obeyed_ns = np.array(drive.outcome["obeyed_ns"], np.int64)
     waits = Latencies()
-    for said in operator.said_ns:
-        if len(after := obeyed_ns[obeyed_ns > said]):
-            waits.add(int(after[0]) - said)
+    for said, until in zip(operator.said_ns, [*operator.said_ns[1:], math.inf], strict=True):
+        waits_ns = [obeyed - said for obeyed in drive.outcome["obeyed_ns"] if said < obeyed < until]
+        for wait_ns in waits_ns[:1]:  # none of a car that stood already: the page tells late that it stopped
+            waits.add(wait_ns)
     return _row(drive, "STOP -> write", pages, waits)
 
 
@@ -204,18 +205,18 @@ def _drive(car: CarConfig, options: RunOptions, with_page: bool, pipe: Connectio
 
 
 class _Noted:
-    """Notes when a stop was on the wire; a `Viewer` of the run, the last that is told."""
+    """Notes when a person's STOP was on the wire; a `Viewer` of the run, the last that is told."""
 
     def __init__(self) -> None:
         self.obeyed_ns: list[int] = []
-        self._stopped = False
+        self._said = False
 
     def on_tick(self, record: TickRecord) -> None:
         """A cycle, after all was sent."""
-        stopped = record.decision.mode is SafetyMode.STOPPED and record.sent is not None and record.sent.speed_mps == 0
-        if stopped and not self._stopped:
+        self._said |= any(event.kind == "stop" and event.text.startswith("STOP ") for event in record.decision.events)
+        if self._said and record.sent is not None and record.sent.speed_mps == 0:
             self.obeyed_ns.append(time.monotonic_ns())
-        self._stopped = stopped
+            self._said = False
 
     def on_event(self, event: Event) -> None:
         """Nothing is noted of it."""
@@ -276,6 +277,8 @@ class _Page:
                 await asyncio.sleep(1.0)
                 continue
             await asyncio.sleep(rng.uniform(*_PAUSES_S))
+            if self._mode != SafetyMode.DRIVING.value:
+                continue
             self._held = False
             self.said_ns.append(time.monotonic_ns())
             await self._socket.send_str("stop")
@@ -293,7 +296,9 @@ class _Page:
                 await asyncio.sleep(_WELL_S)
                 await self._socket.send_str("arm")
                 self._held = True
-                await asyncio.sleep(_WELL_S)
+                news_s = time.monotonic() + _NEWS_S
+                while self._mode in _AT_REST and time.monotonic() < news_s:
+                    await asyncio.sleep(0.01)
             await asyncio.sleep(0.01)
 
     async def _hold(self) -> None:

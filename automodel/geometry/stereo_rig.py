@@ -140,6 +140,15 @@ def image_of(eye: Eye, x: float, y: float, z: float) -> tuple[float, float]:
 
 
 @compiled
+def images_of_ground(eye: Eye, points: FloatArray) -> FloatArray:
+    """The pixels (n, 2) of points (n, 2) [m] on the ground z = 0; NaN behind the camera and beyond the lens model."""
+    found = np.empty(points.shape)
+    for i in range(len(points)):
+        found[i, 0], found[i, 1] = image_of(eye, points[i, 0], points[i, 1], 0.0)
+    return found
+
+
+@compiled
 def on_ground(eye: Eye, directions: FloatArray) -> FloatArray:
     """Where directions (n, 3) of the level body frame meet the ground z = 0: (n, 2) [m]; NaN above the horizon."""
     found = np.full((len(directions), 2), math.nan)

@@ -18,7 +18,7 @@ from automodel.config import CarConfig
 from automodel.estimation.parabola.parabola_pair import ParabolaPair, Part
 from automodel.estimation.parabola.plane_filter import PlaneFilter
 from automodel.geometry import GroundCamera, View
-from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, bearings, on_ground
+from automodel.geometry.stereo_rig import Eye, Plane, StereoRig, bearings, images_of_ground, on_ground
 from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
@@ -300,15 +300,15 @@ class Stereo:
             if other_image is not None and mirrored(one, its, image, other.eye, other_image) > ALIKE:
                 odds[k] = -math.inf
             else:
-                profiles = ground[its][self._in_view(camera, ground[its])][::2]
+                profiles = ground[its][self._in_view(at_rest, ground[its])][::2]
                 if len(profiles) and reflections.on_streaks(image, profiles).mean() > 0.5:
                     odds[k] = -math.inf
         return odds
 
-    def _in_view(self, camera: GroundCamera, ground_m: FloatArray) -> Bools:
+    def _in_view(self, eye: Eye, ground_m: FloatArray) -> Bools:
         """Whether all of a profile across the ground (n, 2) [m] is in view (n,)."""
         aside = np.array((0.0, (self._reflections[0].config.reach + 0.5) * self._marking_m))
-        ends = np.stack((camera.ground_to_px(ground_m + aside), camera.ground_to_px(ground_m - aside)))
+        ends = np.stack((images_of_ground(eye, ground_m + aside), images_of_ground(eye, ground_m - aside)))
         last = np.array((self._size[1] - 1.0, self._size[0] - 1.0))
         return np.asarray(((ends >= 0.0) & (ends <= last)).all(axis=(0, 2)), dtype=np.bool_)
 

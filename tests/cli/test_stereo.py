@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from automodel.assembly.simulated_car import Simulation, build_world
 from automodel.cli.init import kit_path
 from automodel.config import load_car
 from automodel.config.camera import SecondCamera
+from automodel.geometry.ground import cam_from_body_rotation
 from automodel.recording.reader import Recording
 from automodel.signals import StereoFrame
 from automodel.sources.images import read_image
@@ -137,30 +139,76 @@ def test_frames_without_a_partner_are_reported(cli, folders: tuple[Path, Path], 
     assert said.line() == f"{videos[0]}, {videos[1]}: 3 frames have no partner within 5 ms"
 
 
-@pytest.mark.realdata
-def test_real_pairs_of_a_street(cli, data_root: Path, tmp_path: Path) -> None:
-    """A ramp of KITTI's: a bend of 22 m radius, chevrons beside the lane, ten pairs a second."""
-    ramp, csv = data_root / "kitti_ramp", tmp_path / "poses.csv"
-    car = Path(__file__).resolve().parents[1] / "cars" / "kitti_ramp.toml"
-    motion = tmp_path / "motion.csv"
-    poses = np.loadtxt(ramp / "poses.txt").reshape(-1, 3, 4)
+KITTI_CAR = Path(__file__).resolve().parents[1] / "cars" / "kitti_ramp.toml"
+
+
+def replayed_street(cli, left: Path, right: Path, car: Path, motion: Path) -> tuple[dict, np.ndarray]:
+    """What a replay of ten pairs a second says, and its table."""
+    csv = car.parent / "poses.csv" if car != KITTI_CAR else motion.parent / "poses.csv"
+    said = cli("replay", left, right, "--car", car, "--rate", "10", "--motion", motion, "--csv", csv, "--json")
+    assert said.code == 0
+    return said.rows[0], np.genfromtxt(csv, delimiter=",", names=True, dtype=None, encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def street_motion(data_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Speed and yaw rate on a ramp of KITTI's."""
+    poses = np.loadtxt(data_root / "kitti_ramp" / "poses.txt").reshape(-1, 3, 4)
     speed = np.linalg.norm(np.gradient(poses[:, :, 3], 0.1, axis=0), axis=1)
     yaw_rate = np.gradient(-np.unwrap(np.arctan2(poses[:, 0, 2], poses[:, 2, 2])), 0.1)
     rows = np.column_stack((np.arange(len(poses)) * 0.1, speed, yaw_rate))
-    np.savetxt(motion, rows, delimiter=",", header="t_s,speed_mps,yaw_rate_radps", comments="")
-    said = cli(
-        "replay", ramp / "image_l", ramp / "image_r", "--car", car, "--rate", "10", "--motion", motion, "--csv", csv,
-        "--json",
-    )  # fmt: skip
-    assert said.code == 0
-    row = said.rows[0]
-    assert row["frames"] == 26
-    assert row["tracking"] >= 24  # the first pair starts the lane
-    table = np.genfromtxt(csv, delimiter=",", names=True, dtype=None, encoding="utf-8")
-    widths_m = table["width_m"][np.isfinite(table["width_m"])]
-    along = np.arange(len(widths_m))
-    assert np.std(widths_m - np.polyval(np.polyfit(along, widths_m, 2), along)) < 0.1  # the lane narrows
-    assert ((widths_m > 4.3) & (widths_m < 6.1)).all()
+    path = tmp_path_factory.mktemp("street") / "motion.csv"
+    np.savetxt(path, rows, delimiter=",", header="t_s,speed_mps,yaw_rate_radps", comments="")
+    return path
+
+
+def turned_street(ramp: Path, to: Path) -> Path:
+    """The pairs of a ramp as cameras would show them that are not rectified; returns their car.toml."""
+    car = KITTI_CAR.read_text()
+    level, lens = load_car(KITTI_CAR).camera, np.array([[718.856, 0.0, 607.193], [0.0, 718.856, 185.216], [0, 0, 1.0]])
+    other = np.array([[640.0, 0.0, 590.0], [0.0, 650.0, 170.0], [0.0, 0.0, 1.0]])
+    first, second = car.split("[camera.right.intrinsics]")
+    for name, value in (("fx", 640.0), ("fy", 650.0), ("cx", 590.0), ("cy", 170.0)):
+        second = re.sub(rf"{name}_px = \S+", f"{name}_px = {value}", second)
+    texts = []
+    for eye, text, its, turned_deg in (("l", first, lens, (-1.0, 0.5, -2.0)), ("r", second, other, (2.0, -1.5, 3.0))):
+        yaw, pitch, roll = np.radians(turned_deg).tolist()
+        turned = replace(level.extrinsics, yaw_rad=yaw, pitch_rad=pitch, roll_rad=roll)
+        turn = cam_from_body_rotation(turned) @ cam_from_body_rotation(level.extrinsics).T
+        onto = np.linalg.solve(lens.T, turn.T).T
+        (to / eye).mkdir()
+        for path in sorted((ramp / f"image_{eye}").iterdir()):
+            image = read_image(path, colour=False)
+            shown = cv2.warpPerspective(image, its @ onto, image.shape[::-1], flags=cv2.INTER_CUBIC)
+            cv2.imwrite(str(to / eye / path.name), shown)
+        angles = f"yaw_rad = {yaw}\npitch_rad = {pitch}\nroll_rad = {roll}"
+        texts.append(text.replace("pitch_rad = 0.0", angles))
+    (to / "car.toml").write_text("[camera.right.intrinsics]".join(texts))
+    return to / "car.toml"
+
+
+@pytest.mark.realdata
+def test_real_pairs_of_a_street_and_the_same_seen_by_cameras_that_are_not_rectified(
+    cli, data_root: Path, street_motion: Path, tmp_path: Path
+) -> None:
+    """A ramp of KITTI's: a bend of 22 m radius that narrows, chevrons beside the lane, ten pairs a second."""
+    ramp = data_root / "kitti_ramp"
+    row, table = replayed_street(cli, ramp / "image_l", ramp / "image_r", KITTI_CAR, street_motion)
+    other_row, other = replayed_street(
+        cli, tmp_path / "l", tmp_path / "r", turned_street(ramp, tmp_path), street_motion
+    )
+    for each, its in ((row, table), (other_row, other)):
+        assert each["frames"] == 26
+        assert each["tracking"] >= 24  # the first pair starts the lane
+        widths_m = its["width_m"][np.isfinite(its["width_m"])]
+        along = np.arange(len(widths_m))
+        assert np.std(widths_m - np.polyval(np.polyfit(along, widths_m, 2), along)) < 0.1
+        assert ((widths_m > 4.6) & (widths_m < 6.0)).all()
+        assert widths_m[-1] < 4.9
+        assert np.nanmax(np.abs(its["offset_m"])) < 0.4
+    apart_m = np.abs(table["offset_m"] - other["offset_m"])[2:]
+    assert apart_m.mean() < 0.06
+    assert (apart_m < 0.5 * np.minimum(table["offset_bound_m"], other["offset_bound_m"])[2:]).all()
 
 
 @pytest.mark.slow

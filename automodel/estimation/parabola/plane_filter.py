@@ -70,4 +70,4 @@ class PlaneFilter:
     def height_sigma_m(self, ahead_m: FloatArray) -> FloatArray:
         """How well the ground's height is known (n,) [m] at places (n, 2) [m] ahead and to the left of the cameras."""
         rows = np.column_stack((-np.ones(len(ahead_m)), ahead_m[:, 0], -ahead_m[:, 1]))
-        return np.sqrt(np.einsum("ni,ij,nj->n", rows, self.covariance, rows))
+        return np.sqrt(((rows @ self.covariance) * rows).sum(axis=1))

@@ -57,8 +57,9 @@ def reconstruct(
     lefts = left.count
     label = np.arange(lefts + right.count)
     off = odds < 0.0
-    pairs, votes = np.unique(np.column_stack((matches.left, matches.right))[inliers], axis=0, return_counts=True)
-    for one, other in pairs[votes >= 2].tolist():
+    votes = np.bincount((matches.left * right.count + matches.right)[inliers])
+    for pair in np.flatnonzero(votes >= 2).tolist():
+        one, other = divmod(pair, right.count)
         if off[one] == off[other + lefts]:
             label[label == label[other + lefts]] = label[one]
     points = np.concatenate((on_ground(left.eye, left.directions), on_ground(right.eye, right.directions)))
