@@ -105,7 +105,6 @@ def test_a_crossing_is_reported_on_the_way_to_the_zebra() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("style", ["centred", "oscillating", "racing"])
-@pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.parametrize(("style", "seed"), [("centred", 0), ("oscillating", 5), ("racing", 0)])
 def test_half_a_lap_in_every_style(style: str, seed: int) -> None:
     check(drive(style, seed, 60.0, 1.0, 2.0, 20.0)[0])
