@@ -92,10 +92,13 @@ POLARITIES = ("light", "dark", "both")
 class LaneConfig:
     """The expected lane. The width is where the estimate starts; the pipelines follow the real one.
 
+    Who has measured the lanes says how well with `width_sigma_m`: a lamp's reflection beside a line hardly makes a lane
+    then.
     `dark_markings` is the older key for `markings`; it is None here.
     """
 
     width_m: float = 0.40
+    width_sigma_m: float = 0.0  # one sigma of the width, all along the road; 0: as any lane's, 12 % of it
     marking_width_m: float = 0.03
     markings: str = ""  # against the floor: "light", "dark" or "both"; empty: light
     dark_markings: bool | None = None
@@ -108,6 +111,8 @@ class LaneConfig:
             one_of(key, getattr(self, key), ("any", "dashed", "solid"))
         if self.marking_width_m > 0.5 * self.width_m:
             raise ValueError(f"marking_width_m: {self.marking_width_m} is more than half the lane's width")
+        if not 0.0 <= self.width_sigma_m <= 0.3 * self.width_m:
+            raise ValueError(f"width_sigma_m: expected 0 to 30 % of width_m, got {self.width_sigma_m}")
         if self.markings and self.dark_markings is not None:
             raise ValueError("dark_markings: remove it; [lane] markings is given")
         object.__setattr__(self, "markings", self.markings or ("dark" if self.dark_markings else "light"))

@@ -62,7 +62,7 @@ class TrackingConfig:
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
     happens once in a thousand true lines of nine points, the most (as of Student's errors). `sure`: posterior of the
-    one hypothesis that is followed.
+    one hypothesis that a lane starts with, or that lines teach; a doubt ends with all but what a bound may leave out.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter: those of a bound.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
@@ -112,17 +112,19 @@ class LaneTracking:
         self.config, self._unit, self._reference_x_m = config, car.lane.width_m, car.vehicle.reference_x_m
         self._ahead_m = ahead_m
         camera = self._as_configured = GroundCamera.from_config(car.camera)
-        self._learnt_road = LearntRoad(
-            RoadModel(
-                lane_width_m=car.lane.width_m,
-                marking_width_m=car.lane.marking_width_m,
-                eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
-                pitch_rad=ANGLE_RAD,
-                pixel_rad=RIDGE_PX / car.camera.intrinsics.fx_px,
-                new_bend=1.0 / car.pipeline.contour.radius_lanes,
-            )
-        )
         self._errors = CameraErrors(car.camera, car.lane.width_m, self._reference_x_m)
+        road = RoadModel(
+            lane_width_m=car.lane.width_m,
+            marking_width_m=car.lane.marking_width_m,
+            eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
+            pitch_rad=ANGLE_RAD,
+            pixel_rad=RIDGE_PX / car.camera.intrinsics.fx_px,
+            new_bend=1.0 / car.pipeline.contour.radius_lanes,
+        )
+        if car.lane.width_sigma_m > 0.0:  # a lane that was measured; the camera may still see it larger or smaller
+            measured = math.hypot(car.lane.width_sigma_m / car.lane.width_m, self._errors.scale)
+            road = replace(road, width_sigma=min(measured, road.width_sigma))
+        self._learnt_road = LearntRoad(road)
         self._kinds = LineKinds(DASH_ODDS[car.lane.left], DASH_ODDS[car.lane.right])
         self._profile = RoadProfile()
         self._odometry = CheckedOdometry(camera, self._unit)
@@ -351,7 +353,7 @@ class LaneTracking:
             return self._recognise(lines) if plain else self._watch(lines, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         seen = self._together(lines, own)
-        self._hypotheses.displace(self._confusable)
+        self._hypotheses.displace(lambda belief: self._confusable(belief, 1.0))
         share = self._hypotheses.update(seen, self._kinds)
         best, measured = self._hypotheses.best, self._measured(followed.pose)
         alone = Hypotheses(self.config.hypotheses)
@@ -365,7 +367,8 @@ class LaneTracking:
         story = best.belief if likelier else self._reckoned if blind else None
         self._story = story if story is not None and self._possible(story.pose) else None
         apart = self._apart(measured, best.belief)
-        agreed = apart < self.config.gate and self._hypotheses.certainty > self.config.sure
+        certain = self._hypotheses.certainty > 1.0 - EXCEEDED  # else the bound would drop what may be true
+        agreed = apart < self.config.gate and certain
         clear = not self._confusable(self._reckoned)
         told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
         told = told and (best.placed or best.bounds_a_lane)
@@ -377,6 +380,7 @@ class LaneTracking:
             self._believe(alone.all[0].belief, alone.all[0].assigned)
         elif (
             self._sure(best)
+            and certain
             and (not own or self._beats(best, said, alone.all[0].news))
             and self._at_once(best.belief, seen)
         ):
@@ -439,9 +443,7 @@ class LaneTracking:
 
     def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
         """Log-odds [nats] from which on the estimator's word ends the doubt: of one line four times as many."""
-        if not clear:
-            return 4.0 * self.config.exists + max(best.log_odds, 0.0)
-        return self.config.exists + (0.0 if agreed else max(best.log_odds, 0.0))
+        return (1.0 if clear else 4.0) * self.config.exists + (0.0 if agreed else max(best.log_odds, 0.0))
 
     def _sure(self, best: Hypothesis) -> bool:
         """Whether one hypothesis is left, too certain to be taken for another, and two lines of this frame bear it out.
@@ -791,7 +793,8 @@ class LaneTracking:
         unit = self._unit
         return bool(
             _is_finite(pose)
-            and abs(pose.width_m / unit - 1.0) < 4.0 * self.road.width_sigma
+            and abs(pose.width_m - unit)
+            < 4.0 * math.hypot(self.road.width_sigma * unit, math.sqrt(pose.covariance[2, 2]))
             and abs(pose.offset_m) < (1.4 if self._beside else 0.9) * unit
             and abs(pose.heading_rad) < math.radians(60.0)
         )

@@ -61,8 +61,8 @@ def said(offset_m: float, seen: Sequence[float] = BOTH, width_m: float = LANE_M,
 class Drive:
     """A car that drives straight on, frame by frame, as a pipeline would take them."""
 
-    def __init__(self, config: TrackingConfig = CONFIG) -> None:
-        self.tracking, self.t_ns = LaneTracking(CAR, config, AHEAD.length_m), 0
+    def __init__(self, config: TrackingConfig = CONFIG, car: CarConfig = CAR) -> None:
+        self.tracking, self.t_ns = LaneTracking(car, config, AHEAD.length_m), 0
         self.anew: LaneBelief | None = None  # where the estimator was told to start again in the last frame
 
     def predict(self, dt_ns: int = STEP_NS, speed_mps: float = SPEED_MPS, known: bool = True) -> None:
@@ -273,6 +273,33 @@ def test_a_lane_too_narrow_to_be_one_is_no_start() -> None:
     for _ in range(5):
         drive.predict()
         assert drive.tracking.start(drive.t_ns, sights(0.0, (0.6 * LEFT, 0.6 * RIGHT))) is None
+
+
+def measured(sigma_m: float) -> CarConfig:
+    """The car of somebody who has measured the lanes so well."""
+    return replace(CAR, lane=replace(CAR.lane, width_sigma_m=sigma_m))
+
+
+@pytest.mark.parametrize(("sigma_m", "error_m"), [(0.0, 0.039), (0.004, 0.0)])
+def test_a_thing_beside_a_line_makes_no_lane_narrower_than_lanes_were_measured(sigma_m: float, error_m: float) -> None:
+    drive = Drive(car=measured(sigma_m))
+    drive.predict(speed_mps=0.0)
+    start = drive.tracking.start(drive.t_ns, (line_of(Road(), 0.6 * LEFT, 0.3, 0.55), *sights(0.0, (RIGHT,))))
+    assert start is not None
+    assert start.offset_m == pytest.approx(error_m, abs=0.005)
+    assert drive.doubted == (sigma_m > 0.0)  # a lone line
+
+
+def test_an_estimator_may_say_another_width_where_it_does_not_know_it() -> None:
+    for sigma_m, status in ((0.02, LaneStatus.TRACKING), (0.005, LaneStatus.LOST)):
+        drive = Drive(car=measured(0.004))
+        drive.predict()
+        assert drive.tracking.start(drive.t_ns, sights(0.0)) is not None
+        followed = said(0.0, width_m=1.2 * LANE_M)
+        covariance = np.diag(np.square((0.005, 0.01, sigma_m)))
+        followed = replace(followed, pose=replace(followed.pose, covariance=covariance))
+        drive.tracking._odometry.suspect()  # dead reckoning does not know better
+        assert drive.tracking.follow(drive.frame, followed).status is status
 
 
 def test_a_lane_is_found_once_lines_come_into_view_that_contradict_an_earlier_story() -> None:
@@ -512,11 +539,43 @@ def test_a_line_that_was_in_view_before_dead_reckoning_lost_the_lane_ends_a_doub
     belief = drive.tracking._belief
     assert belief is not None
     drive.tracking._doubt(belief.without_road())
-    while drive.tracking._reckoned is not None and not drive.tracking._confusable(drive.tracking._reckoned):
+    while drive.tracking._reckoned is not None and not drive.tracking._confusable(drive.tracking._reckoned, 1.0):
         drive.follow(said(0.0, NONE), sights(0.0, seen))
         assert drive.doubted  # by a line that the estimator does not see
     drive.follow(said(0.0, (RIGHT,)), sights(0.0, (RIGHT,)))
     assert drive.doubted == (not seen)  # a line that is seen only now may be the next lane's
+
+
+@pytest.mark.parametrize(("sigma", "least", "most"), [(0.2, 1, 3), (0.26, 4, 12), (0.3, 30, 30)])
+def test_a_line_that_is_seen_only_now_ends_a_doubt_where_it_can_hardly_be_the_next_lanes(
+    sigma: float, least: int, most: int
+) -> None:
+    """`sigma`: of the lane's place beside the car, in lane widths; the next lane's line is one of these away."""
+    drive = driving()
+    belief = drive.tracking._belief
+    assert belief is not None
+    covariance = belief.covariance.copy()
+    covariance[Part.OFFSET, Part.OFFSET] += (sigma * LANE_M) ** 2
+    drive.tracking._doubt(replace(belief, covariance=covariance))
+    frames = 0
+    while drive.doubted and frames < 30:
+        drive.follow(said(0.0, (RIGHT,)), sights(0.0, (RIGHT,)))
+        frames += 1
+    assert least <= frames <= most
+
+
+@pytest.mark.parametrize(("log_odds", "ends"), [(-3.0, False), (-9.0, True)])
+@pytest.mark.parametrize("seen", [BOTH, NONE])
+def test_a_doubt_lasts_as_long_as_another_story_is_likelier_than_a_bound_may_be_exceeded(
+    seen: tuple[float, ...], log_odds: float, ends: bool
+) -> None:
+    drive = driving()
+    belief = drive.tracking._belief
+    assert belief is not None
+    drive.tracking._doubt(belief)
+    drive.tracking._hypotheses.start(((belief, 0.0), (belief.beside_it(+1), log_odds)), learnt=True)
+    drive.follow(said(0.0, seen), sights(0.0))
+    assert drive.doubted != ends
 
 
 def far(followed: Followed, from_m: float) -> Followed:

@@ -46,7 +46,7 @@ from automodel.bench.faults.judge import (
     drives_from,
     judge,
 )
-from automodel.config import CameraConfig, CarConfig, Intrinsics, SecondCamera
+from automodel.config import CameraConfig, CarConfig, Intrinsics, LaneConfig, SecondCamera
 from automodel.config.parts import PAIR_PIPELINES
 from automodel.console.messages import say
 from automodel.console.workers import Sweep, Tick, spread
@@ -74,11 +74,13 @@ from firmware_link.messages import TABLE_HASH
 from firmware_link.pulses import PulseTable
 from firmware_link.transport import MemoryTransport
 
-# Half the usual image in each direction, of the same view: enough to see the lane, and cheap to render.
+# Half the usual image in each direction, of the same view: enough to see the lane, and cheap to render. Somebody has
+# measured the lanes.
 CAR = CarConfig(
+    lane=LaneConfig(width_sigma_m=0.005),
     camera=CameraConfig(
         width_px=320, height_px=180, intrinsics=Intrinsics(fx_px=240.0, fy_px=240.0, cx_px=159.5, cy_px=89.5)
-    )
+    ),
 )
 EYE_Y_M = 0.125  # of a pair's left camera; the right one is as far to the right
 LOOKS = 4

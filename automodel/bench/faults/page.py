@@ -32,6 +32,8 @@ asked for: `nominal`, a minute without a fault, on any of the tracks, with rando
 `automodel bench faults --only nominal --runs 60`. Of a car that must drive on, the first hold and the first stop of a
 run are reported with their cause, and with how wrong the offset was: a stop is false where it was not.
 
+The car's owner has measured the lanes to 5 mm (`[lane] width_sigma_m`).
+
 A car that was stopped may be refused to be armed where its lane cannot be found by a pipeline that is started there:
 the judge tries that with one of its own.
 
