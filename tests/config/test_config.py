@@ -61,6 +61,8 @@ REFUSED = {
     "[vehicle]\nwheelbase_m = 0": "car.toml:2: [vehicle] wheelbase_m: expected a positive number, got 0.0",
     "[vehicle]\nfront_overhang_m = -0.1": "car.toml:2: [vehicle] front_overhang_m: expected a number >= 0, got -0.1",
     "[lane]\nmarking_width_m = 0.3": "car.toml:2: [lane] marking_width_m: 0.3 is more than half the lane's width",
+    "[lane]\nwidth_sigma_m = 0.2": "car.toml:2: [lane] width_sigma_m: expected 0 to 30 % of width_m, got 0.2",
+    "[lane]\nwidth_sigma_m = -0.01": "car.toml:2: [lane] width_sigma_m: expected 0 to 30 % of width_m, got -0.01",
     '[lane]\nmarkings = "darkk"': "car.toml:2: [lane] markings: expected one of light, dark, both, got 'darkk'; "
     "did you mean 'dark'?",
     '[lane]\nleft = "dotted"': "car.toml:2: [lane] left: expected one of any, dashed, solid, got 'dotted'",
