@@ -51,7 +51,7 @@ def wrong(motion: Motion, speed: float, yaw_rate: float) -> Motion:
 def test_a_wrong_speed_misleads_contour_in_no_frame(place: tuple[str, str, float, float], factor: float) -> None:
     false_s, misled, reported = driven(Contour(CAR), drive(*place), speed=factor)
     assert misled == 0
-    assert false_s <= 0.65
+    assert false_s <= 0.75  # told within its bound, until no other story is likelier than that allows
     assert reported > 0.85
 
 
