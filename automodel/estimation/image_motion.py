@@ -168,13 +168,13 @@ class ImageMotion:
             return None
         most = self._consensus(start, end)
         self.most = most / dt_s
-        near = [np.count_nonzero(self._near(start, end, each)) for each in (expected, most)]
+        by_it, by_most = self._image_of(start, np.stack((expected, most)))
+        near = [np.count_nonzero(self._near(by, end)) for by in (by_it, by_most)]
         if near[0] >= max(config.agree * near[1], config.least):
             return True
-        by_it, by_most = (self._image_of(start, each) for each in (expected, most))
         with np.errstate(invalid="ignore"):
             differ = np.hypot(*(by_it - by_most).T) > 2.0 * config.sigma_px  # far ahead both are the same
-        with_it, with_most = (differ & self._about(start, end, each) for each in (expected, most))
+        with_it, with_most = (differ & self._about(start, by, end) for by in (by_it, by_most))
         alone, count = np.count_nonzero(with_it & ~with_most), np.count_nonzero(with_most)
         if alone >= config.least or count < config.least:  # what moves otherwise may be lamps in a shiny floor
             return None
@@ -196,10 +196,13 @@ class ImageMotion:
         self._covariance = 0.5 * (after + after.T)
 
     def _small(self, image: Image) -> Image:
-        """The image in grey, halved until it is small enough."""
-        grey = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        size = (grey.shape[1] // self._scale, grey.shape[0] // self._scale)
-        return grey if self._scale == 1 else np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+        """The image in grey, halved until it is small enough, without the columns and rows that are left over."""
+        height, width = (length // self._scale for length in image.shape[:2])
+        whole = image[: height * self._scale, : width * self._scale]
+        grey = whole if whole.ndim == 2 else np.asarray(cv2.cvtColor(whole, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        if self._scale == 1:
+            return grey
+        return np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))  # by whole pixels, fast
 
     def _between(self, before: Image, after: Image, expected: FloatArray) -> Seen | None:
         """The motion from one small image to the next; None where too few corners agree on one."""
@@ -210,12 +213,12 @@ class ImageMotion:
         moved, least = np.zeros(2), config.least
         if moving >= config.least:
             moved = self._consensus(start[~still], end[~still])
-            together = np.count_nonzero(self._near(start[~still], end[~still], moved))
+            together = np.count_nonzero(self._near(self._image_of(start[~still], moved), end[~still]))
             if together < max(config.least, moving // 2):
                 return None
             least = min(least, int(together))
         for _ in range(self.ROUNDS):
-            near = self._near(start, end, moved)
+            near = self._near(self._image_of(start, moved), end)
             if np.count_nonzero(near) < least:
                 return None
             residual, jacobian = self._linearised(start[near], end[near], moved)
@@ -234,6 +237,7 @@ class ImageMotion:
         start: Float32Array = found.reshape(-1, 2).astype(np.float32)
         start[:, 1] += self._top
         guess = self._image_of(start.astype(np.float64), expected)
+        on_ground = np.asarray(np.isfinite(guess).all(axis=1))
         guess = np.clip(np.where(np.isfinite(guess), guess, start), -1e4, 1e4).astype(np.float32)
         size, flags = (config.window_px, config.window_px), cv2.OPTFLOW_USE_INITIAL_FLOW
         end, status, differ = cv2.calcOpticalFlowPyrLK(
@@ -244,7 +248,7 @@ class ImageMotion:
             return np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.bool_)
         start, differ = start[followed], differ.reshape(-1)[followed]
         places, ends = start.astype(np.float64), end.reshape(-1, 2)[followed].astype(np.float64)
-        good = np.isfinite(self._image_of(places, expected)).all(axis=1)
+        good = on_ground[followed]
         contrast, dark, weak, strong = self._windows(before, start)
         good &= differ < config.alike * contrast
         noise = np.minimum(differ, np.median(differ)).astype(np.float64)  # what got nearer differs by more than it
@@ -265,7 +269,8 @@ class ImageMotion:
         down, along = (gradient.reshape(len(places), -1) for gradient in np.gradient(windows, axis=(1, 2)))
         xx, xy, yy = ((one * other).mean(axis=1) for one, other in ((along, along), (along, down), (down, down)))
         middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-        dark = np.asarray(np.quantile(windows, 0.25, axis=(1, 2)), dtype=np.float64)
+        quarter = windows[0].size // 4
+        dark = np.partition(windows.reshape(len(places), -1), quarter, axis=1)[:, quarter].astype(np.float64)
         return contrast, dark, np.maximum(middle - half, 0.0), middle + half
 
     def _image_of(self, pixels: FloatArray, moved: FloatArray) -> FloatArray:
@@ -278,15 +283,14 @@ class ImageMotion:
         after = np.stack((cos * x + sin * y, cos * y - sin * x), axis=-1)
         return np.asarray((self._camera.ground_to_px(after) - self._middle) / self._scale)
 
-    def _near(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
-        """Which corners (..., n) agree with motions (..., 2)."""
-        off = self._image_of(start, moved) - end
+    def _near(self, expected: FloatArray, end: FloatArray) -> Bools:
+        """Which corners (..., n) went where motions put them: `expected` (..., n, 2) [px]."""
+        off = expected - end
         with np.errstate(invalid="ignore"):
             return np.asarray(np.hypot(off[..., 0], off[..., 1]) < 2.0 * self.config.sigma_px)
 
-    def _about(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> Bools:
-        """Which corners (n,) agree with a motion, for a camera that is set a little wrong and nods."""
-        expected = self._image_of(start, moved)
+    def _about(self, start: FloatArray, expected: FloatArray, end: FloatArray) -> Bools:
+        """Which corners (n,) went about where a motion puts them: a camera that is set a little wrong, and nods."""
         way, off = expected - start, end - expected
         length = np.maximum(np.hypot(*way.T), 1e-9)
         along = np.abs((off * way).sum(axis=1)) / length
@@ -313,7 +317,7 @@ class ImageMotion:
         motions = motions[np.isfinite(motions).all(axis=1) & (np.abs(turn) < 0.5)]
         if not len(motions):
             return np.zeros(2)
-        votes = np.count_nonzero(self._near(start, end, motions), axis=1)
+        votes = np.count_nonzero(self._near(self._image_of(start, motions), end), axis=1)
         return np.asarray(motions[int(np.argmax(votes))])
 
     def _ground_mask(self, height: int, width: int) -> Image:

@@ -23,7 +23,7 @@ from automodel.perception.line_scan import ScanConfig
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
 from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WIDEST, WINDOW, measure_ridges
 from automodel.perception.rows.row_search import MAX_TURN
-from automodel.types import Complexes, FloatArray, Image, Ints
+from automodel.types import Complexes, Float32Array, FloatArray, Image, Ints
 
 SLANTS = (1.0, 1.8, 3.2)  # widths of the filters, in markings straight ahead
 MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
@@ -193,7 +193,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
     for r in range(rows):
         for j in range(knots):
             x, y = ground[r, j]
-            far = math.hypot(x - foot.real, y - foot.imag)
+            far = math.sqrt((x - foot.real) ** 2 + (y - foot.imag) ** 2)  # hypot takes several times as long
             near = (place[nearest].real - x) ** 2 + (place[nearest].imag - y) ** 2 < half_m * half_m and far <= reach
             for k in range(len(place) if far <= reach and not near else 0):
                 # A place that is nearer to the foot, or farther from it, by more than that cannot be near.
@@ -203,7 +203,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
             if near:
                 one, other = max(j - 1, 0), min(j + 1, knots - 1)
                 dx, dy = ground[r, other, 0] - ground[r, one, 0], ground[r, other, 1] - ground[r, one, 1]
-                length = math.hypot(dx, dy)
+                length = math.sqrt(dx * dx + dy * dy)
                 if length > 0.0:  # not beyond the horizon
                     found[r, j] = (other - one) * apart_px / length
     return found
@@ -211,7 +211,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
 
 @compiled
 def _sampled(
-    sums: FloatArray, scale: FloatArray, first: int, last: int, sample_m: float, at: FloatArray, values: FloatArray
+    sums: FloatArray, scale: FloatArray, first: int, last: int, sample_m: float, at: FloatArray, values: Float32Array
 ) -> int:
     """Fill in samples `values` (1, n) of a row and their columns `at` (n,), between two knots; returns their number.
 
@@ -235,7 +235,7 @@ def _sampled(
 
 
 @compiled
-def _half_width(values: FloatArray, best: int, count: int) -> tuple[float, float]:
+def _half_width(values: Float32Array, best: int, count: int) -> tuple[float, float]:
     """Where a ridge falls to half its height [samples], on both sides of sample `best`."""
     half = WINDOW // 2
     top = ground = 0.0
@@ -252,6 +252,25 @@ def _half_width(values: FloatArray, best: int, count: int) -> tuple[float, float
         edge = k - side + side * ((inner - level) / (inner - outer) if inner > level > outer else 1.0)
         edges = (edge, edges[1]) if side < 0 else (edges[0], edge)
     return edges
+
+
+@compiled
+def _heights(values: Float32Array, window: Float32Array, height: Float32Array) -> None:
+    """Fill in the sums `window` about samples (n,), and how far they exceed those beside, `height`, but for `MARGIN`.
+
+    Loops over slices: the compiler makes vector instructions of them.
+    """
+    n, half = len(values), WINDOW // 2
+    about = window[half : n - half]
+    about[:] = 0.0
+    for i in range(WINDOW):
+        one = values[i : i + len(about)]
+        for k in range(len(about)):
+            about[k] += one[k]
+    middle, found = window[MARGIN : n - MARGIN], height[MARGIN : n - MARGIN]
+    left, right = window[MARGIN - SIDE : n - MARGIN - SIDE], window[MARGIN + SIDE : n - MARGIN + SIDE]
+    for k in range(len(found)):
+        found[k] = middle[k] - (left[k] if left[k] > right[k] else right[k])
 
 
 @compiled
@@ -272,9 +291,10 @@ def _ridges(
     ends = np.full((len(rows), 2), math.nan)
     samples = 8 * width
     at, values = np.empty(samples), np.empty((1, samples), np.float32)
-    sums, window, height, size = np.empty(width + 1), np.empty(samples), np.empty(samples), np.empty(samples)
+    sums, size = np.empty(width + 1), np.empty(samples, np.float32)
+    window, height = np.empty(samples, np.float32), np.empty(samples, np.float32)
     zero, least, place = np.zeros(1, np.intp), np.empty(1, np.float32), np.empty(1, np.intp)
-    half, count, sign, sums[0] = WINDOW // 2, 0, -1 if dark else 1, 0.0
+    count, sign, sums[0] = 0, -1 if dark else 1, 0.0
     for r in range(len(rows)):
         first, last = 0, _KNOTS - 1
         while first < _KNOTS and scale[r, first] * sample_m * PER_MARKING < NARROW_PX:
@@ -286,9 +306,9 @@ def _ridges(
             within = within and bool(scale[r, j] > 0.0)
         if not within:
             continue
-        total = 0
+        line, total = grey[rows[r]], 0
         for k in range(width):
-            total += sign * np.int64(grey[rows[r], k])
+            total += sign * np.int64(line[k])
             sums[k + 1] = total
         of_row = count
         for slant in slants:
@@ -297,12 +317,7 @@ def _ridges(
                 break
             if slant == 1.0:
                 ends[r] = at[MARGIN], at[n - 1 - MARGIN]
-            for k in range(half, n - half):
-                window[k] = 0.0
-                for i in range(-half, half + 1):
-                    window[k] += values[0, k + i]
-            for k in range(MARGIN, n - MARGIN):
-                height[k] = window[k] - max(window[k - SIDE], window[k + SIDE])
+            _heights(values[0, :n], window, height)
             sizes = 0
             for k in range(MARGIN, n - MARGIN, THIN):
                 size[sizes] = abs(height[k])
