@@ -193,7 +193,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
     for r in range(rows):
         for j in range(knots):
             x, y = ground[r, j]
-            far = math.sqrt((x - foot.real) ** 2 + (y - foot.imag) ** 2)  # hypot takes several times as long
+            far = math.hypot(x - foot.real, y - foot.imag)
             near = (place[nearest].real - x) ** 2 + (place[nearest].imag - y) ** 2 < half_m * half_m and far <= reach
             for k in range(len(place) if far <= reach and not near else 0):
                 # A place that is nearer to the foot, or farther from it, by more than that cannot be near.
@@ -203,7 +203,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
             if near:
                 one, other = max(j - 1, 0), min(j + 1, knots - 1)
                 dx, dy = ground[r, other, 0] - ground[r, one, 0], ground[r, other, 1] - ground[r, one, 1]
-                length = math.sqrt(dx * dx + dy * dy)
+                length = math.hypot(dx, dy)
                 if length > 0.0:  # not beyond the horizon
                     found[r, j] = (other - one) * apart_px / length
     return found
