@@ -21,6 +21,9 @@ from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
 SAMPLES = 8  # along a piece: every other row
+LEAST = 1e-9  # of a shape's squares that the ground does not explain: a division by 0 is none
+RISE = 0.2  # share of a profile's height by which it rises beyond a valley, where another thing begins
+WHITE = 250  # grey level from which on a pixel may be cut off, and tells no height
 MOST_NATS = 50.0  # log-odds of what is certain
 
 
@@ -63,6 +66,8 @@ class Reflections:
         self._profiles = _Profiles(paint, streaks, {"light": 1.0, "dark": -1.0, "both": 0.0}[markings])
         self.any_points_to_camera(np.empty((0, 2)))  # compiled now: no frame waits for it
         of_streaks(np.zeros(pieces), pieces, self.config.change)
+        nothing = np.zeros((1, len(self._across)))
+        self._profiles.log_odds(nothing, nothing == 0.0, np.zeros(1, np.intp))
 
     def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
@@ -95,15 +100,19 @@ class Reflections:
         ground = places[:, :, None] - (self._across * self.view.m_per_px)[:, None] * left[:, None, None]
         pixels = self._camera.ground_to_px(ground.reshape(-1, 2))
         height, width = image.shape[:2]
-        if not ((pixels >= 0.0) & (pixels <= (width - 1.0, height - 1.0))).all():
-            return False
-        u, v = np.rint(pixels).astype(np.intp).T
+        inside = ((pixels >= 0.0) & (pixels <= (width - 1.0, height - 1.0))).all(axis=1)
+        inside = inside.reshape(len(way), SAMPLES, len(self._across)).all(axis=1)
+        u, v = np.rint(np.nan_to_num(pixels)).astype(np.intp).T
+        u, v = u.clip(0, width - 1), v.clip(0, height - 1)
         samples = np.asarray(image[v, u], dtype=np.float64).reshape(len(way), SAMPLES, len(self._across), -1)
         values = samples.mean(axis=(1, 3))
+        inside &= (samples < WHITE).all(axis=(1, 3))
         row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
         piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
-        odds = self._profiles.log_odds(values, piece) + 0.5 * (away_rad / self.config.pointing_rad) ** 2
-        return bool(odds.sum() < paint)
+        known = self._profiles.log_odds(values, inside, piece)
+        told = ~np.isnan(known)
+        odds = known + 0.5 * (away_rad / self.config.pointing_rad) ** 2
+        return bool(told.any() and odds[told].sum() < paint)
 
     def step(self, view: Image, areas: Image, lines: Image) -> Image:
         """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).
@@ -159,20 +168,18 @@ class Reflections:
         rows = (row[:, None, None] + along - across * (tilt / self._aspect)[:, None, None]).astype(np.float32)
         shape = (len(row) * count, len(self._across))
         samples = cv2.remap(view, columns.reshape(shape), rows.reshape(shape), cv2.INTER_LINEAR)
-        values = samples.reshape(len(row), count, -1).mean(axis=1, dtype=np.float64)
-        odds = np.full(len(row), np.inf)
-        seen = self._visible(rows[:, count // 2], columns[:, count // 2])
-        if seen.any():
-            odds[seen] = self._profiles.log_odds(values[seen], (row[seen] / self._rows_a_piece).astype(np.intp))
-        return odds
+        samples = samples.reshape(len(row), count, -1)
+        values = samples.mean(axis=1, dtype=np.float64)
+        seen = self._visible(rows[:, count // 2], columns[:, count // 2]) & (samples < WHITE).all(axis=1)
+        odds = self._profiles.log_odds(values, seen, (row / self._rows_a_piece).astype(np.intp))
+        return np.where(np.isnan(odds), np.inf, odds)
 
     def _visible(self, rows: Float32Array, columns: Float32Array) -> Bools:
-        """Whether both ends of profiles (n, k) lie on ground that the camera sees."""
+        """Which samples of profiles (n, k) lie on ground that the camera sees."""
         height, width = self._mask.shape
-        ends = np.stack((rows[:, :: len(self._across) - 1], columns[:, :: len(self._across) - 1]))
-        r, c = np.rint(ends).astype(np.intp)
+        r, c = np.rint(np.stack((rows, columns))).astype(np.intp)
         inside = (r >= 0) & (c >= 0) & (r < height) & (c < width)
-        return np.asarray((inside & (self._mask[r.clip(0, height - 1), c.clip(0, width - 1)] > 0)).all(axis=1))
+        return np.asarray(inside & (self._mask[r.clip(0, height - 1), c.clip(0, width - 1)] > 0))
 
     def _shapes(self, camera: GroundCamera, piece: int, marking_m: float) -> tuple[FloatArray, FloatArray]:
         """Profiles (n, k) of markings and of streaks in the middle of a piece of the view's length."""
@@ -232,6 +239,28 @@ def _points_to(x0: float, y0: float, line_m: FloatArray, most_rad: float) -> boo
     return False
 
 
+@compiled
+def to_the_valleys(values: FloatArray) -> Bools:
+    """Which samples of profiles (n, k) lie between the valleys next to their middles, beyond which they rise again."""
+    middle, inside = values.shape[1] // 2, np.zeros(values.shape, np.bool_)
+    for i in range(len(values)):
+        top = max(values[i, middle - 1], values[i, middle], values[i, middle + 1])
+        for side in (-1, 1):
+            lowest = end = middle
+            for k in range(1, middle + 1):
+                at = middle + side * k
+                if values[i, at] <= values[i, lowest]:
+                    lowest = at
+                elif values[i, at] - values[i, lowest] > RISE * (top - values[i, lowest]) > 0.0:
+                    break
+                end = at
+            else:
+                lowest = end
+            for at in range(min(lowest, middle), max(lowest, middle) + 1):
+                inside[i, at] = True
+    return inside
+
+
 class _Profiles:
     """Likelihoods of profiles (n, k) as those of a marking and of a streak, of unknown height and noise.
 
@@ -242,34 +271,68 @@ class _Profiles:
     """
 
     def __init__(self, paint: FloatArray, streaks: FloatArray, sign: float) -> None:
-        self._count, self._sign = paint.shape[-1], sign
-        u = np.linspace(-1.0, 1.0, self._count)
-        slope = np.column_stack((np.ones_like(u), u))
-        curve = np.column_stack((slope, u * u))
-        pairs = ((slope, paint), (curve, paint), (slope, streaks))
-        self._shapes = [_without(ground, shapes) for ground, shapes in pairs]
+        self._paint, self._streaks, self._sign = paint, streaks, sign
 
-    def log_odds(self, values: FloatArray, place: Ints) -> FloatArray:
-        """Log-odds (n,) [nats] of a marking against a streak, of profiles (n, k) in places (n,)."""
-        flat, curved, streak = (self._evidence(values, ground, shapes[place]) for ground, shapes in self._shapes)
-        curved -= 0.5 * math.log(self._count)  # what another parameter explains by chance (Schwarz 1978)
-        return np.logaddexp(flat, curved) - math.log(2.0) - streak
+    def log_odds(self, values: FloatArray, known: Bools, place: Ints) -> FloatArray:
+        """Log-odds (n,) [nats] of a marking against a streak, of profiles (n, k) in places (n,), by `known` samples.
 
-    def _evidence(self, values: FloatArray, ground: FloatArray, shapes: FloatArray) -> FloatArray:
-        values = values - values @ ground @ ground.T
-        heights = np.matmul(shapes, values[:, :, None])[:, :, 0]
-        heights = np.abs(heights) if self._sign == 0.0 else np.maximum(self._sign * heights, 0.0)
-        rest = (values**2).sum(axis=1)[:, None] - heights**2 + self._count / 12.0
-        powers = -0.25 * (self._count - ground.shape[1]) * np.log(rest)
-        most = powers.max(axis=1)
-        return np.asarray(most + np.log(np.exp(powers - most[:, None]).mean(axis=1)))
+        What lies beyond a valley is another thing. NaN where less than half of a profile is left.
+        """
+        upright = self._sign * values
+        if self._sign == 0.0:
+            ends = 0.5 * (values[:, :1] + values[:, -1:])
+            upright = np.where(values[:, values.shape[1] // 2, None] < ends, -values, values)
+        known = known & to_the_valleys(upright)
+        return _log_odds(values, known, place, self._paint, self._streaks, self._sign)
 
 
-def _without(ground: FloatArray, shapes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """An orthonormal basis (k, i) of the ground, and the shapes (..., k) at right angles to it, of unit length."""
-    basis = np.linalg.qr(ground)[0]
-    rest = shapes - shapes @ basis @ basis.T
-    return basis, rest / np.linalg.norm(rest, axis=-1, keepdims=True)
+@compiled
+def _log_odds(
+    values: FloatArray, known: Bools, place: Ints, paint: FloatArray, streaks: FloatArray, sign: float
+) -> FloatArray:
+    """See `_Profiles.log_odds`."""
+    count, odds = values.shape[1], np.full(len(values), math.nan)
+    away = np.linspace(-1.0, 1.0, count)
+    for i in range(len(values)):
+        at = np.flatnonzero(known[i])
+        if 2 * len(at) <= count:
+            continue
+        ground = np.empty((3, len(at)))  # an orthonormal basis: level, slope, curve
+        for power in range(3):
+            ground[power] = away[at] ** power
+            for lower in range(power):
+                ground[power] -= (ground[power] * ground[lower]).sum() * ground[lower]
+            ground[power] /= math.sqrt((ground[power] ** 2).sum())
+        flat = _evidence(values[i][at], ground[:2], paint[place[i]], at, sign)
+        curved = _evidence(values[i][at], ground, paint[place[i]], at, sign)
+        curved -= 0.5 * math.log(len(at))  # what another parameter explains by chance (Schwarz 1978)
+        marking = max(flat, curved) + math.log1p(math.exp(-abs(flat - curved))) - math.log(2.0)
+        odds[i] = marking - _evidence(values[i][at], ground[:2], streaks[place[i]], at, sign)
+    return odds
+
+
+@compiled
+def _evidence(values: FloatArray, ground: FloatArray, shapes: FloatArray, at: Ints, sign: float) -> float:
+    """Log-likelihood of samples (c,) `at` (c,) of a profile, by shapes (j, k) on a ground that has a basis (b, c)."""
+    rest = values.copy()
+    for k in range(len(ground)):
+        rest -= (rest * ground[k]).sum() * ground[k]
+    squares, power = (rest**2).sum() + len(at) / 12.0, -0.25 * (len(at) - len(ground))
+    powers = np.empty(len(shapes))
+    for j in range(len(shapes)):
+        height, length = 0.0, 0.0
+        for k in range(len(at)):
+            height += shapes[j, at[k]] * rest[k]
+            length += shapes[j, at[k]] ** 2
+        for b in range(len(ground)):
+            along = 0.0
+            for k in range(len(at)):
+                along += shapes[j, at[k]] * ground[b, k]
+            length -= along * along
+        height = abs(height) if sign == 0.0 else max(sign * height, 0.0)
+        powers[j] = power * math.log(squares - height * height / max(length, LEAST))
+    most = powers.max()
+    return float(most + math.log(np.exp(powers - most).mean()))
 
 
 @compiled

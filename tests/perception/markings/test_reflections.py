@@ -79,6 +79,26 @@ def test_a_streak_is_removed(azimuth_rad: float, width_rad: float, dark: bool) -
     assert kept(*filtered(light=100.0 * lamp(CAR, azimuth_rad, width_rad), dark=dark)) < 0.15
 
 
+@pytest.mark.parametrize("azimuth_rad", [0.47, -0.47, 0.5])
+def test_a_streak_that_is_seen_in_part_is_removed(azimuth_rad: float) -> None:
+    """To one side of it is no ground in view."""
+    assert kept(*filtered(light=100.0 * lamp(CAR, azimuth_rad, 0.04))) < 0.3
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("away_rad", [0.12, -0.12])
+def test_a_streak_beside_another_one_is_removed(away_rad: float, dark: bool) -> None:
+    light = 100.0 * lamp(CAR, 0.1, 0.05) + 90.0 * lamp(CAR, 0.1 + away_rad, 0.05)
+    assert kept(*filtered(light=light, dark=dark)) < 0.15
+
+
+def test_a_streak_that_is_white_in_the_image_is_removed_and_white_paint_stays() -> None:
+    assert kept(*filtered(light=500.0 * lamp(CAR, 0.2, 0.03))) < 0.15
+    line = line_at(-0.2 * CAR.extrinsics.x_m, slope=0.2)
+    bright = 300.0 * line(*pixels(CAR)).mean(axis=0)
+    assert kept(*filtered(light=bright)) > 0.95
+
+
 @pytest.mark.parametrize("pitch_rad", [-0.03, 0.03])
 @pytest.mark.parametrize("height", [0.9, 1.1])
 def test_a_streak_points_to_the_camera_that_stands_otherwise_than_believed(pitch_rad: float, height: float) -> None:
