@@ -254,7 +254,12 @@ class Stereo:
         self.stages.lap("matching")
         row_m = np.diff(self._rows_m).mean()
         fit = fit_plane(
-            matches, left.eye.centre_m, middle, self._plane.covariance, NOISE_PX, min(row_m / self._spacing_m, 1.0)
+            matches,
+            np.stack((left.eye.centre_m, right.eye.centre_m)),
+            middle,
+            self._plane.covariance,
+            NOISE_PX,
+            min(row_m / self._spacing_m, 1.0),
         )
         self._one_eyed = not fit.inliers.any()
         self.plane_reach_m = float(matches.points_m[fit.inliers, 0].max(initial=0.0))

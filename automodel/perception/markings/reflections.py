@@ -106,10 +106,10 @@ class Reflections:
         u, v = u.clip(0, width - 1), v.clip(0, height - 1)
         samples = np.asarray(image[v, u], dtype=np.float64).reshape(len(way), SAMPLES, len(self._across), -1)
         values = samples.mean(axis=(1, 3))
-        inside &= (samples < WHITE).all(axis=(1, 3))
+        usable = np.asarray(inside & (samples < WHITE).all(axis=(1, 3)), dtype=np.bool_)
         row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
         piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
-        known = self._profiles.log_odds(values, inside, piece)
+        known = self._profiles.log_odds(values, usable, piece)
         told = ~np.isnan(known)
         odds = known + 0.5 * (away_rad / self.config.pointing_rad) ** 2
         return bool(told.any() and odds[told].sum() < paint)

@@ -37,7 +37,7 @@ class PlaneFit:
 
 def fit_plane(
     matches: Matches,
-    left_m: FloatArray,
+    eyes_m: FloatArray,
     middle_m: FloatArray,
     prior: FloatArray,
     noise_px: float,
@@ -45,16 +45,16 @@ def fit_plane(
 ) -> PlaneFit:
     """The plane of the matches.
 
-    `left_m` (3,): the left camera, over the predicted plane; `middle_m` (3,): about which the cameras turn; `prior`
-    (3, 3): covariance of the predicted plane; `noise_px`: of a match, at least: a larger one is measured; `witnesses`:
-    the share of a match that counts, since neighbouring ridges have their errors in common.
+    `eyes_m` (2, 3): the left and the right camera, over the predicted plane; `middle_m` (3,): about which they turn;
+    `prior` (3, 3): covariance of the predicted plane; `noise_px`: of a match, at least: a larger one is measured;
+    `witnesses`: the share of a match that counts, since neighbouring ridges have their errors in common.
     """
     chain = matches.left * (1 + int(matches.right.max(initial=0))) + matches.right
     known = np.linalg.solve(prior, np.eye(3))
     level = middle_m * (1.0, 1.0, 0.0)
-    points, left = matches.points_m - level, left_m - level
+    points, eyes = matches.points_m - level, eyes_m - level
     step, covariance, inliers, residual = _fit(
-        points, left, matches.per_m, matches.disparity_px, chain, known, noise_px, witnesses
+        points, eyes, matches.left_share, matches.per_m, matches.disparity_px, chain, known, noise_px, witnesses
     )
     return PlaneFit(step=step, covariance=covariance, inliers=inliers, residual_px=residual)
 
@@ -92,28 +92,36 @@ def _on_plane(rows: FloatArray, value: FloatArray, chain: Ints, chains: Ints, st
 
 
 @compiled
-def _rows(points: FloatArray, left: FloatArray, per_m: FloatArray, step: Floats) -> FloatArray:
-    """What each match (m, 3) says of the plane (m, 3) [px]: at the place where its ray meets the plane of a `step`.
+def _rows(points: FloatArray, eyes: FloatArray, left_share: FloatArray, per_m: FloatArray, step: Floats) -> FloatArray:
+    """What each match (m, 3) says of the plane (m, 3) [px]: at the place where its rays meet the plane of a `step`.
+
+    Both rays meet it at places of their own where the match is off; `left_share` (m,) counts of the left one's.
 
     A plane that is h higher and rises by p ahead and by q to the left is seen from cameras that are lower by h, and
     look down by p and lean to the left by q more.
     """
     rows, slope_x, slope_y = np.empty(points.shape), step[1], -step[2]
-    above = left[2] + step[0] - slope_x * left[0] - slope_y * left[1]
     for k in range(len(points)):
-        x, y, z = points[k] - left
-        down = slope_x * x + slope_y * y - z
-        share = above / down if down > 0.0 else 1.0  # of the way to the match
+        ahead = aside = 0.0
+        for i in range(2):
+            eye, share = eyes[i], left_share[k] if i == 0 else 1.0 - left_share[k]
+            above = eye[2] + step[0] - slope_x * eye[0] - slope_y * eye[1]
+            x, y, z = points[k] - eye
+            down = slope_x * x + slope_y * y - z
+            far = above / down if down > 0.0 else 1.0  # of the way to the match
+            ahead += share * (eye[0] + far * x)
+            aside += share * (eye[1] + far * y)
         rows[k, 0] = -per_m[k]
-        rows[k, 1] = per_m[k] * (left[0] + share * x)
-        rows[k, 2] = -per_m[k] * (left[1] + share * y)
+        rows[k, 1] = per_m[k] * ahead
+        rows[k, 2] = -per_m[k] * aside
     return rows
 
 
 @compiled
 def _fit(
     points: FloatArray,
-    left: FloatArray,
+    eyes: FloatArray,
+    left_share: FloatArray,
     per_m: FloatArray,
     value: FloatArray,
     chain: Ints,
@@ -121,10 +129,11 @@ def _fit(
     noise: float,
     witnesses: float,
 ) -> tuple[Floats, Floats, Bools, float]:
-    """See `fit_plane`; points and the left camera from the ground below the middle of both.
+    """See `fit_plane`; points and `eyes` from the ground below the middle of both.
 
-    Where a match lies is as noisy as its height, and with it: a plane through the places of matches leans. So what it
-    says is taken where its ray meets the plane of the round before.
+    Where a match lies is as noisy as its height, and with it: a plane through the places of matches leans, and so does
+    one through places of the left rays. So what it says is taken where both its rays meet the plane of the round
+    before, in that mean of theirs whose error has nothing to do with its height's.
     """
     rows = np.column_stack((-per_m, per_m * points[:, 0], -per_m * points[:, 1]))
     chains = np.unique(chain)
@@ -144,7 +153,7 @@ def _fit(
     for _ in range(ROUNDS):
         information, vector = _normal_equations(rows, value, best, weight, known)
         step = solve(information, vector)[:, 0]
-        rows = _rows(points, left, per_m, step)
+        rows = _rows(points, eyes, left_share, per_m, step)
         best = _on_plane(rows, value, chain, chains, step, room)
         squares = 0.0
         for k in range(len(rows)):

@@ -35,7 +35,8 @@ class Matches:
 
     `left`, `right` (m,): stripes; `ridge` (m,): of the left image. `points_m` (m, 3) in the level body frame.
     `disparity_px` (m,): how far along the epipolar line the match lies from where the predicted ground puts it;
-    `per_m` (m,): the same for each metre by which the point is higher than that [px/m].
+    `per_m` (m,): the same for each metre by which the point is higher than that [px/m]. `left_share` (m,): the share of
+    the left ray in that mean of both rays' places whose error the disparity's tells nothing of.
     """
 
     left: Ints
@@ -44,6 +45,7 @@ class Matches:
     points_m: FloatArray
     disparity_px: FloatArray
     per_m: FloatArray
+    left_share: FloatArray
 
 
 def match(left: Stripes, right: Stripes, height_sigma_m: FloatArray, noise_px: float) -> Matches:
@@ -306,11 +308,11 @@ def _cut(
     other: Ints,
     height_sigma_m: FloatArray,
     noise_px: float,
-) -> tuple[Ints, Ints, Ints, FloatArray, FloatArray, FloatArray]:
+) -> tuple[Ints, Ints, Ints, FloatArray, FloatArray, FloatArray, FloatArray]:
     """The fields of `Matches`."""
     most = len(directions) * 4
     one_stripe, other_stripe, ridge = np.empty(most, np.intp), np.empty(most, np.intp), np.empty(most, np.intp)
-    points, disparity, per_m = np.empty((most, 3)), np.empty(most), np.empty(most)
+    points, disparity, per_m, left_share = np.empty((most, 3)), np.empty(most), np.empty(most), np.empty(most)
     count = 0
     for i in range(len(directions)):
         line = _epipolar_line(left, right, directions[i])
@@ -328,7 +330,12 @@ def _cut(
             points[count] = midpoint(left.centre_m, directions[i], right.centre_m, ray_there)
             high = points[count, 2] / left.centre_m[2]
             disparity[count], per_m[count] = far, far / points[count, 2] if abs(high) > _STEP else line.rise
+            # The disparity is the left ridge's error less the right one's: a mean between two ridges, of so much of
+            # the variance of one. By the inverse variances it is uncorrelated with the mean of both places.
+            variance = share**2 + (1.0 - share) ** 2
+            left_share[count] = variance / (1.0 + variance)
             count += 1
     return (
-        one_stripe[:count], other_stripe[:count], ridge[:count], points[:count], disparity[:count], per_m[:count]
+        one_stripe[:count], other_stripe[:count], ridge[:count], points[:count], disparity[:count], per_m[:count],
+        left_share[:count],
     )  # fmt: skip

@@ -33,7 +33,8 @@ def measure(rig: StereoRig, pair: tuple[np.ndarray, ...], known: PlaneFilter) ->
     left, right = look(rig, pair, known.plane)
     sigma = known.height_sigma_m(on_ground(left.eye, left.directions) - rig.middle_m[:2])
     matches = match(left, right, sigma, NOISE_PX)
-    return matches, fit_plane(matches, left.eye.centre_m, rig.middle_m, known.covariance, NOISE_PX, 0.2)
+    eyes_m = np.stack((left.eye.centre_m, right.eye.centre_m))
+    return matches, fit_plane(matches, eyes_m, rig.middle_m, known.covariance, NOISE_PX, 0.2)
 
 
 def settled(rig: StereoRig, pair: tuple[np.ndarray, ...], frames: int = 5) -> PlaneFilter:
@@ -104,17 +105,25 @@ def test_a_leaning_dash_is_in_its_middle_where_it_begins_and_ends() -> None:
     assert np.abs(off_m).max() < 0.025
 
 
-def test_a_lone_line_does_not_lean_the_ground() -> None:
+@pytest.mark.parametrize("between", [0.0, 0.5], ids=["at a ridge", "between two ridges"])
+@pytest.mark.parametrize("f_px", [400.0, 1250.0])
+def test_a_lone_line_does_not_lean_the_ground(between: float, f_px: float) -> None:
     """A match that is off along its epipolar line lies aside and higher: a slope across that no ground has."""
-    rng, left, known = np.random.default_rng(0), RIG.left.centre_m, PlaneFilter(float(RIG.middle_m[2])).covariance
+    rng, known = np.random.default_rng(0), PlaneFilter(float(RIG.middle_m[2])).covariance
+    eyes_m, none = np.stack((RIG.left.centre_m, RIG.right.centre_m)), np.zeros(60, np.intp)
     ground = np.column_stack((np.linspace(6.0, 12.0, 60), np.full(60, 1.7), np.zeros(60)))
-    per_m, rolls_deg = 1250.0 / ground[:, 0], []
-    for _ in range(20):
-        off_px, none = rng.normal(0.0, 1.0, 60), np.zeros(60, np.intp)
-        points = ground + (off_px / per_m / left[2])[:, None] * (left - ground)
-        matches = Matches(none, none, np.arange(60), points, off_px, per_m)
-        rolls_deg.append(np.degrees(fit_plane(matches, left, RIG.middle_m, known, 1.0, 1.0).step[2]))
-    assert abs(np.mean(rolls_deg)) < 0.05
+    variances, rolls_deg = (1.0, between**2 + (1.0 - between) ** 2), []
+    per_m = abs(eyes_m[1, 1] - eyes_m[0, 1]) / eyes_m[0, 2] * f_px / ground[:, 0]
+    for _ in range(50):
+        rays = []
+        for eye, variance in zip(eyes_m, variances, strict=True):
+            off_m = rng.normal(0.0, math.sqrt(variance), 60) / f_px * ground[:, 0]
+            rays.append(ground + np.column_stack((np.zeros(60), off_m, np.zeros(60))) - eye)
+        points = np.array([midpoint(eyes_m[0], one, eyes_m[1], other) for one, other in zip(*rays, strict=True)])
+        left_share = np.full(60, variances[1] / sum(variances))
+        matches = Matches(none, none, np.arange(60), points, points[:, 2] * per_m, per_m, left_share)
+        rolls_deg.append(np.degrees(fit_plane(matches, eyes_m, RIG.middle_m, known, 1.0, 1.0).step[2]))
+    assert abs(np.mean(rolls_deg)) < 0.1  # by the left rays' places 0.7 to 1.0
 
 
 def test_stripes_across_are_looked_for_where_the_road_may_turn_so_far() -> None:
