@@ -339,7 +339,7 @@ class Stereo:
 
     def _fit(self, lines: list[FloatArray]) -> Followed:
         """The parabola pair fitted to the lines on it, and what is seen of it."""
-        sides = [self._pair.side_of(points) for points in lines]
+        sides = self._pair.sides_of(lines)
         mine = [k for k, side in enumerate(sides) if side]
         points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
         side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])

@@ -187,6 +187,29 @@ def turned_street(ramp: Path, to: Path) -> Path:
     return to / "car.toml"
 
 
+def assert_the_ramp(row: dict, table: np.ndarray) -> None:
+    assert row["frames"] == 26
+    assert row["tracking"] >= 24  # the first pair starts the lane
+    widths_m = table["width_m"][np.isfinite(table["width_m"])]
+    along = np.arange(len(widths_m))
+    assert np.std(widths_m - np.polyval(np.polyfit(along, widths_m, 2), along)) < 0.1
+    assert ((widths_m > 4.6) & (widths_m < 6.0)).all()
+    assert widths_m[-1] < 4.9
+    assert np.nanmax(np.abs(table["offset_m"])) < 0.4
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("radius_lanes", [1.4, 5.0])
+def test_how_tight_bends_may_be_does_not_decide_what_is_seen_of_a_real_one(
+    cli, data_root: Path, street_motion: Path, tmp_path: Path, radius_lanes: float
+) -> None:
+    """The bend's radius is 4 lane widths. Not a line of the gore, nor where its chevrons meet, is the lane's."""
+    ramp, car = data_root / "kitti_ramp", tmp_path / "car.toml"
+    car.write_text(KITTI_CAR.read_text().replace("radius_lanes = 3.0 ", f"radius_lanes = {radius_lanes} "))
+    assert load_car(car).pipeline.contour.radius_lanes == radius_lanes
+    assert_the_ramp(*replayed_street(cli, ramp / "image_l", ramp / "image_r", car, street_motion))
+
+
 @pytest.mark.realdata
 def test_real_pairs_of_a_street_and_the_same_seen_by_cameras_that_are_not_rectified(
     cli, data_root: Path, street_motion: Path, tmp_path: Path
@@ -198,14 +221,7 @@ def test_real_pairs_of_a_street_and_the_same_seen_by_cameras_that_are_not_rectif
         cli, tmp_path / "l", tmp_path / "r", turned_street(ramp, tmp_path), street_motion
     )
     for each, its in ((row, table), (other_row, other)):
-        assert each["frames"] == 26
-        assert each["tracking"] >= 24  # the first pair starts the lane
-        widths_m = its["width_m"][np.isfinite(its["width_m"])]
-        along = np.arange(len(widths_m))
-        assert np.std(widths_m - np.polyval(np.polyfit(along, widths_m, 2), along)) < 0.1
-        assert ((widths_m > 4.6) & (widths_m < 6.0)).all()
-        assert widths_m[-1] < 4.9
-        assert np.nanmax(np.abs(its["offset_m"])) < 0.4
+        assert_the_ramp(each, its)
     apart_m = np.abs(table["offset_m"] - other["offset_m"])[2:]
     assert apart_m.mean() < 0.06
     assert (apart_m < 0.5 * np.minimum(table["offset_bound_m"], other["offset_bound_m"])[2:]).all()

@@ -173,6 +173,24 @@ def _off_lines(
 
 
 @compiled
+def _apart(one: FloatArray, other: FloatArray) -> float:
+    """The median distance [m] of a line's points (m, 2) from another line (n, 2) beside it; 0 where none is."""
+    apart, count = np.empty(len(other)), 0
+    for k in range(len(other)):
+        least = math.inf
+        for i in range(len(one) - 1):
+            along = one[i + 1] - one[i]
+            away = other[k] - one[i]
+            share = (away[0] * along[0] + away[1] * along[1]) / max(along[0] ** 2 + along[1] ** 2, 1e-12)
+            if 0.0 <= share <= 1.0:
+                least = min(least, math.hypot(away[0] - share * along[0], away[1] - share * along[1]))
+        if least < math.inf:
+            apart[count] = least
+            count += 1
+    return float(np.median(apart[:count])) if count else 0.0
+
+
+@compiled
 def _places(path: FloatArray, s_m: FloatArray) -> Complexes:
     """The places (n,) x + i y [m] on a `lane_path` at arc lengths (n,) [m]."""
     places = np.empty(len(s_m), np.complex128)
@@ -309,23 +327,23 @@ class ParabolaPair:
         """The centerline's places (n,) x + i y [m] at arc lengths (n,), in the body frame."""
         return _places(lane_path(self.state, self.start_m, self._section_m, self._reference_x_m), s_m)
 
-    def side_of(self, points_m: FloatArray) -> float:
-        """Which line the points (n, 2) [m] of a stripe lie on: +1 left, -1 right, 0 neither.
+    def sides_of(self, lines: list[FloatArray]) -> list[float]:
+        """Which line each of these (n, 2) [m] lies on: +1 left, -1 right, 0 neither.
 
-        The points come near to far. Its near half decides, where bends are known best: it lies on a line where most of
+        The points come near to far. The near half decides, where bends are known best: it lies on a line where most of
         it is within three sigmas of the predicted one, and nearer to it than a quarter lane, and leads where that does.
+        A line is at one place: of two stripes beside each other the longer one is it, which is less likely by chance.
         """
-        left, right = _off_lines(
-            self.state,
-            self.covariance,
-            self._reference_x_m,
-            points_m[: (len(points_m) + 1) // 2],
-            self.start_m,
-            self._section_m,
-            CUT_LANES * self._unit,
-            0.25 * self._unit,
-        ).tolist()
-        return 0.0 if min(left, right) > 1.0 else 1.0 if left < right else -1.0
+        cut = CUT_LANES * self._unit
+        known, place = (self.state, self.covariance, self._reference_x_m), (self.start_m, self._section_m)
+        off = [_off_lines(*known, points[: (len(points) + 1) // 2], *place, cut, 0.25 * self._unit) for points in lines]
+        sides = [0.0] * len(lines)
+        for k in sorted(range(len(lines)), key=lambda k: -len(lines[k])):
+            side = 1.0 if off[k][0] < off[k][1] else -1.0
+            its = [line for line, other in zip(lines, sides, strict=True) if other == side]
+            if off[k].min() <= 1.0 and all(_apart(line, lines[k]) <= cut for line in its):
+                sides[k] = side
+        return sides
 
     def curve(self, lanes: float) -> DeferredCurve:
         """The curve so many `lanes` widths left of the centerline, from behind the car to the farthest points."""

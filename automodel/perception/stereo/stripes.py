@@ -193,7 +193,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
     for r in range(rows):
         for j in range(knots):
             x, y = ground[r, j]
-            far = math.hypot(x - foot.real, y - foot.imag)
+            far = math.sqrt((x - foot.real) ** 2 + (y - foot.imag) ** 2)  # hypot takes several times as long
             near = (place[nearest].real - x) ** 2 + (place[nearest].imag - y) ** 2 < half_m * half_m and far <= reach
             for k in range(len(place) if far <= reach and not near else 0):
                 # A place that is nearer to the foot, or farther from it, by more than that cannot be near.
@@ -203,7 +203,7 @@ def _scales(eye: Eye, rays: FloatArray, at_rows: Ints, place: Complexes, half_m:
             if near:
                 one, other = max(j - 1, 0), min(j + 1, knots - 1)
                 dx, dy = ground[r, other, 0] - ground[r, one, 0], ground[r, other, 1] - ground[r, one, 1]
-                length = math.hypot(dx, dy)
+                length = math.sqrt(dx * dx + dy * dy)
                 if length > 0.0:  # not beyond the horizon
                     found[r, j] = (other - one) * apart_px / length
     return found
@@ -343,7 +343,7 @@ def _ridges(
                 low_u = at[int(low)] + (low - int(low)) * (at[min(int(low) + 1, n - 1)] - at[int(low)])
                 high_u = at[int(high)] + (high - int(high)) * (at[min(int(high) + 1, n - 1)] - at[int(high)])
                 middle, wide = 0.5 * (low_u + high_u), high_u - low_u
-                known = False  # by a narrower filter
+                known = not wide > 0.0  # no ridge, or one that a narrower filter found
                 for other_one in range(of_row, count):
                     known = known or abs(found_at[other_one] - middle) < 0.5 * max(wide, found_width[other_one])
                 if not known:
@@ -357,7 +357,8 @@ def _linked(row: Ints, ground: FloatArray, wide: FloatArray, marking_m: float) -
     """The chain (n,) that each ridge belongs to: it continues one of the row before, or of the one before that.
 
     It lies within half a marking of where the chain goes on, or in a direction that differs by `MAX_TURN` at most. How
-    far aside a chain's second ridge may lie, its width along the row (n, 2) [m] tells.
+    far aside a chain's second ridge may lie, its width along the row (n, 2) [m] tells. From row to row that changes by
+    less than stripes differ: what is much wider is another thing, such as a chevron's arm that ends at a line.
     """
     n = len(row)
     chain, before, tail = np.full(n, -1, np.intp), np.full(n, -1, np.intp), np.empty(n, np.intp)
@@ -367,7 +368,10 @@ def _linked(row: Ints, ground: FloatArray, wide: FloatArray, marking_m: float) -
         best, least = -1, 1.0
         for c in range(chains - 1, -1, -1):
             j = tail[c]
-            if row[i] - row[j] > 2 or row[i] <= row[j] or not length > 0.0:
+            if row[i] - row[j] > 2 or row[i] <= row[j]:
+                continue
+            its = math.hypot(wide[j, 0], wide[j, 1])
+            if not length > 0.0 or max(length, its) > WIDTHS[1] / WIDTHS[0] * min(length, its):
                 continue
             ex, ey = wide[i, 0] / length, wide[i, 1] / length  # along the row
             dx, dy = ground[i, 0] - ground[j, 0], ground[i, 1] - ground[j, 1]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -103,6 +104,34 @@ def test_a_leaning_dash_is_in_its_middle_where_it_begins_and_ends() -> None:
         assert stripes.count == 1
         off_m.append(on_ground(stripes.eye, stripes.directions)[[0, -1], 1] + 0.8 * LANE_M)
     assert np.abs(off_m).max() < 0.025
+
+
+@pytest.mark.parametrize("gap_m", [0.1, 0.12, 0.15])
+def test_a_double_line_is_two_stripes(gap_m: float) -> None:
+    """To a wide filter both are one, whose middle is ground."""
+    eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
+    lines = [Line(0.5 * LANE_M + side * 0.5 * (gap_m + 0.12), width_m=0.12) for side in (-1, 1)]
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (480, 640), rows=128)
+    stripes = search.look(draw(eye, lines, noise=0.0), eye, np.geomspace(4.0, 40.0, 80) + 0j)
+    assert stripes.count == 2
+    assert (stripes.width_px > 0.0).all()
+
+
+@pytest.mark.parametrize("lean", [0.8, 1.2])
+def test_arms_that_end_on_a_line_are_no_part_of_it(lean: float) -> None:
+    """The chevrons of a gore: their arms lie across and are the wider on a row."""
+    eye = mounted(camera_model(640, 480, f_px=560.0), z_m=1.15, pitch_rad=0.12)
+    image = draw(eye, [Line(0.5 * LANE_M)], noise=0.0)
+    for x in np.arange(5.0, 14.0, 1.5):
+        arm = np.array(((x + lean, 1.8), (x + lean + 0.3, 1.8), (x + 0.3, 2.8), (x, 2.8)))
+        cv2.fillPoly(image, [np.rint(eye.ground_to_px(arm)).astype(np.int32)], 230)
+    search = StripeSearch(0.12, LANE_M, 1.6, 0.0, (480, 640), rows=128)
+    stripes = search.look(image, eye, np.geomspace(4.0, 40.0, 80) + 0j)
+    away_m = np.abs(on_ground(stripes.eye, stripes.directions)[:, 1] - 0.5 * LANE_M)
+    its = [away_m[stripes.stripe == k] for k in range(stripes.count)]
+    on_line = [away for away in its if np.median(away) < 0.1]
+    assert sum(map(len, on_line)) > 40
+    assert np.concatenate(on_line).max() < 0.35  # with an arm 0.9 and 1 m
 
 
 @pytest.mark.parametrize("between", [0.0, 0.5], ids=["at a ridge", "between two ridges"])
