@@ -298,10 +298,9 @@ class Stereo:
         camera, reflections = (self._rig.left, self._rig.right)[eye], self._reflections[eye]
         at_rest = Eye.of(camera)
         ground = on_ground(at_rest, bearings(at_rest, one.pixels))
-        for k in np.flatnonzero((odds >= 0.0) & (odds < SURE)).tolist():
+        pointing = radial(ground, one.stripe, camera.centre_m[:2], reflections.config.pointing_rad)
+        for k in np.flatnonzero((odds >= 0.0) & (odds < SURE) & (pointing >= 0.5)).tolist():
             its = one.stripe == k
-            if radial(ground[its] - camera.centre_m[:2], reflections.config.pointing_rad) < 0.5:
-                continue
             if other_image is not None and mirrored(one, its, image, other.eye, other_image) > ALIKE:
                 odds[k] = -math.inf
             else:
@@ -340,10 +339,10 @@ class Stereo:
     def _fit(self, lines: list[FloatArray]) -> Followed:
         """The parabola pair fitted to the lines on it, and what is seen of it."""
         sides = self._pair.sides_of(lines)
-        mine = [k for k, side in enumerate(sides) if side]
-        points = np.concatenate([lines[k] for k in mine]) if mine else np.empty((0, 2))
-        side = np.repeat([sides[k] for k in mine], [len(lines[k]) for k in mine])
-        counts = np.array([len(lines[k]) for k in mine], dtype=np.intp)
+        mine = np.flatnonzero(sides)
+        points = np.concatenate((*(lines[k] for k in mine.tolist()), np.empty((0, 2))))
+        counts = np.array([len(lines[k]) for k in mine.tolist()], dtype=np.intp)
+        side = np.repeat(sides[mine], counts)
         good = self._pair.update(points, side, self._sigma_m(points, np.repeat(counts, counts)))
         left, right = points[good & (side > 0.0)], points[good & (side < 0.0)]
         state, covariance = self._pair.state, self._pair.covariance

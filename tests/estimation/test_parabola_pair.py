@@ -151,7 +151,7 @@ def test_an_unknown_motion_costs_certainty() -> None:
 def test_stripes_are_told_apart() -> None:
     pair = lane(STATES[1])
     far_left = line_points(STATES[1], 3)  # of the lane to the left
-    assert pair.sides_of([line_points(STATES[1], 1), line_points(STATES[1], -1), far_left]) == [1.0, -1.0, 0.0]
+    assert pair.sides_of([line_points(STATES[1], 1), line_points(STATES[1], -1), far_left]).tolist() == [1.0, -1.0, 0.0]
 
 
 def test_of_stripes_beside_each_other_the_longest_is_the_line() -> None:
@@ -160,15 +160,15 @@ def test_of_stripes_beside_each_other_the_longest_is_the_line() -> None:
     beside = expected[6:12]
     line = expected + np.array((0.0, 0.5))
     pair = lane(STATES[1])
-    assert pair.sides_of([beside]) == [1.0]
-    assert pair.sides_of([beside, line]) == [0.0, 1.0]
-    assert pair.sides_of([line, beside]) == [1.0, 0.0]
+    assert pair.sides_of([beside]).tolist() == [1.0]
+    assert pair.sides_of([beside, line]).tolist() == [0.0, 1.0]
+    assert pair.sides_of([line, beside]).tolist() == [1.0, 0.0]
 
 
 def test_dashes_one_behind_the_other_are_one_line_and_so_is_one_that_both_eyes_see() -> None:
     expected = line_points(STATES[1], 1)
     dashes = [expected[:9], expected[10:16], expected[18:], expected[1:8] + np.array((0.0, 0.1))]
-    assert lane(STATES[1]).sides_of(dashes) == [1.0] * 4
+    assert lane(STATES[1]).sides_of(dashes).tolist() == [1.0] * 4
 
 
 @pytest.mark.parametrize("state", STATES)
@@ -213,5 +213,5 @@ def test_a_line_that_leads_across_is_neither() -> None:
     points, side = both_lines(STATES[3])
     pair.update(points, side, np.full(len(points), 0.01))
     bar = np.column_stack((np.linspace(8.0, 10.0, 9), 1.8 - np.linspace(0.0, 2.0, 9)))
-    assert pair.sides_of([line_points(STATES[3], 1), bar]) == [1.0, 0.0]
-    assert pair.sides_of([bar]) == [0.0]
+    assert pair.sides_of([line_points(STATES[3], 1), bar]).tolist() == [1.0, 0.0]
+    assert pair.sides_of([bar]).tolist() == [0.0]

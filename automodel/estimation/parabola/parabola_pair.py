@@ -34,7 +34,7 @@ from automodel.geometry.lane_path import (
     place_on,
     station,
 )
-from automodel.types import Bools, Complexes, FloatArray, Floats
+from automodel.types import Bools, Complexes, FloatArray, Floats, Ints
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
 CUT_LANES = 0.06  # distance at which Tukey's biweight becomes 0
@@ -144,6 +144,7 @@ def _updated(
 
 @compiled
 def _off_lines(
+    path: FloatArray,
     state: FloatArray,
     covariance: FloatArray,
     reference_x_m: float,
@@ -152,23 +153,24 @@ def _off_lines(
     section_m: float,
     cut: float,
     most: float,
-) -> FloatArray:
-    """How far points (n, 2) lie off the left and the right line (2,), over the distance at which they may: the median.
+) -> tuple[float, float]:
+    """How far points (n, 2) lie off the left and the right line, over the distance at which they may: the median.
 
-    Infinite for points along a line that leads elsewhere.
+    Infinite for points along a line that leads elsewhere. `path`: `lane_path` of the state.
     """
     count = len(points)
     off, rest, slope = np.empty(count), np.empty(count), np.empty(len(covariance))
-    path, found = lane_path(state, start_m, section_m, reference_x_m), np.empty(2)
-    for column in range(2):
-        side, room = 1.0 - 2.0 * column, 0.0
+    found = (math.inf, math.inf)
+    length = math.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
+    for side in (1.0, -1.0):
+        room = 0.0
         for k in range(count):
             rest[k] = residual(path, state, start_m, section_m, reference_x_m, points[k], side, slope)[0]
             room = 3.0 * math.sqrt(_spread(slope, covariance))
             off[k] = abs(rest[k]) / min(max(cut, room), most)
-        length = math.hypot(points[count - 1, 0] - points[0, 0], points[count - 1, 1] - points[0, 1])
         away = abs(rest[count - 1] - rest[0]) > TURNED * length + max(room, cut)
-        found[column] = math.inf if away else np.median(off)
+        median = math.inf if away else float(np.median(off))
+        found = (median, found[1]) if side > 0.0 else (found[0], median)
     return found
 
 
@@ -188,6 +190,36 @@ def _apart(one: FloatArray, other: FloatArray) -> float:
             apart[count] = least
             count += 1
     return float(np.median(apart[:count])) if count else 0.0
+
+
+@compiled
+def _sides(
+    state: FloatArray,
+    covariance: FloatArray,
+    reference_x_m: float,
+    points: FloatArray,
+    ends: Ints,
+    start_m: float,
+    section_m: float,
+    cut: float,
+    most: float,
+) -> FloatArray:
+    """See `ParabolaPair.sides_of`; of the points (n, 2) of lines (l,) that end at `ends` (l,)."""
+    path, sides = lane_path(state, start_m, section_m, reference_x_m), np.zeros(len(ends))
+    starts = np.zeros(len(ends), np.intp)
+    starts[1:] = ends[:-1]
+    for k in np.argsort(starts - ends, kind="mergesort"):
+        line = points[starts[k] : ends[k]]
+        half = line[: (len(line) + 1) // 2]
+        left, right = _off_lines(path, state, covariance, reference_x_m, half, start_m, section_m, cut, most)
+        if min(left, right) > 1.0:
+            continue
+        side, free = 1.0 if left < right else -1.0, True
+        for other in range(len(ends)):
+            if sides[other] == side:
+                free = free and _apart(points[starts[other] : ends[other]], line) <= cut
+        sides[k] = side if free else 0.0
+    return sides
 
 
 @compiled
@@ -327,23 +359,24 @@ class ParabolaPair:
         """The centerline's places (n,) x + i y [m] at arc lengths (n,), in the body frame."""
         return _places(lane_path(self.state, self.start_m, self._section_m, self._reference_x_m), s_m)
 
-    def sides_of(self, lines: list[FloatArray]) -> list[float]:
-        """Which line each of these (n, 2) [m] lies on: +1 left, -1 right, 0 neither.
+    def sides_of(self, lines: list[FloatArray]) -> FloatArray:
+        """Which line each of these (n, 2) [m] lies on (l,): +1 left, -1 right, 0 neither.
 
         The points come near to far. The near half decides, where bends are known best: it lies on a line where most of
         it is within three sigmas of the predicted one, and nearer to it than a quarter lane, and leads where that does.
         A line is at one place: of two stripes beside each other the longer one is it, which is less likely by chance.
         """
-        cut = CUT_LANES * self._unit
-        known, place = (self.state, self.covariance, self._reference_x_m), (self.start_m, self._section_m)
-        off = [_off_lines(*known, points[: (len(points) + 1) // 2], *place, cut, 0.25 * self._unit) for points in lines]
-        sides = [0.0] * len(lines)
-        for k in sorted(range(len(lines)), key=lambda k: -len(lines[k])):
-            side = 1.0 if off[k][0] < off[k][1] else -1.0
-            its = [line for line, other in zip(lines, sides, strict=True) if other == side]
-            if off[k].min() <= 1.0 and all(_apart(line, lines[k]) <= cut for line in its):
-                sides[k] = side
-        return sides
+        return _sides(
+            self.state,
+            self.covariance,
+            self._reference_x_m,
+            np.concatenate((*lines, np.empty((0, 2)))),
+            np.cumsum([len(line) for line in lines], dtype=np.intp),
+            self.start_m,
+            self._section_m,
+            CUT_LANES * self._unit,
+            0.25 * self._unit,
+        )
 
     def curve(self, lanes: float) -> DeferredCurve:
         """The curve so many `lanes` widths left of the centerline, from behind the car to the farthest points."""

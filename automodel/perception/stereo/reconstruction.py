@@ -30,15 +30,28 @@ def log_odds(stripes: Stripes, witnesses: Ints) -> FloatArray:
     return found
 
 
-def radial(away_m: FloatArray, sigma_rad: float) -> float:
-    """The share of a stripe's sections that point to the ground below its camera, as the reflection of a lamp does.
+@compiled
+def radial(ground_m: FloatArray, stripe: Ints, foot_m: FloatArray, sigma_rad: float) -> FloatArray:
+    """The shares (k,) of the stripes' sections that point to a foot (2,) [m], as the reflection of a lamp does.
 
-    `away_m` (n, 2): its ridges from there; `sigma_rad`: of a section's direction.
+    `ground_m` (n, 2): their ridges, stripe by stripe; `foot_m`: the ground below the camera; `sigma_rad`: of a
+    section's direction.
     """
-    along, middle = away_m[2:] - away_m[:-2], away_m[1:-1]
-    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
-    pointing = np.abs(across) < 3.0 * sigma_rad * np.hypot(*along.T) * np.hypot(*middle.T)
-    return float(pointing.mean()) if len(pointing) else 0.0
+    n = len(stripe)
+    count = stripe[n - 1] + 1 if n else 0
+    pointing, sections = np.zeros(count), np.zeros(count)
+    for i in range(2, n):
+        k = stripe[i]
+        if stripe[i - 2] != k:
+            continue
+        ex, ey = ground_m[i, 0] - ground_m[i - 2, 0], ground_m[i, 1] - ground_m[i - 2, 1]
+        x, y = ground_m[i - 1, 0] - foot_m[0], ground_m[i - 1, 1] - foot_m[1]
+        off = abs(ex * y - ey * x) / math.sqrt((ex * ex + ey * ey) * (x * x + y * y))
+        pointing[k] += off < 3.0 * sigma_rad
+        sections[k] += 1.0
+    for k in range(count):
+        pointing[k] /= max(sections[k], 1.0)
+    return pointing
 
 
 def reconstruct(
@@ -55,8 +68,7 @@ def reconstruct(
     plane; `odds` (k,) [nats] that each stripe is paint on the ground, those of the left image first.
     """
     lefts = left.count
-    label = np.arange(lefts + right.count)
-    off = odds < 0.0
+    label, off = np.arange(lefts + right.count), odds < 0.0
     votes = np.bincount((matches.left * right.count + matches.right)[inliers])
     for pair in np.flatnonzero(votes >= 2).tolist():
         one, other = divmod(pair, right.count)
@@ -64,27 +76,27 @@ def reconstruct(
             label[label == label[other + lefts]] = label[one]
     points = np.concatenate((on_ground(left.eye, left.directions), on_ground(right.eye, right.directions)))
     stripe = np.concatenate((left.stripe, right.stripe + lefts))
-    lines = []
-    for one in np.unique(label[~off]):
-        mine = (label[stripe] == one) & ~off[stripe] & np.isfinite(points[:, 0])
-        if mine.any():
-            lines.append(_knots(points[mine], spacing_m))
-    return lines
+    line = np.where(off[stripe] | ~np.isfinite(points[:, 0]), -1, label[stripe])
+    order = np.lexsort((points[:, 0], line))[np.count_nonzero(line < 0) :]
+    knots, ends = _knots(points[order], line[order], spacing_m)
+    return np.split(knots, ends[:-1]) if len(ends) else []
 
 
 @compiled
-def _knots(points: FloatArray, spacing_m: float) -> FloatArray:
-    """The means (k, 2) of points (n, 2) in sections of `spacing_m` along x, near to far."""
-    order = np.argsort(points[:, 0])
-    knots = np.empty((len(points), 2))
-    count, start, sums, number = 0, points[order[0], 0], np.zeros(2), 0
-    for i in range(len(order)):
-        point = points[order[i]]
-        if point[0] - start >= spacing_m:
-            knots[count] = sums / number
-            count, start, number = count + 1, point[0], 0
-            sums[:] = 0.0
-        sums += point
-        number += 1
-    knots[count] = sums / number
-    return knots[: count + 1]
+def _knots(points: FloatArray, line: Ints, spacing_m: float) -> tuple[FloatArray, Ints]:
+    """The means (k, 2) of points (n, 2), line by line and near to far, in sections of `spacing_m` along x.
+
+    Also the end (l,) of each line among them.
+    """
+    knots, ends = np.empty((len(points), 2)), np.empty(len(points), np.intp)
+    lines = count = first = 0
+    for i in range(1, len(points) + 1):
+        over = i == len(points) or line[i] != line[first]
+        if over or points[i, 0] - points[first, 0] >= spacing_m:
+            for k in range(2):
+                knots[count, k] = points[first:i, k].mean()
+            count, first = count + 1, i
+        if over:
+            ends[lines] = count
+            lines += 1
+    return knots[:count], ends[:lines]

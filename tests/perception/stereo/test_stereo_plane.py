@@ -381,9 +381,11 @@ def test_a_mirrored_lamp_is_known_beside_the_paint_that_the_other_image_shows_ne
 
 
 def test_a_streak_points_to_its_camera() -> None:
-    way = np.linspace(3.0, 8.0, 12)
-    assert radial(np.column_stack((way, 0.2 * way)), 0.035) == 1.0
-    assert radial(np.column_stack((way, np.full(12, 1.8))), 0.035) < 0.3
+    way, foot_m = np.linspace(3.0, 8.0, 12), np.array((1.5, -0.4))
+    streak, line = np.column_stack((way, 0.2 * way)), np.column_stack((way, np.full(12, 1.8)))
+    shares = radial(np.concatenate((streak, line)) + foot_m, np.repeat((0, 1), 12), foot_m, 0.035)
+    assert shares[0] == 1.0
+    assert shares[1] < 0.3
 
 
 @pytest.mark.parametrize("slope", [0.5, 1.0, -1.5])
