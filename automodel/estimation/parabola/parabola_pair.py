@@ -176,7 +176,7 @@ def _off_lines(
 
 @compiled
 def _apart(one: FloatArray, other: FloatArray) -> float:
-    """The median distance [m] of a line's points (m, 2) from another line (n, 2) beside it; 0 where none is."""
+    """The median distance [m] of those points of `other` (m, 2) that lie beside a line `one` (n, 2); 0 for none."""
     apart, count = np.empty(len(other)), 0
     for k in range(len(other)):
         least = math.inf
