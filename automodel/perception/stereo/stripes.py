@@ -274,6 +274,26 @@ def _heights(values: Float32Array, window: Float32Array, height: Float32Array) -
 
 
 @compiled
+def median(sizes: Float32Array) -> float:
+    """A value that half of `sizes` (n,), none below zero, are smaller than; of an odd number (n - 1) / 2.
+
+    By halving where it may be: counting takes vector instructions, which a selection does not.
+    """
+    half, low, high = len(sizes) // 2, np.float32(0.0), sizes.max()
+    while True:
+        middle = np.float32(0.5) * (low + high)
+        smaller = np.int32(0)
+        for k in range(len(sizes)):
+            smaller += np.int32(sizes[k] < middle)
+        if smaller == half or not low < middle < high:
+            return middle
+        if smaller > half:
+            high = middle
+        else:
+            low = middle
+
+
+@compiled
 def _ridges(
     grey: Image,
     rows: Ints,
@@ -325,7 +345,7 @@ def _ridges(
             if contrast > 0.0:
                 least[0] = contrast * WINDOW
             else:
-                least[0] = noises * max(np.median(size[:sizes]), LEVEL)
+                least[0] = noises * max(median(size[:sizes]), LEVEL)
             k, end = MARGIN, n - MARGIN
             while k < end:
                 if height[k] <= least[0]:

@@ -7,6 +7,8 @@ import math
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from automodel.config import Extrinsics
 from automodel.estimation.parabola.plane_filter import PlaneFilter
@@ -15,7 +17,7 @@ from automodel.geometry.stereo_rig import Plane, StereoRig, on_ground
 from automodel.perception.stereo.ground_plane import PlaneFit, fit_plane
 from automodel.perception.stereo.matching import Matches, match, midpoint, mirrored, witnesses
 from automodel.perception.stereo.reconstruction import log_odds, radial
-from automodel.perception.stereo.stripes import Stripes, StripeSearch
+from automodel.perception.stereo.stripes import Stripes, StripeSearch, median
 from tests.support.highway_pictures import LANE_M, Line, camera_model, draw, mounted
 from tests.support.stereo_pictures import LINES, draw_pair, mirror_cameras, straight_ahead
 
@@ -61,6 +63,16 @@ def test_a_picture_without_paint_has_no_stripes() -> None:
     for stripes in look(RIG, draw_pair(RIG, lines=())):
         assert stripes.count == 0
         assert len(stripes.pixels) == 0
+
+
+@settings(deadline=None)  # the first example compiles
+@given(st.lists(st.floats(0.0, 1e4, width=32), min_size=1, max_size=60))
+def test_a_median_lies_between_the_two_middle_values(values: list[float]) -> None:
+    sizes = np.array(values, np.float32)
+    found, half = np.float32(median(sizes)), len(sizes) // 2
+    below, above = np.nextafter(found, np.float32([-np.inf, np.inf]))  # to the last digit
+    assert np.count_nonzero(sizes < below) <= half
+    assert np.count_nonzero(sizes <= above) >= half
 
 
 def test_lines_across_the_road_make_no_stripes() -> None:
