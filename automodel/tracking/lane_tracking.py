@@ -40,7 +40,7 @@ from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Inno
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
 from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
-from automodel.types import FloatArray
+from automodel.types import Bools, FloatArray
 
 STATUS = (LaneStatus.COASTING, LaneStatus.ONE_LINE, LaneStatus.TRACKING)  # by the number of lines seen
 LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many, because every n-th is taken
@@ -344,7 +344,8 @@ class LaneTracking:
         """
         if not self._possible(followed.pose):
             self._said = 0.0
-            return self._known()
+            known = self._known()
+            return self._by_lines(lines) if known is None else known
         if self._reckoned is None or self._on_any_road is None:
             outvoted, self._outvoted = self._outvoted, False
             if outvoted and self._strays(followed):
@@ -367,20 +368,20 @@ class LaneTracking:
         story = best.belief if likelier else self._reckoned if blind else None
         self._story = story if story is not None and self._possible(story.pose) else None
         apart = self._apart(measured, best.belief)
-        certain = self._hypotheses.certainty > 1.0 - EXCEEDED  # else the bound would drop what may be true
-        agreed = apart < self.config.gate and certain
+        agreed = apart < self.config.gate and self._certain
         clear = not self._confusable(self._reckoned)
-        told = agreed and best.log_odds > self.config.exists and not self._confusable(best.belief)
-        told = told and (best.placed or best.bounds_a_lane)
+        told = agreed and self._tells(best)
         better = self._place_variance(best.belief) < self._place_variance(measured) and apart > self.config.differs
         better = better and len(own) < 2 and best.news > alone.all[0].news  # who sees both lines knows the width
         if told and not better and (own or self._sure(best)):
             self._believe(best.belief, best.assigned)
+            if best.log_odds > said and self._is_misled(followed, lines, best):
+                return best.belief
         elif own and not told and said > self._least(best, agreed, clear or len(own) > 1):
             self._believe(alone.all[0].belief, alone.all[0].assigned)
         elif (
             self._sure(best)
-            and certain
+            and self._certain
             and (not own or self._beats(best, said, alone.all[0].news))
             and self._at_once(best.belief, seen)
         ):
@@ -397,9 +398,34 @@ class LaneTracking:
         return None
 
     def _known(self) -> LaneBelief | None:
-        """Where dead reckoning has the lane; None where it does not know better than an estimator."""
+        """Where dead reckoning or this frame's lines have the lane; None where neither knows it."""
         known = self._reckoned if self.in_doubt else self._belief
-        return known if known is not None and self._trusts and not self._confusable(known) else None
+        told = self._trusts or (not self.in_doubt and self._learnt_ns == self._t_ns)
+        return known if known is not None and told and not self._confusable(known) else None
+
+    def _by_lines(self, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
+        """The lane by the lines in view alone, if they tell it, whatever an estimator or dead reckoning says."""
+        if not self.in_doubt:
+            if self._belief is None:
+                return None
+            self._doubt(self._belief)
+        self._hypotheses.update(lines, self._kinds)
+        best = self._hypotheses.best
+        if not (self._certain and self._tells(best) and self._possible(best.belief.pose)):
+            return None
+        self._believe(best.belief, best.assigned)
+        self._borne_out_ns, self._blind_m = self._t_ns, 0.0
+        return best.belief
+
+    @property
+    def _certain(self) -> bool:
+        """Whether one hypothesis is left, so that a bound that drops the others holds."""
+        return self._hypotheses.certainty > 1.0 - EXCEEDED
+
+    def _tells(self, best: Hypothesis) -> bool:
+        """Whether lines bear out a hypothesis, and it tells its lane from the next one."""
+        exists = best.log_odds > self.config.exists and not self._confusable(best.belief)
+        return exists and (best.placed or best.bounds_a_lane)
 
     @property
     def _trusts(self) -> bool:
@@ -440,6 +466,11 @@ class LaneTracking:
         if reckoned is None or not self.reckons or self._confusable(reckoned) or self._is_plain(followed):
             return False
         return self._said < self.config.exists and self._apart(measured, reckoned) > self.config.gate
+
+    def _is_misled(self, followed: Followed, lines: tuple[SightedLine, ...], best: Hypothesis) -> bool:
+        """Whether an estimator takes for a line of the lane what neither the best story nor the scan takes for one."""
+        other = [line.points_m for line, role in _sides(followed) if line.seen and not best.line(role)]
+        return any(self._is_alone(points, lines).all() for points in other)
 
     def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
         """Log-odds [nats] from which on the estimator's word ends the doubt: of one line four times as many."""
@@ -611,14 +642,19 @@ class LaneTracking:
         """
         scanned, speck_m = lines, 0.5 * ScanConfig().least_lanes * self._unit
         for points in own:
-            alone = np.ones(len(points), np.bool_)
-            for line in scanned:
-                alone &= _distances(points, line.points_m) > self.road.marking_width_m
+            alone = self._is_alone(points, scanned)
             if np.count_nonzero(alone) > 1:
                 line = _sighted(points[alone])
                 painted_m = min(line.painted_m, speck_m * float(np.count_nonzero(alone)))
                 lines = (*lines, replace(line, painted_m=painted_m))
         return lines
+
+    def _is_alone(self, points_m: FloatArray, lines: tuple[SightedLine, ...]) -> Bools:
+        """Which of the points (n, 2) [m] of a line lie on none of the scanned lines."""
+        alone = np.ones(len(points_m), np.bool_)
+        for line in lines:
+            alone &= _distances(points_m, line.points_m) > self.road.marking_width_m
+        return alone
 
     def _strays(self, followed: Followed) -> bool:
         """Whether an estimator has left the road that is believed, which explains the lines that it sees.

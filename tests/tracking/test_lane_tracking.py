@@ -1160,3 +1160,30 @@ def test_an_estimator_that_says_what_cannot_be_is_sent_back_where_dead_reckoning
         assert told.pose.offset_m == pytest.approx(0.0, abs=0.01)
     told = drive.follow(said(0.0), sights(0.0))
     assert told.status is LaneStatus.TRACKING
+
+
+def test_an_estimator_that_goes_on_with_another_thing_as_its_line_is_sent_back_as_the_doubt_ends() -> None:
+    """A lamp beside the line, which the scan of the view knows: a narrower lane, at a place where the lane may be."""
+    aside, right = 0.2 * LANE_M, sights(0.0, (RIGHT,))
+    misled = replace(said(0.5 * aside, width_m=LANE_M - aside), left=said(-aside).left, right=said(0.0).right)
+    drive = driving()
+    drive.follow(misled, right)
+    assert drive.doubted
+    drive.follow(misled, right)
+    assert not drive.doubted
+    assert drive.anew is not None
+    assert drive.anew.offset_m == pytest.approx(0.0, abs=0.01)
+    assert drive.anew.width_m == pytest.approx(LANE_M, abs=0.02)
+
+
+def test_lines_in_view_tell_the_lane_where_an_estimator_says_what_cannot_be_and_the_odometry_is_suspected() -> None:
+    drive, impossible = driving(), said(0.0, width_m=0.4 * LANE_M)
+    drive.tracking._odometry.suspect()
+    for _ in range(3):
+        told = drive.follow(impossible, sights(0.0, (RIGHT,)))
+        assert drive.anew is not None
+        assert drive.anew.offset_m == pytest.approx(0.0, abs=0.01)
+        assert told.valid
+        assert told.pose is not None
+        assert told.pose.offset_m == pytest.approx(0.0, abs=0.01)
+    assert drive.follow(impossible).status is LaneStatus.LOST  # nothing tells it

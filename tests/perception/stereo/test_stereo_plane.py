@@ -70,7 +70,7 @@ def test_a_picture_without_paint_has_no_stripes() -> None:
 def test_a_median_lies_between_the_two_middle_values(values: list[float]) -> None:
     sizes = np.array(values, np.float32)
     found, half = np.float32(median(sizes)), len(sizes) // 2
-    below, above = np.nextafter(found, np.float32([-np.inf, np.inf]))  # to the last digit
+    below, above = np.nextafter(found, np.array((-np.inf, np.inf), np.float32))  # to the last digit
     assert np.count_nonzero(sizes < below) <= half
     assert np.count_nonzero(sizes <= above) >= half
 
