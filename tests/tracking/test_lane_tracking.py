@@ -1163,7 +1163,7 @@ def test_an_estimator_that_says_what_cannot_be_is_sent_back_where_dead_reckoning
 
 
 def test_an_estimator_that_goes_on_with_another_thing_as_its_line_is_sent_back_as_the_doubt_ends() -> None:
-    """A lamp beside the line, which the scan of the view knows: a narrower lane, at a place where the lane may be."""
+    """A lamp beside the line, which no scan of the view takes for a line: a narrower lane where the lane may be."""
     aside, right = 0.2 * LANE_M, sights(0.0, (RIGHT,))
     misled = replace(said(0.5 * aside, width_m=LANE_M - aside), left=said(-aside).left, right=said(0.0).right)
     drive = driving()
