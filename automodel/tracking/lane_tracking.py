@@ -339,8 +339,8 @@ class LaneTracking:
     def judge(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Weigh all lines in view, and where the estimator must start anew; None where it may go on or nothing is sure.
 
-        One that says what cannot be must, where the odometry still knows better. What it says is a hypothesis, too:
-        unlikely by as much as it differs from dead reckoning, likely by what it explains.
+        One that says what cannot be must, where the odometry or the lines still tell the lane. What it says is a
+        hypothesis, too: unlikely by as much as it differs from dead reckoning, likely by what it explains.
         """
         if not self._possible(followed.pose):
             self._said = 0.0
@@ -470,7 +470,7 @@ class LaneTracking:
     def _is_misled(self, followed: Followed, lines: tuple[SightedLine, ...], best: Hypothesis) -> bool:
         """Whether an estimator takes for a line of the lane what neither the best story nor the scan takes for one."""
         other = [line.points_m for line, role in _sides(followed) if line.seen and not best.line(role)]
-        return any(self._is_alone(points, lines).all() for points in other)
+        return any(self._on_none(points, lines).all() for points in other)
 
     def _least(self, best: Hypothesis, agreed: bool, clear: bool) -> float:
         """Log-odds [nats] from which on the estimator's word ends the doubt: of one line four times as many."""
@@ -642,14 +642,14 @@ class LaneTracking:
         """
         scanned, speck_m = lines, 0.5 * ScanConfig().least_lanes * self._unit
         for points in own:
-            alone = self._is_alone(points, scanned)
+            alone = self._on_none(points, scanned)
             if np.count_nonzero(alone) > 1:
                 line = _sighted(points[alone])
                 painted_m = min(line.painted_m, speck_m * float(np.count_nonzero(alone)))
                 lines = (*lines, replace(line, painted_m=painted_m))
         return lines
 
-    def _is_alone(self, points_m: FloatArray, lines: tuple[SightedLine, ...]) -> Bools:
+    def _on_none(self, points_m: FloatArray, lines: tuple[SightedLine, ...]) -> Bools:
         """Which of the points (n, 2) [m] of a line lie on none of the scanned lines."""
         alone = np.ones(len(points_m), np.bool_)
         for line in lines:
