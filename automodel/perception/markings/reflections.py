@@ -24,6 +24,7 @@ SAMPLES = 8  # along a piece: every other row
 LEAST = 1e-9  # of a shape's squares that the ground does not explain: a division by 0 is none
 RISE = 0.2  # share of a profile's height by which it rises beyond a valley, where another thing begins
 WHITE = 250  # grey level from which on a pixel may be cut off, and tells no height
+QUARTILE = 0.6745  # third one of a normal distribution [sigma], and so the median of absolute values
 MOST_NATS = 50.0  # log-odds of what is certain
 
 
@@ -194,7 +195,7 @@ class Reflections:
         blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(sharp_px, config.blur_px, 4)]
         widths = np.geomspace(1.0 / MarkingWidth.CHANGE, MarkingWidth.CHANGE, 5)  # as wrong as one is used
         paint = [_blurred_box(u - at, width, blur) for at in places for width in widths for blur in blurs]
-        bells = np.geomspace(pixel, config.reach, 20)
+        bells = np.geomspace(pixel, 4.0 * config.reach, 24)  # the widest is a curve, as the ground of paint may be
         streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
         return np.array(paint), np.array(streaks)
 
@@ -241,9 +242,14 @@ def _points_to(x0: float, y0: float, line_m: FloatArray, most_rad: float) -> boo
 
 @compiled
 def to_the_valleys(values: FloatArray) -> Bools:
-    """Which samples of profiles (n, k) lie between the valleys next to their middles, beyond which they rise again."""
+    """Which samples of profiles (n, k) lie between the valleys next to their middles, beyond which they rise again.
+
+    They rise by more than three sigmas of the profile's noise, which its second differences tell, and rounding.
+    """
     middle, inside = values.shape[1] // 2, np.zeros(values.shape, np.bool_)
     for i in range(len(values)):
+        bends = np.abs(values[i, 2:] - 2.0 * values[i, 1:-1] + values[i, :-2])
+        noise = 3.0 * max(np.median(bends) / (QUARTILE * math.sqrt(6.0)), math.sqrt(1.0 / 12.0))
         top = max(values[i, middle - 1], values[i, middle], values[i, middle + 1])
         for side in (-1, 1):
             lowest = end = middle
@@ -251,7 +257,7 @@ def to_the_valleys(values: FloatArray) -> Bools:
                 at = middle + side * k
                 if values[i, at] <= values[i, lowest]:
                     lowest = at
-                elif values[i, at] - values[i, lowest] > RISE * (top - values[i, lowest]) > 0.0:
+                elif values[i, at] - values[i, lowest] > max(RISE * (top - values[i, lowest]), noise):
                     break
                 end = at
             else:

@@ -73,7 +73,7 @@ def kept(lines: np.ndarray, left: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("azimuth_rad", [0.0, 0.2, -0.35])
-@pytest.mark.parametrize("width_rad", [0.03, 0.06])
+@pytest.mark.parametrize("width_rad", [0.03, 0.06, 0.1, 0.15])
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_streak_is_removed(azimuth_rad: float, width_rad: float, dark: bool) -> None:
     assert kept(*filtered(light=100.0 * lamp(CAR, azimuth_rad, width_rad), dark=dark)) < 0.15
