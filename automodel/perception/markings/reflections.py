@@ -244,12 +244,12 @@ def _points_to(x0: float, y0: float, line_m: FloatArray, most_rad: float) -> boo
 def to_the_valleys(values: FloatArray) -> Bools:
     """Which samples of profiles (n, k) lie between the valleys next to their middles, beyond which they rise again.
 
-    They rise by more than three sigmas of the profile's noise, which its second differences tell, and rounding.
+    They rise by more than three sigmas of the difference of two samples; second differences tell the profile's noise.
     """
     middle, inside = values.shape[1] // 2, np.zeros(values.shape, np.bool_)
     for i in range(len(values)):
         bends = np.abs(values[i, 2:] - 2.0 * values[i, 1:-1] + values[i, :-2])
-        noise = 3.0 * max(np.median(bends) / (QUARTILE * math.sqrt(6.0)), math.sqrt(1.0 / 12.0))
+        noise = max(np.median(bends) / (QUARTILE * math.sqrt(6.0)), math.sqrt(1.0 / 12.0))
         top = max(values[i, middle - 1], values[i, middle], values[i, middle + 1])
         for side in (-1, 1):
             lowest = end = middle
@@ -257,7 +257,9 @@ def to_the_valleys(values: FloatArray) -> Bools:
                 at = middle + side * k
                 if values[i, at] <= values[i, lowest]:
                     lowest = at
-                elif values[i, at] - values[i, lowest] > max(RISE * (top - values[i, lowest]), noise):
+                elif values[i, at] - values[i, lowest] > max(
+                    RISE * (top - values[i, lowest]), 3.0 * math.sqrt(2.0) * noise
+                ):
                     break
                 end = at
             else:

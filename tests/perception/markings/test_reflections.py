@@ -12,7 +12,7 @@ import pytest
 from automodel.config import CameraConfig, CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.binary_views import WhiteAreas
-from automodel.perception.markings.reflections import ReflectionConfig, Reflections, of_streaks
+from automodel.perception.markings.reflections import ReflectionConfig, Reflections, of_streaks, to_the_valleys
 from tests.support.drawn_views import Shape, bar, line_at
 
 MARKING_M = 0.03
@@ -77,6 +77,18 @@ def kept(lines: np.ndarray, left: np.ndarray) -> float:
 @pytest.mark.parametrize("dark", [False, True])
 def test_a_streak_is_removed(azimuth_rad: float, width_rad: float, dark: bool) -> None:
     assert kept(*filtered(light=100.0 * lamp(CAR, azimuth_rad, width_rad), dark=dark)) < 0.15
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.5, 2.0])
+def test_noise_of_a_flat_top_is_no_valley_and_a_streak_beside_it_lies_beyond_one(noise: float) -> None:
+    u = np.arange(-13, 14)
+    wide, narrow = (60.0 + 100.0 * np.exp(-0.5 * (u / sigma) ** 2) for sigma in (12.0, 3.0))
+    beside = narrow + 80.0 * np.exp(-0.5 * ((u - 10) / 2.0) ** 2)
+    grain = np.random.default_rng(4).normal(0.0, noise, (100, len(u)))
+    assert (to_the_valleys(np.round(wide + grain)).sum(axis=1) > 0.8 * len(u)).mean() >= 0.95
+    found = to_the_valleys(np.round(beside + grain))
+    assert found[:, :17].all(axis=1).mean() >= 0.95
+    assert not found[:, 22:].any()
 
 
 @pytest.mark.parametrize("azimuth_rad", [0.47, -0.47, 0.5])
