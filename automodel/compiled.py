@@ -82,7 +82,7 @@ class _Announcement(numba_event.Listener):
         """Called before any function is compiled that was not found on disk."""
         if not self.done and str(event.data["dispatcher"].__module__).startswith("automodel."):
             self.done = True
-            logging.getLogger("automodel").info("compiling (once, takes half a minute, on a small board some minutes)")
+            logging.getLogger("automodel").info("compiling (once, takes one or two minutes, on a small board several)")
 
     def on_end(self, event: Any) -> None:
         """Nothing."""

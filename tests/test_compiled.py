@@ -38,7 +38,7 @@ RenderedDrive(track=load_track("oval"), pipeline=pipeline, rate_hz=20.0).run(0.8
 after = loaded()
 print(sorted(name for name in after if after[name] != before.get(name, 0)), len(after) > 10)
 """
-COMPILING = "compiling (once, takes half a minute, on a small board some minutes)\n"
+COMPILING = "compiling (once, takes one or two minutes, on a small board several)\n"
 
 
 def run(**environment: object) -> subprocess.CompletedProcess[str]:
