@@ -29,6 +29,7 @@ STAGES = ("perception", "estimation", "tracking", "pipelines")
 NOT_TUNED = {  # modules and names whose numbers say what something is, not how well it works
     "perception.markings.onnx_check": "the format of an ONNX file",
     "perception.markings.unet": "the networks that ship, limits of files, a test at construction",
+    "perception.markings.reflections.QUARTILE": "the normal distribution",
     "perception.rows.brightness": "channels, and the weights of grey",
     "estimation.clothoid.solvers.MOST_STEPS": "the end of an iteration that does not converge",
     "estimation.clothoid.solvers.CONVERGED": "numerical tolerance",

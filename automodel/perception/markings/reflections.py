@@ -195,7 +195,7 @@ class Reflections:
         blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(sharp_px, config.blur_px, 4)]
         widths = np.geomspace(1.0 / MarkingWidth.CHANGE, MarkingWidth.CHANGE, 5)  # as wrong as one is used
         paint = [_blurred_box(u - at, width, blur) for at in places for width in widths for blur in blurs]
-        bells = np.geomspace(pixel, 4.0 * config.reach, 24)  # the widest is a curve, as the ground of paint may be
+        bells = np.geomspace(pixel, 4.0 * config.reach, 24)  # the widest falls by 3 % over a profile: a curve
         streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
         return np.array(paint), np.array(streaks)
 
