@@ -145,6 +145,14 @@ def test_the_first_examples_run_as_written(tmp_path: Path, cli, monkeypatch: pyt
 
 
 @pytest.mark.slow
+def test_the_accuracy_example_runs_as_written(cli) -> None:
+    (line,) = (line for line in AUTOMODEL if line.startswith("automodel bench accuracy --track oval"))
+    said = cli(*shlex.split(line)[1:], "--json")
+    assert said.code == 0
+    assert said.rows[0]["frames"] > 500
+
+
+@pytest.mark.slow
 def test_the_quick_start_drives_a_lap_of_tmr(cli) -> None:
     said = cli("run", "--json")
     assert said.code == 0, said.err

@@ -58,14 +58,15 @@ right = { style = "solid", width_m = 0.15 }
 """
 
 
-def test_it_is_slow_enough_for_a_tight_bend_that_comes_into_view_late(cli, tmp_path: Path) -> None:
+@pytest.mark.parametrize("pipeline", ["contour", pytest.param("windows", marks=pytest.mark.slow)])
+def test_it_is_slow_enough_for_a_tight_bend_that_comes_into_view_late(cli, tmp_path: Path, pipeline: str) -> None:
     car, track, truth = tmp_path / "car.toml", tmp_path / "hairpin.toml", tmp_path / "truth.csv"
     track.write_text(HAIRPIN)
     assert cli("init", "full-size", "--out", car).code == 0
     text = car.read_text()
     assert "radius_lanes = 40.0" in text
     car.write_text(text.replace("radius_lanes = 40.0", "radius_lanes = 3.0"))  # 10.5 m
-    options = ("--track", track, "--pipeline", "contour", "--duration", "36", "--truth", truth, "--json")
+    options = ("--track", track, "--pipeline", pipeline, "--duration", "36", "--truth", truth, "--json")
     said = cli("run", "--car", car, *options)
     assert said.code == 0, said.err
     (row,) = said.rows

@@ -99,7 +99,7 @@ ONLY_PAIRS = [argument for name in OF_PAIRS for argument in ("--only", name)]
 
 @pytest.mark.slow
 def test_faults_of_pairs_have_no_violation(cli: Cli) -> None:
-    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *ONLY_PAIRS, "--runs", 8, "--json")
+    said = cli("bench", "faults", "--pipeline", "stereo", "--jobs", "1", *ONLY_PAIRS, "--runs", 16, "--json")
     assert (said.code, [row["violations"] for row in said.rows]) == (0, [0, 0, 0, 0])
     assert [row["reaction_max_ms"] is None for row in said.rows] == [True, True, True, False]
 
