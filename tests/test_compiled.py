@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -41,11 +42,12 @@ print(sorted(name for name in after if after[name] != before.get(name, 0)), len(
 COMPILING = "compiling (once, takes one or two minutes, on a small board several)\n"
 
 
-def run(**environment: object) -> subprocess.CompletedProcess[str]:
-    """Compute a posterior in a fresh process."""
+def run(tree: Path = ROOT, **environment: object) -> subprocess.CompletedProcess[str]:
+    """Compute a posterior in a fresh process, with the package of `tree`."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA_", "XDG_"))}
-    env = kept | {name: str(value) for name, value in environment.items()}
-    return subprocess.run([sys.executable, "-c", POSTERIOR], capture_output=True, text=True, env=env, check=True)
+    env = kept | {name: str(value) for name, value in environment.items()} | {"PYTHONPATH": str(tree)}
+    command = [sys.executable, "-c", POSTERIOR]
+    return subprocess.run(command, capture_output=True, text=True, env=env, check=True, cwd=tree)
 
 
 def test_no_frame_waits_for_a_function_to_be_compiled() -> None:
@@ -79,9 +81,10 @@ def test_machine_code_is_kept_in_the_users_cache_folder_and_nowhere_else(tmp_pat
     before = machine_code(ROOT)
     first = run(XDG_CACHE_HOME=tmp_path)
     (folder,) = tmp_path.iterdir()
-    (version,) = folder.iterdir()
-    assert (folder.name, version.name) == ("automodel", module._version())
-    kept = machine_code(version)
+    assert folder.name == "automodel"
+    solvers = module._version(ROOT / "automodel" / "estimation" / "clothoid" / "solvers.py")
+    assert f"solvers-{solvers}" in {version.name for version in folder.iterdir()}
+    kept = machine_code(folder)
     assert kept
     second = run(XDG_CACHE_HOME=tmp_path)
     assert second.stdout == first.stdout
@@ -106,13 +109,55 @@ def test_where_nothing_can_be_written_it_is_compiled_all_the_same(tmp_path: Path
     assert np.allclose(eval(done.stdout), eval(run(NUMBA_DISABLE_JIT=1).stdout), rtol=1e-12)
 
 
-def test_a_changed_compiled_module_is_another_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_its_folder_cannot_be_made_it_is_compiled_all_the_same(tmp_path: Path) -> None:
+    solvers = module._version(ROOT / "automodel" / "estimation" / "clothoid" / "solvers.py")
+    (tmp_path / f"solvers-{solvers}").touch()
+    assert run(NUMBA_CACHE_DIR=tmp_path).stderr == COMPILING
+
+
+def test_what_is_kept_goes_by_the_source_not_by_its_place(tmp_path: Path) -> None:
+    """Another environment with the same source need not compile again; one in which a number is another one must."""
+    copy = tmp_path / "copy"
+    shutil.copytree(ROOT / "automodel", copy / "automodel", ignore=shutil.ignore_patterns("__pycache__"))
+    first = run(XDG_CACHE_HOME=tmp_path / "cache")
+    second = run(copy, XDG_CACHE_HOME=tmp_path / "cache")
+    assert (first.stderr, second.stderr, second.stdout) == (COMPILING, "", first.stdout)
+    solvers = copy / "automodel" / "estimation" / "clothoid" / "solvers.py"
+    solvers.write_text(solvers.read_text() + "# other\n")
+    assert run(copy, XDG_CACHE_HOME=tmp_path / "cache").stderr == COMPILING
+
+
+@pytest.mark.parametrize(
+    ("imports", "changed"),
+    [
+        ("from automodel.b import NUMBER, OTHER", True),
+        ("from automodel.b import (\n    NUMBER,\n    OTHER,\n)", True),
+        ("from automodel import b", True),
+        ("import automodel.b as numbers", True),
+        ("from automodel.c import NUMBER", True),  # which imports b
+        ("from automodel.d import function", False),
+    ],
+)
+def test_what_a_module_imports_is_part_of_its_version(
+    imports: str, changed: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A compiled function keeps the numbers of other modules: also of those that compile nothing."""
     monkeypatch.setattr(module, "_PACKAGE", tmp_path)
+    (tmp_path / "a.py").write_text(f'"""Text."""\n\nimport numpy as np\n{imports}\n')
+    (tmp_path / "c.py").write_text("from automodel.b import NUMBER\n")
+    (tmp_path / "d.py").write_text("def function():\n    from automodel.b import NUMBER\n")
     versions = []
-    for source in ("@compiled\nA = 1\n", "@compiled\nA = 2\n"):
-        (tmp_path / "a.py").write_text(source)
-        (tmp_path / "b.py").write_text(source.replace("@", "#"))
-        versions.append(module._version())
-    (tmp_path / "b.py").write_text("B = 3\n")
-    versions.append(module._version())
-    assert versions[0] != versions[1] == versions[2]
+    for number in (1, 2):
+        (tmp_path / "b.py").write_text(f"NUMBER = OTHER = {number}\n")
+        module._version.cache_clear()
+        module._module.cache_clear()
+        versions.append(module._version(tmp_path / "a.py"))
+    assert (versions[0] != versions[1]) == changed
+
+
+def test_a_changed_module_is_another_version(tmp_path: Path) -> None:
+    for name, source in (("a", "A = 1\n"), ("b", "A = 2\n"), ("c", "A = 1\n")):
+        (tmp_path / f"{name}.py").write_text(source)
+    first, second, third = (module._version(tmp_path / f"{name}.py") for name in "abc")
+    assert first != second
+    assert first == third
