@@ -13,6 +13,7 @@ import pytest
 
 from automodel import compiled as module
 from automodel.compiled import compiled
+from automodel.config.parts import PIPELINES
 
 ROOT = Path(__file__).resolve().parents[1]
 POSTERIOR = """
@@ -23,19 +24,29 @@ logging.basicConfig(level=logging.INFO, format="%(message)s")
 print(posterior(np.diag([3.0, 1.0]), np.array([[1.0, 0.5], [0.5, 2.0]])).tolist())
 """
 DRIVE = """
-import gc
+import dataclasses, gc, sys
+import numpy as np
 from numba.core.dispatcher import Dispatcher
 from automodel.assembly.parts import make_pipeline
 from automodel.sim.track_files import load_track
 from tests.support.rendered_drives import CAR, RenderedDrive
+from tests.support.stereo_drives import StereoDrive, stereo_car
 def loaded():
     known = [each for each in gc.get_objects() if isinstance(each, Dispatcher)]
-    stages = ("automodel.perception", "automodel.estimation")
-    ours = [each for each in known if each.py_func.__module__.startswith(stages)]
+    ours = [each for each in known if each.py_func.__module__.startswith(STAGES)]
     return {each.py_func.__qualname__: len(each.signatures) for each in ours}
-pipeline = make_pipeline("windows", CAR)
+class InColour:
+    def step(self, frame, motion):
+        eyes = ("left", "right") if hasattr(frame, "left") else ("image",)
+        images = {eye: np.repeat(getattr(frame, eye)[..., None], 3, axis=2) for eye in eyes}
+        return pipeline.step(dataclasses.replace(frame, **images), motion)
+STAGES = tuple(f"automodel.{stage}." for stage in ("perception", "estimation", "tracking", "pipelines"))
+name = sys.argv[1]
+drive, car = (StereoDrive, stereo_car()) if name == "stereo" else (RenderedDrive, CAR)
+pipeline = make_pipeline(name, car)
 before = loaded()
-RenderedDrive(track=load_track("oval"), pipeline=pipeline, rate_hz=20.0).run(0.8, 2.6)
+for each in (pipeline, InColour()):
+    drive(track=load_track("oval"), car=car, pipeline=each, rate_hz=20.0).run(0.8, 2.6)
 after = loaded()
 print(sorted(name for name in after if after[name] != before.get(name, 0)), len(after) > 10)
 """
@@ -50,9 +61,11 @@ def run(tree: Path = ROOT, **environment: object) -> subprocess.CompletedProcess
     return subprocess.run(command, capture_output=True, text=True, env=env, check=True, cwd=tree)
 
 
-def test_no_frame_waits_for_a_function_to_be_compiled() -> None:
-    """What a frame calls is compiled, or loaded, when the pipeline is built."""
-    done = subprocess.run([sys.executable, "-c", DRIVE], capture_output=True, text=True, check=True, cwd=ROOT)
+@pytest.mark.parametrize("pipeline", PIPELINES.names)
+def test_no_frame_waits_for_a_function_to_be_compiled(pipeline: str) -> None:
+    """What a frame calls is compiled, or loaded, when the pipeline is built: grey ones and those in colour."""
+    command = [sys.executable, "-c", DRIVE, pipeline]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
     assert done.stdout == "[] True\n"
 
 

@@ -81,6 +81,7 @@ class Stereo:
             raise ValueError('lane_changes: needs [lane] left and right "any": each lane has lines of its own')
         self.stages = StageClock()
         self.reset()
+        self._warm_up()
 
     def _look_for(self, marking_m: float) -> None:
         """Look for markings of this width from now on."""
@@ -214,6 +215,25 @@ class Stereo:
             self._pair.forget()
         self.stages.lap("estimate")
         return estimate
+
+    def _warm_up(self) -> None:
+        """Compile everything that a step calls, so that no step waits for it: a lane is seen, and forgotten."""
+        left, right = (self._drawn_lane(eye) for eye in (self._rig.left, self._rig.right))
+        for index in range(2):
+            pair = StereoFrame(t_ns=33_000_000 * index, index=index, left=left, right=right)
+            self.step(pair, Motion(t_ns=pair.t_ns, speed_mps=0.0, yaw_rate_radps=0.0))
+        found = self._found
+        if found is not None:
+            one, other = found.stripes
+            mirrored(one, np.arange(len(one.stripe)) < 1, pair.left, other.eye, pair.right)
+        self.reset()
+
+    def _drawn_lane(self, eye: GroundCamera) -> Image:
+        """What an eye sees of both lines of a straight lane in whose middle the car is."""
+        rows, columns = np.indices(self._size).reshape(2, -1)
+        left_m = eye.px_to_ground(np.stack((columns, rows), axis=-1).astype(np.float64))[:, 1]
+        paint = np.abs(np.abs(left_m) - 0.5 * self._unit) < 0.5 * self._marking_m
+        return np.where(paint, 200, 50).astype(np.uint8).reshape(self._size)
 
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
@@ -424,4 +444,8 @@ def _images(frame: Frame | StereoFrame) -> tuple[Frame, tuple[Image | None, Imag
 
 
 def _grey(image: Image) -> Image:
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    if image.ndim == 2:
+        return image
+    grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+    grey.flags.writeable = False  # as a frame's images are: of the one kind that is compiled
+    return grey
