@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from automodel.perception.markings.binary_views import TemporalPaintCheck
+from automodel.perception.markings.reflections import Reflections
 from automodel.tracking.frame_motion import FrameMotion
 
 SEEN = 2  # points of a frame that make a line seen
@@ -35,9 +36,14 @@ class StageClock:
             self._last_ns = now_ns
 
 
-def carry(check: TemporalPaintCheck, moved: FrameMotion | None) -> None:
-    """Move what a check over time remembers with the car; where the motion is not known it is forgotten."""
+def carry(check: TemporalPaintCheck, reflections: Reflections, moved: FrameMotion | None) -> None:
+    """Move what a check over time remembers with the car; where the motion is not known it is forgotten.
+
+    A turn blurs what is told from reflections.
+    """
     if moved is not None and moved.known:
         check.move(moved.before_from_after, moved.distance_m)
+        reflections.turned(moved.turn_rad)
     else:
         check.forget()
+        reflections.turned(None)

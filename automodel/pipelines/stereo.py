@@ -242,6 +242,8 @@ class Stereo:
             self._pair.forget()
         else:
             self._pair.move(moved.distance_m, moved.turn_rad, moved.dt_s, moved.known)
+        for eye in self._reflections:
+            eye.turned(moved.turn_rad if moved is not None and moved.known else None)
         settles_s = self._plane.config.settles_s
         dt_s = settles_s if moved is None else moved.dt_s
         self._plane.predict(dt_s, self._one_eyed)

@@ -165,7 +165,7 @@ class Windows:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
-        carry(self._paint_check, moved)
+        carry(self._paint_check, self._reflections, moved)
         if moved is None:
             self._forget()
             return

@@ -33,14 +33,15 @@ class ReflectionConfig:
     """Scales of `Reflections`.
 
     `pointing_rad`: sigma of the direction of a streak's piece; what is three of them off is paint. A larger one puts
-    more paint to the test. `blur_px`: largest standard deviation of an image's blur, of a car that turns on the
-    spot; with a larger one wide streaks pass for blurred markings. `change`: probability that one of two neighbouring
-    pieces of connected pixels is of a streak and the other of paint that points to the camera as well. `reach`: of a
-    profile to both sides, in marking widths; over a shorter one a wide streak looks like curved ground.
+    more paint to the test. `blur_px`: standard deviation of an image's blur by a lens that is out of focus; a car that
+    turns while a frame is exposed adds its own. With a larger one wide streaks pass for blurred markings: with 5 a lamp
+    of two markings' width is undecided. `change`: probability that one of two neighbouring pieces of connected pixels
+    is of a streak and the other of paint that points to the camera as well. `reach`: of a profile to both sides, in
+    marking widths; over a shorter one a wide streak looks like curved ground.
     """
 
     pointing_rad: float = 0.035
-    blur_px: float = 5.0
+    blur_px: float = 2.0
     change: float = 0.01
     reach: float = 2.5
 
@@ -62,13 +63,51 @@ class Reflections:
         reach = math.ceil(self.config.reach * self._marking_px)
         self._across: FloatArray = np.arange(-reach, reach + 1, dtype=np.float64)  # columns, of a line straight ahead
         self._rows_a_piece = view.height_px / pieces
-        shapes = [self._shapes(camera, k, marking_width_m) for k in range(pieces)]
+        sharp_px = 1.0 / math.sqrt(12.0)  # a pixel's own blur
+        # Three steps to that of a lens, and two beyond, for fast turns: with half as many, paint in between is lost.
+        self._blurs_px: FloatArray = sharp_px * (self.config.blur_px / sharp_px) ** (np.arange(6) / 3.0)
+        self._blur_px, self._marking_m = math.inf, marking_width_m
+        x = view.x_far_m - (np.arange(pieces) + 0.5) * self._rows_a_piece * view.m_per_row
+        self._wide_px = self._pixels_across(np.stack((x, 0.0 * x), axis=1), np.array((0.0, 1.0)))
+        shapes = [self._shapes(wide_px) for wide_px in self._wide_px.tolist()]
         paint, streaks = (np.stack(every) for every in zip(*shapes, strict=True))
-        self._profiles = _Profiles(paint, streaks, {"light": 1.0, "dark": -1.0, "both": 0.0}[markings])
+        sign = {"light": 1.0, "dark": -1.0, "both": 0.0}[markings]
+        self._profiles = _Profiles(paint, len(self._blurs_px), streaks, sign)
         self.any_points_to_camera(np.empty((0, 2)))  # compiled now: no frame waits for it
         of_streaks(np.zeros(pieces), pieces, self.config.change)
         nothing = np.zeros((1, len(self._across)))
-        self._profiles.log_odds(nothing, nothing == 0.0, np.zeros(1, np.intp))
+        self._profiles.log_odds(nothing, nothing == 0.0, np.zeros(1, np.intp), np.ones(1, np.intp))
+
+    def turned(self, turn_rad: float | None) -> None:
+        """The car has turned so far since the last frame, None: nobody knows; a frame is exposed no longer than that.
+
+        By a turn phi an image moves by f phi; spread evenly over that, it is blurred by f phi / sqrt 12.
+        """
+        focal_px = float(self._camera.camera.matrix[0, 0])
+        turn_px = math.inf if turn_rad is None else focal_px * turn_rad / math.sqrt(12.0)
+        self._blur_px = math.hypot(self.config.blur_px, turn_px)
+
+    def _pixels_across(self, middle_m: FloatArray, across: FloatArray) -> FloatArray:
+        """How many pixels (n,) wide a marking is at places (n, 2) [m], across which is that direction."""
+        half = 0.5 * self._marking_m * across
+        left, right = self._camera.ground_to_px(middle_m + half), self._camera.ground_to_px(middle_m - half)
+        return np.asarray(np.hypot(*(left - right).T), dtype=np.float64)
+
+    def _blurs(self, piece: Ints, middle_m: FloatArray, across: FloatArray) -> Ints:
+        """How many of the blurs paint may have (n,), in these pieces of the view, at places (n, 2) [m].
+
+        What runs aslant is seen by fewer pixels across than what runs straight ahead: the same blur is more of it.
+        """
+        with np.errstate(divide="ignore"):
+            blur_px = self._blur_px * self._wide_px[piece] / self._pixels_across(middle_m, across)
+        first, second = self._blurs_px[:2]
+        steps = np.log(blur_px / first) / math.log(second / first)
+        most = len(self._blurs_px)
+        return (
+            np.where(steps < most, np.rint(np.minimum(np.nan_to_num(steps), most)) + 1, most)
+            .clip(1, most)
+            .astype(np.intp)
+        )
 
     def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
@@ -110,7 +149,8 @@ class Reflections:
         usable = np.asarray(inside & (samples < WHITE).all(axis=(1, 3)), dtype=np.bool_)
         row = (self.view.x_far_m - ahead[:, 0] - self._foot[0]) / self.view.m_per_row
         piece = (row / self._rows_a_piece).astype(np.intp).clip(0, self._pieces - 1)
-        known = self._profiles.log_odds(values, usable, piece)
+        blurs = self._blurs(piece, points_m[:-1] + 0.5 * way, left)
+        known = self._profiles.log_odds(values, usable, piece, blurs)
         told = ~np.isnan(known)
         odds = known + 0.5 * (away_rad / self.config.pointing_rad) ** 2
         return bool(told.any() and odds[told].sum() < paint)
@@ -148,7 +188,7 @@ class Reflections:
         left = self.view.half_width_m - (c + 0.5) * self.view.m_per_px - self._foot[1]
         away_rad = np.arctan2(left, ahead) - np.arctan(slope / self._aspect)
         half = np.sqrt(3.0 * spread)  # of the piece's rows
-        long = 2.0 * half > self._marking_rows
+        long = 2.0 * half > max(self._marking_rows, self._marking_px)  # else the rows are too few for a direction
         odds[large[long]] = np.inf  # where they do not point to the camera
         maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & long)
         if len(maybe):
@@ -172,7 +212,10 @@ class Reflections:
         samples = samples.reshape(len(row), count, -1)
         values = samples.mean(axis=1, dtype=np.float64)
         seen = self._visible(rows[:, count // 2], columns[:, count // 2]) & (samples < WHITE).all(axis=1)
-        odds = self._profiles.log_odds(values, seen, (row / self._rows_a_piece).astype(np.intp))
+        piece, place = (row / self._rows_a_piece).astype(np.intp), self.view
+        x, y = place.x_far_m - (row + 0.5) * place.m_per_row, place.half_width_m - (column + 0.5) * place.m_per_px
+        blurs = self._blurs(piece, np.stack((x, y), axis=1), np.stack((-tilt * cos, cos), axis=1))
+        odds = self._profiles.log_odds(values, seen, piece, blurs)
         return np.where(np.isnan(odds), np.inf, odds)
 
     def _visible(self, rows: Float32Array, columns: Float32Array) -> Bools:
@@ -182,19 +225,15 @@ class Reflections:
         inside = (r >= 0) & (c >= 0) & (r < height) & (c < width)
         return np.asarray(inside & (self._mask[r.clip(0, height - 1), c.clip(0, width - 1)] > 0))
 
-    def _shapes(self, camera: GroundCamera, piece: int, marking_m: float) -> tuple[FloatArray, FloatArray]:
-        """Profiles (n, k) of markings and of streaks in the middle of a piece of the view's length."""
+    def _shapes(self, wide_px: float) -> tuple[FloatArray, FloatArray]:
+        """Profiles (n, k) of markings so many pixels wide, the sharpest first, and of streaks."""
         config = self.config
-        x = self.view.x_far_m - (piece + 0.5) * self._rows_a_piece * self.view.m_per_row
-        left, right = camera.ground_to_px(np.array([[x, 0.5 * marking_m], [x, -0.5 * marking_m]]))
-        wide_px = float(np.hypot(*(right - left)))
         u = self._across / self._marking_px
         pixel = 0.5 / self._marking_px
-        sharp_px = 1.0 / math.sqrt(12.0)  # a pixel's own
-        places = np.linspace(-0.5, 0.5, 5)  # of a piece's middle; finer steps of it, and of what follows, tell no more
-        blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in np.geomspace(sharp_px, config.blur_px, 4)]
+        places = np.linspace(-0.5, 0.5, 5)  # of a piece's middle
+        blurs = [math.hypot(min(px / max(wide_px, px), 1.0), pixel) for px in self._blurs_px]
         widths = np.geomspace(1.0 / MarkingWidth.CHANGE, MarkingWidth.CHANGE, 5)  # as wrong as one is used
-        paint = [_blurred_box(u - at, width, blur) for at in places for width in widths for blur in blurs]
+        paint = [_blurred_box(u - at, width, blur) for blur in blurs for at in places for width in widths]
         bells = np.geomspace(pixel, 4.0 * config.reach, 24)  # the widest falls by 3 % over a profile: a curve
         streaks = [np.exp(-0.5 * ((u - at) / width) ** 2) for at in places for width in bells]
         return np.array(paint), np.array(streaks)
@@ -272,33 +311,35 @@ def to_the_valleys(values: FloatArray) -> Bools:
 class _Profiles:
     """Likelihoods of profiles (n, k) as those of a marking and of a streak, of unknown height and noise.
 
-    `paint`, `streaks` (m, j, k): the j shapes that each may have in each of m places, all as likely. The ground below
-    has a slope; below paint it may be curved too. The noise is unknown, so that the likelihood of a shape is that of
-    Student's distribution. Half of the samples count, because neighbours share the image's pixels; rounding to grey
-    levels is a noise that is known. `sign` of a marking's height, 0: either.
+    `paint`, `streaks` (m, j, k): the j shapes that each may have in each of m places, all as likely; those of paint are
+    as many for each of so many `blurs`, the sharpest first. The ground below has a slope; below paint it may be curved
+    too. The noise is unknown, so that the likelihood of a shape is that of Student's distribution. Half of the samples
+    count, because neighbours share the image's pixels; rounding to grey levels is a noise that is known. `sign` of a
+    marking's height, 0: either.
     """
 
-    def __init__(self, paint: FloatArray, streaks: FloatArray, sign: float) -> None:
-        self._paint, self._streaks, self._sign = paint, streaks, sign
+    def __init__(self, paint: FloatArray, blurs: int, streaks: FloatArray, sign: float) -> None:
+        self._paint, self._a_blur, self._streaks, self._sign = paint, paint.shape[1] // blurs, streaks, sign
 
-    def log_odds(self, values: FloatArray, known: Bools, place: Ints) -> FloatArray:
+    def log_odds(self, values: FloatArray, known: Bools, place: Ints, blurs: Ints) -> FloatArray:
         """Log-odds (n,) [nats] of a marking against a streak, of profiles (n, k) in places (n,), by `known` samples.
 
-        What lies beyond a valley is another thing. NaN where less than half of a profile is left.
+        `blurs` (n,): how many of them paint may have. What lies beyond a valley is another thing. NaN where less than
+        half of a profile is left.
         """
         upright = self._sign * values
         if self._sign == 0.0:
             ends = 0.5 * (values[:, :1] + values[:, -1:])
             upright = np.where(values[:, values.shape[1] // 2, None] < ends, -values, values)
         known = known & to_the_valleys(upright)
-        return _log_odds(values, known, place, self._paint, self._streaks, self._sign)
+        return _log_odds(values, known, place, self._paint, self._a_blur * blurs, self._streaks, self._sign)
 
 
 @compiled
 def _log_odds(
-    values: FloatArray, known: Bools, place: Ints, paint: FloatArray, streaks: FloatArray, sign: float
+    values: FloatArray, known: Bools, place: Ints, paint: FloatArray, first: Ints, streaks: FloatArray, sign: float
 ) -> FloatArray:
-    """See `_Profiles.log_odds`."""
+    """See `_Profiles.log_odds`; `first` (n,): so many shapes of paint."""
     count, odds = values.shape[1], np.full(len(values), math.nan)
     away = np.linspace(-1.0, 1.0, count)
     for i in range(len(values)):
@@ -311,8 +352,8 @@ def _log_odds(
             for lower in range(power):
                 ground[power] -= (ground[power] * ground[lower]).sum() * ground[lower]
             ground[power] /= math.sqrt((ground[power] ** 2).sum())
-        flat = _evidence(values[i][at], ground[:2], paint[place[i]], at, sign)
-        curved = _evidence(values[i][at], ground, paint[place[i]], at, sign)
+        flat = _evidence(values[i][at], ground[:2], paint[place[i], : first[i]], at, sign)
+        curved = _evidence(values[i][at], ground, paint[place[i], : first[i]], at, sign)
         curved -= 0.5 * math.log(len(at))  # what another parameter explains by chance (Schwarz 1978)
         marking = max(flat, curved) + math.log1p(math.exp(-abs(flat - curved))) - math.log(2.0)
         odds[i] = marking - _evidence(values[i][at], ground[:2], streaks[place[i]], at, sign)

@@ -6,6 +6,7 @@ import functools
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -52,15 +53,23 @@ def drawn(
 def filtered(
     *shapes: Shape, light: np.ndarray | None = None, dark: bool = False, camera: CameraConfig = CAR, noise: float = 2.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The line view (h, w) of painted shapes in a light [grey levels], and what is left of it.
+    """The line view (h, w) of painted shapes in a light [grey levels], and what is left of it; of a car that drives
+    straight on.
 
     The pipeline believes the camera to be the default one.
     """
-    seen = drawn(*shapes, light=light, dark=dark, camera=camera, noise=noise)
+    return filtered_of(drawn(*shapes, light=light, dark=dark, camera=camera, noise=noise), dark=dark, turn_rad=0.0)
+
+
+def filtered_of(
+    seen: np.ndarray, *, dark: bool = False, turn_rad: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The line view (h, w) of an image (h, w) of a car that has turned so far in a frame, and what is left of it."""
     eye, markings = GroundCamera.from_config(CAR), "dark" if dark else "light"
     birdseye = BirdsEye(eye, VIEW)
     white_areas = WhiteAreas(birdseye, MARKING_M, 0.0, markings)
     reflections = Reflections(eye, VIEW, white_areas.mask, MARKING_M, markings, PIECES)
+    reflections.turned(turn_rad)
     view = birdseye.warp(seen)
     lines = white_areas.step(view).lines
     return lines, reflections.step(view, lines, lines)
@@ -131,6 +140,43 @@ def test_blurred_paint_stays(line: Shape) -> None:
     """A line beside the car, as wide as no marking is; it does not point to the camera."""
     soft = sum(0.1 * line_at_width(line, scale) for scale in np.linspace(0.2, 2.0, 10))
     assert kept(*filtered(light=90.0 * np.asarray(soft))) == 1.0
+
+
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.2, -0.3])
+@pytest.mark.parametrize("turn_rad", [0.0, 0.01, 0.02, 0.025, 0.03, 0.04])
+def test_paint_that_points_to_the_camera_of_a_car_that_turns_stays(azimuth_rad: float, turn_rad: float) -> None:
+    """An image of a car that turns moves across while it is exposed, here for a whole frame."""
+    line = line_at(-np.tan(azimuth_rad) * CAR.extrinsics.x_m, slope=np.tan(azimuth_rad))
+    moved_px = max(round(turn_rad * CAR.intrinsics.fx_px), 1)
+    blurred = cv2.blur(drawn(line, noise=0.0).astype(np.float64), (moved_px, 1))
+    seen = (blurred + np.random.default_rng(2).normal(0.0, 2.0, blurred.shape)).round().astype(np.uint8)
+    assert kept(*filtered_of(seen, turn_rad=turn_rad)) > 0.95
+    assert kept(*filtered_of(seen, turn_rad=None)) > 0.95
+
+
+@pytest.mark.parametrize("azimuth_rad", [0.0, 0.2, -0.3])
+@pytest.mark.parametrize("light", [100.0, 300.0, 700.0])
+@pytest.mark.parametrize("width_rad", [0.02, 0.03])
+def test_a_streak_as_wide_as_a_marking_is_no_blurred_one_where_the_car_does_not_turn(
+    azimuth_rad: float, light: float, width_rad: float
+) -> None:
+    seen = drawn(light=light * lamp(CAR, azimuth_rad, width_rad))
+    assert kept(*filtered_of(seen, turn_rad=0.0)) < 0.25
+
+
+def test_what_few_rows_show_of_a_line_across_has_no_direction_and_stays() -> None:
+    """A long view has rows much longer than its pixels are wide; of a line across, these show shreds."""
+    eye, coarse = GroundCamera.from_config(CAR), replace(VIEW, m_per_row=4.0 * VIEW.m_per_px)
+    height, width = coarse.height_px, coarse.width_px
+    row, column = np.mgrid[0:height, 0:width]
+    away = np.abs(row - 0.5 * height - 0.1 * (column - 0.5 * width))
+    view = (60.0 + 90.0 * np.clip(2.0 - away, 0.0, 1.0)).astype(np.uint8)
+    shreds = np.where((away < 1.5) & (np.abs(column - 0.5 * width) % 40 < 4), 255, 0).astype(np.uint8)
+    mask = np.full((height, width), 255, np.uint8)
+    reflections = Reflections(eye, coarse, mask, MARKING_M, "light", PIECES)
+    reflections.turned(0.0)
+    assert np.count_nonzero(shreds) > 50
+    np.testing.assert_array_equal(reflections.step(view, shreds, shreds), shreds)
 
 
 def line_at_width(line: Shape, scale: float) -> np.ndarray:
