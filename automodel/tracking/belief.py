@@ -24,7 +24,17 @@ from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curv
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose, MotionSource
 from automodel.tracking.evidence import Equations, Prior, innovation, own_thing, posterior, settled, whitened
-from automodel.tracking.lane_motion import Drift, Part, arc, beside_car, lateral_variance, line_beside, merged, moved
+from automodel.tracking.lane_motion import (
+    Drift,
+    Part,
+    arc,
+    aside,
+    beside_car,
+    lateral_variance,
+    line_beside,
+    merged,
+    moved,
+)
 from automodel.tracking.stories import ROLES, Things, beside_lane, departure, possible, stories
 from automodel.types import FloatArray
 
@@ -309,6 +319,11 @@ class LaneBelief:
         spacing = STATION * self.road.lane_width_m
         return line_beside(self.state, self.covariance, self.start_m, spacing, self.reference_x_m, role, s_m)
 
+    def aside(self, points_m: FloatArray) -> FloatArray:
+        """How far points (n, 2) [m] lie to the left of the centerline (n,) [m]."""
+        spacing = STATION * self.road.lane_width_m  # a copy has the one layout that is compiled
+        return aside(self.state, self.start_m, spacing, self.reference_x_m, points_m.copy())
+
     @property
     def pose(self) -> LanePose:
         """The car's pose, which states no bounds."""
@@ -333,6 +348,12 @@ class LaneBelief:
         width_sigma_m = self.road.width_sigma * self.road.lane_width_m
         state, covariance = next_lane(self.state, self.covariance, side, width_sigma_m)
         return replace(self, state=state, covariance=covariance)
+
+    def between(self, left: float, right: float) -> LaneBelief:
+        """The lane between two lines that lie so many lane widths to the left of this one's centerline."""
+        change = np.eye(len(self.state))
+        change[OFFSET, WIDTH], change[WIDTH, WIDTH] = -0.5 * (left + right), left - right
+        return replace(self, state=change @ self.state, covariance=change @ self.covariance @ change.T)
 
     def moved(self, distance_m: float, turn_rad: float, dt_s: float, known: bool) -> LaneBelief:
         """The belief after a motion along an arc; an unknown motion counts as none, with much noise."""
@@ -549,4 +570,4 @@ def warm_up() -> None:
     Evidence(after).stories([line for line, _ in lines], things, np.zeros(1), np.zeros((1, len(ROLES))), np.ones(1))
     Evidence(after).nearest_role(lines[0].line)
     after.moved(0.1, 0.0, 0.01, True).merged(belief, 0.5).without_road().beside_it(+1)
-    _ = belief.lateral_variance(1.0), belief.pose
+    _ = belief.lateral_variance(1.0), belief.aside(points), belief.pose

@@ -13,7 +13,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves.foot import foot_on_circle
-from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, lane_path, path_row, station
+from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, foot_on, lane_path, path_row, station
 from automodel.types import FloatArray
 
 _foot_on_circle = compiled(foot_on_circle)
@@ -241,6 +241,17 @@ def _variance(row: FloatArray, covariance: FloatArray) -> float:
             for k in range(len(row)):
                 variance += row[j] * covariance[j, k] * row[k]
     return max(variance, 0.0)
+
+
+@compiled
+def aside(
+    state: FloatArray, start_m: float, spacing_m: float, reference_x_m: float, points_m: FloatArray
+) -> FloatArray:
+    """How far points (n, 2) [m] lie to the left of the centerline (n,) [m]."""
+    path, left = lane_path(state, start_m, spacing_m, reference_x_m), np.empty(len(points_m))
+    for i in range(len(points_m)):
+        _, left[i] = foot_on(path, points_m[i, 0], points_m[i, 1])
+    return left
 
 
 @compiled

@@ -15,12 +15,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from automodel.config import CarConfig
 from automodel.curves import Curve
 from automodel.estimation.checked_odometry import CheckedOdometry
+from automodel.estimation.road import TAPER
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import ScanConfig, SightedLine
 from automodel.signals import (
@@ -38,6 +40,7 @@ from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
 from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound
 from automodel.tracking.lane_motion import Part
+from automodel.tracking.rivals import Rivals
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
 from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.types import Bools, FloatArray
@@ -132,6 +135,7 @@ class LaneTracking:
         self._motions, self._given = FrameMotions(self._unit), FrameMotions(self._unit)
         self._innovations = Innovations()
         self._hypotheses = Hypotheses(self.config.hypotheses)
+        self._rivals = Rivals(self.config.hypotheses, road.width_sigma)
         warm_up()
         self.reset()
 
@@ -172,7 +176,9 @@ class LaneTracking:
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
+        self._beside_m = 0.0  # the same, for what runs beside the lane's own
         self._pair_m = 0.0  # driven with both lines seen
+        self._rivals.reset()
         self._beside = False  # whether the car is in the next lane, which it has taken for its own
 
     @property
@@ -219,6 +225,7 @@ class LaneTracking:
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed
+            self._beside_m += passed
             self._learnt_road.move(math.copysign(driven, moved.distance_m), moved.turn_rad, motion.source)
             if not moved.known:
                 self._learnt_road.lose()
@@ -350,8 +357,15 @@ class LaneTracking:
             outvoted, self._outvoted = self._outvoted, False
             if outvoted and self._strays(followed):
                 return self._belief
-            plain = followed.left.seen and followed.right.seen
-            return self._recognise(lines) if plain else self._watch(lines, followed)
+            plain, due = followed.left.seen and followed.right.seen, outvoted or self._looks_again(followed)
+            belief, others = self._belief, lines
+            if belief is not None:
+                others = self._rivals.others(belief, lines)
+                news, self._beside_m = float(self.road.news_of(1, self._beside_m / self._unit)[0]), 0.0
+                self._rivals.look(belief, lines, news, partial(self._in_view_m, belief))
+            if not due:
+                return None
+            return self._recognise(others) if plain else self._watch(others, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         seen = self._together(lines, own)
         self._hypotheses.displace(lambda belief: self._confusable(belief, 1.0))
@@ -499,10 +513,15 @@ class LaneTracking:
     def looks_around(self, followed: Followed) -> bool:
         """Whether `judge` wants the lines of the whole view: where one line is followed, or none, it may be any.
 
-        Where both are, now and then: the lines beside them tell whether it is still the same lane.
+        Where both are, now and then: the lines beside them tell whether it is still the same lane; and when it has
+        begun, whether they may be its own.
         """
         if self.lost or self.in_doubt or not self._possible(followed.pose):
             return not self.lost
+        beside = not self._rivals.settled and self._beside_m > self.road.news * self._unit
+        return beside or self._looks_again(followed)
+
+    def _looks_again(self, followed: Followed) -> bool:
         plain = followed.left.seen and followed.right.seen and not self._may_be_another
         return self._outvoted or self._around_m > (self.config.look if plain else self.config.glance) * self._unit
 
@@ -779,6 +798,7 @@ class LaneTracking:
         self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start((), learnt=True)
         self._innovations.reset()
+        self._rivals.reset()
 
     def _may_be_next(self, belief: LaneBelief, reckoned: LaneBelief) -> bool:
         """Whether a lane may be the one beside that of dead reckoning, oftener than a bound may be exceeded.
@@ -843,7 +863,7 @@ class LaneTracking:
 
     def _estimate(self, frame: Frame, status: LaneStatus, followed: Followed) -> LaneEstimate:
         followed = self._told(followed)
-        offset_bound, heading_bound = self._bounds(followed.pose)
+        offset_bound, heading_bound = self._bounds(followed)
         return LaneEstimate(
             t_ns=frame.t_ns,
             status=status,
@@ -882,26 +902,30 @@ class LaneTracking:
         centerline = belief.curve(0.0, self._ahead_m)
         return replace(followed, pose=belief.pose, left=left, right=right, centerline=centerline)
 
-    def _bounds(self, pose: LanePose) -> tuple[float, float]:
+    def _bounds(self, followed: Followed) -> tuple[float, float]:
         """Bounds of offset [m] and heading [rad]: those of every hypothesis that may be true, seen from the pose.
 
-        One that is less likely than a bound may be exceeded is none of them.
+        One that is less likely than a bound may be exceeded is none of them. Where a lane gets wider or narrower, one
+        of its lines is turned from its middle by half of that.
         """
-        errors, inflation = self._errors, self._innovations.inflation
+        pose, errors, inflation = followed.pose, self._errors, self._innovations.inflation
+        turned_rad = 0.0 if followed.left.seen and followed.right.seen else 0.5 * TAPER
         assert self._belief is not None
         may_be = [self._belief]
         if self.in_doubt:  # and dead reckoning, which no line can mislead
             reckoned = [] if self._reckoned is None else [self._reckoned]
             stories = zip(self._hypotheses.all, self._hypotheses.posterior(), strict=True)
             may_be = [*(one.belief for one, share in stories if share > EXCEEDED), *reckoned]
-        elif self._may_be_another:
-            may_be += [self._belief.beside_it(side) for side in (+1, -1)]
+        else:
+            may_be += self._rivals.lanes(self._belief)
+            may_be += [self._belief.beside_it(side) for side in (+1, -1) if self._may_be_another]
         offset = heading = 0.0
         for one in may_be:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m
             side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
             if not self.paired:
                 side = math.hypot(side, 0.5 * self.road.width_sigma * self._unit)
+            turn = math.hypot(turn, turned_rad)
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))

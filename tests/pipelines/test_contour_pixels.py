@@ -31,6 +31,7 @@ HIGHWAY_CAR = replace(
     vehicle=VehicleConfig(wheelbase_m=2.7, reference_x_m=1.3, width_m=1.8),
 )
 TRACKING_SHARE = 0.04
+LOOKS = 4  # at the whole view when a lane has begun: whether other lines may be its own
 MEASURING_SHARE = 2.0 * TRACKING_SHARE  # where the markings' width is measured
 EVERYTHING = 1.0  # the whole view is searched for lines: without a lane, and in doubt of it
 GREY = np.array([0.114, 0.587, 0.299])  # of blue, green, red: ITU-R BT.601
@@ -167,7 +168,8 @@ def test_few_pixels_are_read_in_the_dark_and_at_the_next_start(watched_pixels: W
     assert statuses[-1] is LaneStatus.TRACKING
     settled = [shares[k] for k in range(4, len(seen)) if all(s is LaneStatus.TRACKING for s in statuses[k - 4 : k + 1])]
     assert len(settled) > 60
-    assert max(settled) < TRACKING_SHARE
+    assert max(share for share in settled if share < EVERYTHING) < TRACKING_SHARE
+    assert sum(share == EVERYTHING for share in settled) <= 2 * LOOKS
 
 
 @pytest.mark.parametrize("radius_lanes", [1.4, 50.0])
@@ -176,7 +178,7 @@ def test_few_pixels_are_read_on_a_highway(watched_pixels: WatchedPixels, radius_
     car = replace(HIGHWAY_CAR, pipeline=replace(HIGHWAY_CAR.pipeline, contour=contour))
     seen, shares = watch(watched_pixels, car, road(line(90.0), width_m=3.7, marking_m=0.15), 40.0, speed_mps=25.0)
     assert all(s.estimate.status is LaneStatus.TRACKING for s in seen)
-    check_shares(shares, 1.0 / len(shares), MEASURING_SHARE)
+    check_shares(shares, (1.0 + LOOKS) / len(shares), MEASURING_SHARE)
     assert np.quantile(shares[1:], 0.8) < TRACKING_SHARE
 
 

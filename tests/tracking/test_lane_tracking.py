@@ -15,14 +15,14 @@ import pytest
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve
 from automodel.estimation.checked_odometry import DISSENT, CheckedOdometry
-from automodel.estimation.road import MAX_GAP_S
+from automodel.estimation.road import MAX_GAP_S, TAPER
 from automodel.geometry import GroundCamera, lane_path
 from automodel.geometry.lane_path import ROAD
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_motion, seen_places
 from automodel.tracking.belief import LaneBelief
-from automodel.tracking.integrity import EXCEEDED
+from automodel.tracking.integrity import EXCEEDED, K
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
@@ -128,6 +128,42 @@ def test_two_lines_in_view_are_a_lane_at_once() -> None:
     estimate = drive.tracking.follow(drive.frame, said(start.offset_m))
     assert estimate.status is LaneStatus.TRACKING
     assert bound(estimate) < LANE_M
+
+
+def test_the_bound_holds_a_lane_that_a_line_inside_it_would_make_with_its_other_line() -> None:
+    """Both have been in view since the lane began: which one bounds it cannot be known."""
+    inside = -0.3  # 0.2 lane widths from the right line: the lane's middle would be 0.1 of them aside
+    for look in (CONFIG.look, math.inf):
+        drive = Drive(replace(CONFIG, look=look))
+        drive.predict()
+        assert drive.tracking.start(drive.t_ns, sights(0.0)) is not None
+        bounds = [bound(drive.follow(said(0.0), sights(0.0, (*BOTH, inside)))) for _ in range(60)]
+        assert min(bounds[30:]) > 0.1 * LANE_M
+        alone = driving(config=replace(CONFIG, look=look))
+        for _ in range(60):
+            alone.follow(said(0.0), sights(0.0))
+        later = [bound(alone.follow(said(0.0), sights(0.0, (*BOTH, inside)))) for _ in range(60)]
+        assert max(later) < 0.1 * LANE_M
+
+
+def test_a_line_inside_the_lane_makes_no_narrower_one_where_its_own_is_out_of_view() -> None:
+    inside = -0.3
+    drive = driving(frames=0)
+    for _ in range(40):
+        drive.follow(said(0.0), sights(0.0, (*BOTH, inside)))
+    for _ in range(20):
+        drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT, inside)))
+        assert drive.anew is None
+    assert not drive.doubted
+    assert drive.tracking.road.lane_width_m == LANE_M
+
+
+def test_a_heading_by_one_line_may_be_that_of_a_lane_that_gets_wider() -> None:
+    drive = driving(frames=30)
+    assert drive.follow(said(0.0), sights(0.0)).pose.heading_bound_rad < K * 0.5 * TAPER  # type: ignore[union-attr]
+    for seen in ((LEFT,), (RIGHT,), NONE):
+        one = drive.follow(said(0.0, seen), sights(0.0, seen))
+        assert one.pose.heading_bound_rad > K * 0.5 * TAPER  # type: ignore[union-attr]
 
 
 def seen_by(camera: GroundCamera, points_m: FloatArray) -> FloatArray:
