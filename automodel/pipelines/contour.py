@@ -3,7 +3,7 @@
 Prediction by speed and yaw rate -> projection of the pair's nodes into the image -> ridges on short runs of rows about
 them -> robust least squares -> pose. While a lane is followed, nothing of the image is projected onto the ground, and
 under 2 % of the pixels are read, as many again where a line is missing or the markings' width is measured. Where none
-is followed, or another one may be, the whole view is searched for lines.
+is followed, one has just begun, or another one may be, the whole view is searched for lines.
 """
 
 from __future__ import annotations

@@ -176,7 +176,7 @@ class LaneTracking:
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
         self._around_m = 0.0  # driven since the last look at all lines in view
-        self._beside_m = 0.0  # the same, for what runs beside the lane's own
+        self._rivals_m = 0.0  # the same, for what runs beside the lane's own
         self._pair_m = 0.0  # driven with both lines seen
         self._rivals.reset()
         self._beside = False  # whether the car is in the next lane, which it has taken for its own
@@ -225,7 +225,7 @@ class LaneTracking:
             passed = max(driven, STILL_LANES * self._unit * moved.dt_s)  # also where the odometry stands still
             self._news_m += passed
             self._around_m += passed
-            self._beside_m += passed
+            self._rivals_m += passed
             self._learnt_road.move(math.copysign(driven, moved.distance_m), moved.turn_rad, motion.source)
             if not moved.known:
                 self._learnt_road.lose()
@@ -361,7 +361,7 @@ class LaneTracking:
             belief, others = self._belief, lines
             if belief is not None:
                 others = self._rivals.others(belief, lines)
-                news, self._beside_m = float(self.road.news_of(1, self._beside_m / self._unit)[0]), 0.0
+                news, self._rivals_m = float(self.road.news_of(1, self._rivals_m / self._unit)[0]), 0.0
                 self._rivals.look(belief, lines, news, partial(self._in_view_m, belief))
             if not due:
                 return None
@@ -518,7 +518,7 @@ class LaneTracking:
         """
         if self.lost or self.in_doubt or not self._possible(followed.pose):
             return not self.lost
-        beside = not self._rivals.settled and self._beside_m > self.road.news * self._unit
+        beside = not self._rivals.settled and self._rivals_m > self.road.news * self._unit
         return beside or self._looks_again(followed)
 
     def _looks_again(self, followed: Followed) -> bool:
@@ -909,7 +909,7 @@ class LaneTracking:
         of its lines is turned from its middle by half of that.
         """
         pose, errors, inflation = followed.pose, self._errors, self._innovations.inflation
-        turned_rad = 0.0 if followed.left.seen and followed.right.seen else 0.5 * TAPER
+        taper_rad = 0.0 if followed.left.seen and followed.right.seen else 0.5 * TAPER
         assert self._belief is not None
         may_be = [self._belief]
         if self.in_doubt:  # and dead reckoning, which no line can mislead
@@ -925,7 +925,7 @@ class LaneTracking:
             side, turn = errors.sigmas(aside + 0.5 * abs(one.curvature_per_m) * self._near_m**2)
             if not self.paired:
                 side = math.hypot(side, 0.5 * self.road.width_sigma * self._unit)
-            turn = math.hypot(turn, turned_rad)
+            turn = math.hypot(turn, taper_rad)
             away, turned = abs(one.offset_m - pose.offset_m), abs(one.heading_rad - pose.heading_rad)
             offset = max(offset, away + bound(inflation * float(one.covariance[0, 0]), side))
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))

@@ -155,7 +155,6 @@ def test_a_line_inside_the_lane_makes_no_narrower_one_where_its_own_is_out_of_vi
         drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT, inside)))
         assert drive.anew is None
     assert not drive.doubted
-    assert drive.tracking.road.lane_width_m == LANE_M
 
 
 def test_a_heading_by_one_line_may_be_that_of_a_lane_that_gets_wider() -> None:

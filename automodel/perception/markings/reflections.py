@@ -101,13 +101,9 @@ class Reflections:
         with np.errstate(divide="ignore"):
             blur_px = self._blur_px * self._wide_px[piece] / self._pixels_across(middle_m, across)
         first, second = self._blurs_px[:2]
-        steps = np.log(blur_px / first) / math.log(second / first)
-        most = len(self._blurs_px)
-        return (
-            np.where(steps < most, np.rint(np.minimum(np.nan_to_num(steps), most)) + 1, most)
-            .clip(1, most)
-            .astype(np.intp)
-        )
+        most = len(self._blurs_px)  # also of what lies beyond the image
+        steps = np.nan_to_num(np.log(blur_px / first) / math.log(second / first), nan=most, posinf=most)
+        return (np.rint(steps) + 1.0).clip(1, most).astype(np.intp)
 
     def any_points_to_camera(self, *lines_m: FloatArray) -> bool:
         """Whether any two neighbours among a line's points (n, 2) [m] lie in the direction of a streak."""
@@ -212,8 +208,9 @@ class Reflections:
         samples = samples.reshape(len(row), count, -1)
         values = samples.mean(axis=1, dtype=np.float64)
         seen = self._visible(rows[:, count // 2], columns[:, count // 2]) & (samples < WHITE).all(axis=1)
-        piece, place = (row / self._rows_a_piece).astype(np.intp), self.view
-        x, y = place.x_far_m - (row + 0.5) * place.m_per_row, place.half_width_m - (column + 0.5) * place.m_per_px
+        piece = (row / self._rows_a_piece).astype(np.intp)
+        x = self.view.x_far_m - (row + 0.5) * self.view.m_per_row
+        y = self.view.half_width_m - (column + 0.5) * self.view.m_per_px
         blurs = self._blurs(piece, np.stack((x, y), axis=1), np.stack((-tilt * cos, cos), axis=1))
         odds = self._profiles.log_odds(values, seen, piece, blurs)
         return np.where(np.isnan(odds), np.inf, odds)

@@ -61,9 +61,7 @@ def filtered(
     return filtered_of(drawn(*shapes, light=light, dark=dark, camera=camera, noise=noise), dark=dark, turn_rad=0.0)
 
 
-def filtered_of(
-    seen: np.ndarray, *, dark: bool = False, turn_rad: float | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def filtered_of(seen: np.ndarray, *, dark: bool = False, turn_rad: float | None) -> tuple[np.ndarray, np.ndarray]:
     """The line view (h, w) of an image (h, w) of a car that has turned so far in a frame, and what is left of it."""
     eye, markings = GroundCamera.from_config(CAR), "dark" if dark else "light"
     birdseye = BirdsEye(eye, VIEW)
