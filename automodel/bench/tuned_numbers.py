@@ -28,13 +28,23 @@ PACKAGE = Path(__file__).parents[1]
 STAGES = ("perception", "estimation", "tracking", "pipelines")
 NOT_TUNED = {  # modules and names whose numbers say what something is, not how well it works
     "perception.markings.onnx_check": "the format of an ONNX file",
+    "perception.markings.onnx_cost._*": "the format of an ONNX file",
     "perception.markings.unet": "the networks that ship, limits of files, a test at construction",
     "perception.markings.reflections.QUARTILE": "the normal distribution",
+    "perception.markings.reflections.LEAST": "numerical tolerance",
+    "perception.markings.reflections.MOST_NATS": "numerical tolerance",
+    "perception.markings.ridge.RidgeFilter.LEVEL": "the scale of an image",
+    "perception.stereo.matching._FAR_M": "infinitely far",
+    "perception.stereo.matching._ON_PX": "numerical tolerance",
+    "perception.stereo.matching._STEP": "numerical tolerance",
+    "perception.stereo.stage_views": "a drawing",
     "perception.rows.brightness": "channels, and the weights of grey",
     "estimation.clothoid.solvers.MOST_STEPS": "the end of an iteration that does not converge",
     "estimation.clothoid.solvers.CONVERGED": "numerical tolerance",
+    "estimation.polynomial.lane_tracker.NO_MEMORY": "the shape of an empty array",
     "estimation.theta.heading_polynomial.ORDER": "coefficients of a cubic",
     "estimation.theta.heading_polynomial._*": "quadrature and its tolerance",
+    "estimation.theta.line_spline.FAR_M": "numerical tolerance",
     "estimation.theta.line_spline._PIECES": "the cubic B-spline",
     "estimation.theta.pose_filter._LINES": "rows of the measurement",
     "estimation.theta.pose_filter._DIRECTION": "rows of the measurement",
@@ -42,9 +52,12 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "estimation.theta.theta_rls.ThetaRls._DAMPING": "numerical tolerance",
     "estimation.theta.tracked_line.LEAST_NEWS": "numerical tolerance",
     "estimation.theta.centerline_fusion._GRID": "from 0 to 1",
+    "tracking.integrity.EXCEEDED": "what a bound states",
+    "tracking.road_profile._SHIFTS": "places in an array",
     "tracking.evidence.NO_NEWS": "numerical tolerance",
     "tracking.evidence.CERTAIN": "numerical tolerance",
     "perception.rows.row_ridges.LINE": "rows of an array",
+    "pipelines.stereo.Stereo.cameras": "what the pipeline is",
     "pipelines.*.NO_POINTS": "the shape of an empty array",
     "tracking.stories.LEFT*": "where lines lie, in lane widths",
     "tracking.stories.RIGHT*": "where lines lie, in lane widths",
@@ -77,8 +90,9 @@ def tuned_numbers(only: Sequence[str] = ()) -> list[TunedNumber]:
     """All tuned numbers whose path fits one of the patterns `only` (none: all), in the order of the files.
 
     A tuned number is a numeric literal in the value of an assignment at module or class level of one of `STAGES`. No
-    tuned numbers are: the members of an enumeration; 0, which stands for "off" or "nothing yet"; whole numbers in an
-    expression of other names, which is arithmetic (`2 * REACH + 1`); and what `NOT_TUNED` names, each with its reason.
+    tuned numbers are: the members of an enumeration, also of one by `range`; 0, which stands for "off" or "nothing
+    yet"; whole numbers in an expression of other names, which is arithmetic (`2 * REACH + 1`); and what `NOT_TUNED`
+    names, each with its reason.
     """
     found = [number for module in _sources() for number in _numbers_of(module)]
     exempt = [pattern for name in NOT_TUNED for pattern in (name, f"{name}.*", f"{name}[[]*")]
@@ -115,6 +129,8 @@ def _numbers_of(module: str) -> Iterator[TunedNumber]:
     for owner, body in ((None, tree.body), *((node.name, node.body) for node in classes)):
         for statement in body:
             if not isinstance(statement, ast.Assign | ast.AnnAssign) or statement.value is None:
+                continue
+            if ast.unparse(statement.value).startswith("range("):
                 continue
             target = statement.targets[0] if isinstance(statement, ast.Assign) else statement.target
             lines = range(statement.lineno, (statement.end_lineno or statement.lineno) + 1)

@@ -3,6 +3,7 @@
 Lengths are in lane widths.
 """
 
+ANY_BEND = 0.3  # [1 / lane width] sigma of a road's curvature where nothing is known
 TAPER = 0.03  # sigma of the width's change along the road: by a third within three lane widths at most
 TAPER_LANES = 3.0  # for which such a change lasts
 BEHIND = 1.2  # of the lane behind the reference point that is kept: the rear of a car

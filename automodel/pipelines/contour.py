@@ -59,7 +59,6 @@ class Contour:
     SETTLED = 0.5  # markings: a correction that moves no node further ends the iteration
     MARKING_SIGMA, RANGE_SIGMA, TURN_SIGMA_RAD = 0.06, 0.006, 0.3  # of a ridge: markings, per metre away, direction
     VIEW_HALF, MARKING_PX = 1.6, 4.0  # of the view that is scanned for lines: lane widths, pixels per marking
-    VIEW_PIECES = 9  # of the view's length, in each of which paint is told from reflections
     # Odds [nats] from which nodes that point to the camera are paint, 19 in 20: a streak that is followed bends the
     # lane, and without these nodes others are left. Of 26 such runs of nodes on paint 2 had less, of 82 on streaks 72.
     PAINT = 3.0
@@ -108,9 +107,7 @@ class Contour:
         self._birdseye = BirdsEye(self._camera, view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, self._car.lane.markings)
         self._paint_check = TemporalPaintCheck(self._camera, view, self._white_areas.mask, unit, marking_m)
-        self._reflections = Reflections(
-            self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings, self.VIEW_PIECES
-        )
+        self._reflections = Reflections(self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings)
         self._scan = LineScan(view, unit, marking_m)
 
     @property

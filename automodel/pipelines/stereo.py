@@ -42,7 +42,6 @@ SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
 ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
-PIECES = 9  # of the view's length, in each of which paint is told from reflections
 BEND_LANES = 25.0  # lane widths of road over which the curvature gets as large as the tightest bend's
 
 
@@ -104,7 +103,7 @@ class Stereo:
         self._scan = LineScan(view, unit, marking_m)
         nothing = np.zeros((0, 0), np.uint8)
         self._reflections = [
-            Reflections(eye, view, nothing, marking_m, markings, PIECES) for eye in (self._rig.left, self._rig.right)
+            Reflections(eye, view, nothing, marking_m, markings) for eye in (self._rig.left, self._rig.right)
         ]
         self._gentle.look_for(marking_m)
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.curves import DeferredCurve
-from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD
+from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, TAPER
 from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import LanePose, MotionSource
@@ -80,11 +80,11 @@ class RoadModel:
     lost_turn_rad: float = LOST_TURN_RAD
     lost_pace: float = LOST_PACE
     width_sigma: float = 0.12
-    width_walk: float = 0.03
+    width_walk: float = TAPER
     news: float = 1.2
     anywhere: float = 1.2
     any_turn_rad: float = 0.4
-    any_bend: float = 0.3
+    any_bend: float = ANY_BEND
 
     drift: Drift = field(init=False, repr=False, compare=False)  # what gets uncertain on the way
 

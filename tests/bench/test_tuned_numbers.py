@@ -31,7 +31,17 @@ def test_a_number_says_what_it_is() -> None:
 
 
 @pytest.mark.parametrize(
-    "what", ["onnx_check", "brightness", "Part.", "PoseState.", "hypotheses.LEFT", "NO_POINTS", "log_odds"]
+    "what",
+    [
+        "onnx_check",
+        "brightness",
+        "Part.",
+        "PoseState.",
+        "hypotheses.LEFT",
+        "NO_POINTS",
+        "log_odds",
+        "road_profile.SAME",
+    ],
 )
 def test_what_is_no_tuned_number_is_left_out(what: str) -> None:
     assert not [path for path in ALL if what in path]

@@ -21,7 +21,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves import DeferredCurve
-from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
+from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
 from automodel.geometry.lane_path import (
@@ -39,7 +39,6 @@ from automodel.types import Bools, Complexes, FloatArray, Floats, Ints
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
 CUT_LANES = 0.06  # distance at which Tukey's biweight becomes 0
 SECTIONS = 6  # of the view, between stations
-ANY_BEND = 0.3  # sigma of a road's curvature [1 / lane width], as far ahead as nothing is known
 FORGOTTEN = 0.1  # share of the walk by which what was seen of the road is uncertain again
 TURNED = 0.4  # sine of the angle between a stripe and its line, at most, beyond what is uncertain
 

@@ -20,6 +20,7 @@ from automodel.geometry import GroundCamera, View
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
+PIECES = 9  # of a view's length, where it has no windows of its own
 SAMPLES = 8  # along a piece: every other row
 LEAST = 1e-9  # of a shape's squares that the ground does not explain: a division by 0 is none
 RISE = 0.2  # share of a profile's height by which it rises beyond a valley, where another thing begins
@@ -53,7 +54,7 @@ class Reflections:
     """
 
     def __init__(
-        self, camera: GroundCamera, view: View, mask: Image, marking_width_m: float, markings: str, pieces: int
+        self, camera: GroundCamera, view: View, mask: Image, marking_width_m: float, markings: str, pieces: int = PIECES
     ) -> None:
         self.view, self.config, self._mask, self._pieces = view, ReflectionConfig(), mask, pieces
         self._camera, self._foot = camera, (float(camera.centre_m[0]), float(camera.centre_m[1]))
