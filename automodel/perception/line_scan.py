@@ -28,12 +28,13 @@ class SightedLine:
     """One line of a frame: points (n, 2) [m] on its middle, body frame, near to far.
 
     `span_m` is the length from the first to the last paint, 0: unknown; `painted_m` that without the gaps between
-    dashes, but with what is worn off.
+    dashes, but with what is worn off. `reflection`: probability that it is one, if it is no line.
     """
 
     points_m: FloatArray
     painted_m: float
     span_m: float
+    reflection: float = 0.0
 
     def looks_dashed(self, lane_width_m: float) -> float:
         """How much likelier [nats] the paint is as dashes than as one stroke; 0 where its length is not known."""
@@ -97,7 +98,8 @@ class ScanConfig:
     by how much the line may turn besides [rad] over a lane width of gap. `wide`: a piece as many markings wide is an
     area. `worn_lanes`: a shorter gap is none between dashes, paint is worn off there. `bars` pieces next to each other,
     `bar_lanes` apart, are a zebra crossing: where lanes are divided, two double lines make four, but no three next to
-    each other. `spacing_lanes`: of the points.
+    each other. `spacing_lanes`: of the points. `reflection`: probability that what is no line is a reflection; 0 for
+    views out of which `Reflections` has taken them.
     """
 
     least_lanes: float = 0.15
@@ -109,6 +111,7 @@ class ScanConfig:
     bars: int = 3
     bar_lanes: tuple[float, float] = (0.12, 0.4)
     spacing_lanes: float = 0.2
+    reflection: float = 0.0
 
 
 class LineScan:
@@ -220,6 +223,7 @@ class LineScan:
             points_m=np.column_stack((x, y)),
             painted_m=span_m - float(gaps_m[gaps_m > self.config.worn_lanes * self._unit].sum()),
             span_m=span_m,
+            reflection=self.config.reflection,
         )
 
     def _painted(self, piece: _Piece, paint: Image) -> IntArray:

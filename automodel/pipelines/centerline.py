@@ -18,7 +18,7 @@ from automodel.estimation.theta.pose_filter import LEAST_WIDTH
 from automodel.estimation.theta.tracked_lane import TrackedLane
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import BirdsEye, GroundCamera
-from automodel.perception.line_scan import LineScan
+from automodel.perception.line_scan import LineScan, ScanConfig
 from automodel.perception.markings.binary_views import FeaturePoints, adaptive_threshold, road_view, share_above
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.network_view import network_view
@@ -133,7 +133,8 @@ class Centerline:
         seen_with = replace(self._car.camera, extrinsics=self._camera.extrinsics)
         self._features = FeaturePoints(seen_with, self.view, marking_m, options.threshold)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
-        self._scan = LineScan(self.view, unit, shown_m)
+        # Nothing tests whether what the network takes for paint is a reflection: it is as likely as another thing.
+        self._scan = LineScan(self.view, unit, shown_m, ScanConfig(reflection=0.5))
         self._gentle.look_for(marking_m)
 
     @property

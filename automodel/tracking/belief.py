@@ -22,8 +22,9 @@ from automodel.curves import DeferredCurve
 from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, TAPER
 from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
+from automodel.perception.markings.reflections import ReflectionConfig
 from automodel.signals import LanePose, MotionSource
-from automodel.tracking.evidence import Equations, Prior, innovation, own_thing, posterior, settled, whitened
+from automodel.tracking.evidence import Equations, Prior, Streak, innovation, own_thing, posterior, settled, whitened
 from automodel.tracking.lane_motion import (
     Drift,
     Part,
@@ -458,17 +459,16 @@ class Evidence:
         """The likeliest assignments of lines to roles, with their odds and what of these counts, as `stories`."""
         points = [line.points_m for line in lines]
         starts = [0, *itertools.accumulate(map(len, points))]
-        painted_m = np.array([line.painted_m for line in lines])
-        found = stories(
-            self._prior, things, np.concatenate(points), np.array(starts[1:]), painted_m, clutter, kinds, news
-        )
+        ends, painted_m = np.array(starts[1:]), np.array([line.painted_m for line in lines])
+        reflections = np.array([line.reflection for line in lines])
+        found = stories(self._prior, things, np.concatenate(points), ends, painted_m, clutter, reflections, kinds, news)
 
         def played(look: int) -> Played:
             of, start, stop = int(found.line[look]), int(found.start[look]), int(found.stop[look])
             line, role = lines[of], float(found.role[look])
             if stop - start < len(line.points_m):
                 its = line.points_m[start - starts[of] : stop - starts[of]]
-                line = SightedLine(points_m=its, painted_m=line.painted_m * len(its) / len(points[of]), span_m=0.0)
+                line = replace(line, points_m=its, painted_m=line.painted_m * len(its) / len(points[of]), span_m=0.0)
             return Played(line, role, of)
 
         return [
@@ -534,18 +534,23 @@ class Evidence:
 class Clutter:
     """How likely lines are as things of their own: most are as smooth as roads, a few have corners.
 
-    The points of one with corners lie anywhere.
+    The points of one with corners lie anywhere. Those of a reflection, which a line may be with a
+    probability of its own, lie on a ray from below the camera.
     """
 
     CORNERS = 4.0  # [nats] one thing in 50 has
 
     def __init__(self, somewhere: LaneBelief) -> None:
         self.prior = prior_of(somewhere)
+        road = replace(somewhere.road, bend_walk=0.0)  # rays are straight
+        straight = LaneBelief.arc(np.zeros(4), np.diag((1.0, road.any_turn_rad**2, 0.0, 0.0)), road, road.eye_m[0])
+        self.streak = Streak(prior_of(straight), ReflectionConfig().pointing_rad)
         self.sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m
 
     def of_line(self, line: SightedLine) -> float:
         """The logarithm of how likely a line is [nats]."""
-        return own_thing(self.prior, line.points_m.copy(), self.sigma_m, self.CORNERS)
+        points = line.points_m.copy()
+        return own_thing(self.prior, self.streak, points, self.sigma_m, self.CORNERS, line.reflection)
 
 
 @functools.lru_cache(maxsize=8)
@@ -566,7 +571,7 @@ def warm_up() -> None:
     Evidence(after).explained(lines, math.inf)
     Evidence(after).departs_m(SightedLine(points_m=2.0 * points, painted_m=6.0, span_m=6.0), 0.5)
     anything = after.anything()
-    things = Things(anything.prior, anything.sigma_m, anything.CORNERS, 0.0, 0.0, 0.0, 1.0, 1)
+    things = Things(anything.prior, anything.streak, anything.sigma_m, anything.CORNERS, 0.0, 0.0, 0.0, 1.0, 1)
     Evidence(after).stories([line for line, _ in lines], things, np.zeros(1), np.zeros((1, len(ROLES))), np.ones(1))
     Evidence(after).nearest_role(lines[0].line)
     after.moved(0.1, 0.0, 0.01, True).merged(belief, 0.5).without_road().beside_it(+1)

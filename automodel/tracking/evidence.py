@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.compiled import compiled
-from automodel.geometry.lane_path import PITCH, WIDTH, foot_on, lane_path, path_row
+from automodel.geometry.lane_path import OFFSET, PITCH, WIDTH, foot_on, lane_path, path_row
 from automodel.types import FloatArray, Ints
 
 NARROWER = 100.0  # of the variances of points, from one round to the next: 10 and 1000 find as many modes
@@ -68,6 +68,13 @@ class Equations(NamedTuple):
     vector: FloatArray
     misfit: FloatArray
     log_volume: FloatArray
+
+
+class Streak(NamedTuple):
+    """A reflection in a shiny floor: a straight `ray` from below the camera, to a sigma of `pointing_rad`."""
+
+    ray: Prior
+    pointing_rad: float
 
 
 @compiled
@@ -422,17 +429,40 @@ def fit(prior: Prior, points: FloatArray, role: float) -> tuple[float, float]:
 
 
 @compiled
-def own_thing(prior: Prior, points: FloatArray, sigma_m: float, corners: float) -> float:
+def own_thing(
+    prior: Prior, streak: Streak, points: FloatArray, sigma_m: float, corners: float, reflection: float
+) -> float:
     """The logarithm of how likely a line's points (k, 2) [m] are as a thing of its own [nats].
 
     It is as smooth as a road of `prior`, or has `corners`, less likely by so many nats: its points lie anywhere with a
-    lateral sigma.
+    lateral sigma. Or it is a `reflection`, with that probability.
     """
     squares, volume = fit(prior, points, 0.0)
     smooth, anywhere = -0.5 * (squares + volume), -corners
     for i in range(len(points)):
         anywhere -= 0.5 * (points[i, 1] / sigma_m) ** 2 + math.log(sigma_m * math.sqrt(math.tau))
-    return max(smooth, anywhere) + math.log1p(math.exp(-abs(smooth - anywhere)))
+    thing = _sum(smooth, anywhere)
+    if reflection < NO_NEWS:
+        return thing
+    return _sum(thing + math.log(1.0 - reflection + NO_NEWS), _as_streak(streak, points) + math.log(reflection))
+
+
+@compiled
+def _as_streak(streak: Streak, points: FloatArray) -> float:
+    """The logarithm of how likely points (k, 2) [m] are as those of a reflection [nats]."""
+    ray, root = streak.ray, streak.ray.root.copy()
+    away_m = math.hypot(points[:, 0].mean() - ray.eye_m[0], points[:, 1].mean())
+    root[OFFSET, OFFSET] = streak.pointing_rad * away_m  # a direction that is off misses the foot of the camera by this
+    place = ray.state, ray.start_m, ray.spacing_m, ray.reference_x_m, root
+    errors = ray.point_variance, ray.pixel_share, ray.line_share, ray.eye_m, ray.pitch_rad
+    squares, volume = fit(Prior(*place, *errors), points, 0.0)
+    return -0.5 * (squares + volume)
+
+
+@compiled
+def _sum(one: float, other: float) -> float:
+    """The logarithm of the sum of two likelihoods, by their logarithms."""
+    return max(one, other) + math.log1p(math.exp(-abs(one - other)))
 
 
 @compiled

@@ -96,6 +96,7 @@ class HypothesesConfig:
         """What lines are weighed by."""
         return Things(
             anywhere=anything.prior,
+            streak=anything.streak,
             sigma_m=anything.sigma_m,
             corners=anything.CORNERS,
             length=math.log(self.other / self.line),

@@ -14,7 +14,7 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.lane_path import OFFSET, THETA, WIDTH, curvature
-from automodel.tracking.evidence import Equations, Prior, change, innovation, own_thing, settled
+from automodel.tracking.evidence import Equations, Prior, Streak, change, innovation, own_thing, settled
 from automodel.types import FloatArray, Ints
 
 LEFT, RIGHT, LEFT_FAR, RIGHT_FAR = 0.5, -0.5, 1.5, -1.5  # roles: lane widths to the left of the centerline
@@ -24,12 +24,13 @@ ROLES = (LEFT, RIGHT, LEFT_FAR, RIGHT_FAR)
 class Things(NamedTuple):
     """What lines are like, as lines of a road and as things of their own; odds are logarithms [nats].
 
-    `anywhere`: a thing of its own, with `corners` less likely by so much, its points `sigma_m` aside. A painted length
-    is likelier as a line's by `length` and, a lane width, by `length_per_lane`; `neighbour` is what a line of another
-    lane costs. At `most` so many assignments go on from line to line.
+    `anywhere`: a thing of its own, with `corners` less likely by so much, its points `sigma_m` aside, or a `streak`. A
+    painted length is likelier as a line's by `length` and, a lane width, by `length_per_lane`; `neighbour` is what a
+    line of another lane costs. At `most` so many assignments go on from line to line.
     """
 
     anywhere: Prior
+    streak: Streak
     sigma_m: float
     corners: float
     length: float
@@ -92,12 +93,14 @@ def stories(
     ends: Ints,
     painted_m: FloatArray,
     clutter: FloatArray,
+    reflections: FloatArray,
     kinds: FloatArray,
     news: FloatArray,
 ) -> Found:
     """The likeliest assignments of lines to roles, and the one that assigns none.
 
     The points (k, 2) of line i end at `ends[i]`, near to far. `clutter` (m,): how likely it is as a thing of its own;
+    `reflections` (m,): the probability that it is a streak then;
     `kinds` (m, 4): how much likelier its kind is in each of `ROLES`; `news` (m,): the share of it that is news.
     """
     lines, full, count = len(ends), len(prior.root), 0
@@ -135,7 +138,9 @@ def stories(
             _keep(equations, count, information, vector, misfit, log_volume)
             squares, volume = innovation(equations)
             alone[count] = -0.5 * (squares + volume)
-            own[count] = own_thing(things.anywhere, other, things.sigma_m, things.corners) - things.corners
+            own[count] = -things.corners + own_thing(
+                things.anywhere, things.streak, other, things.sigma_m, things.corners, reflections[i]
+            )
             count += 1
         for look in range(first, count):
             share = (stop[look] - start[look]) / (end - begin)

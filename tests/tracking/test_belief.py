@@ -551,14 +551,45 @@ def test_a_thing_with_corners_is_clutter_even_where_the_road_may_bend() -> None:
     assert likelihood(wide, smooth) > wide.anything().of_line(smooth)
 
 
-def test_clutter_is_the_sum_of_a_smooth_thing_and_of_one_with_corners() -> None:
+def on_a_ray(bearing_rad: float, turn_rad: float = 0.0) -> SightedLine:
+    """A straight thing 0.7 m from below the camera, which points there, or is turned from that direction."""
+    along = np.linspace(-0.2, 0.2, 6)[:, None]
+    eye_m, there, direction = np.array((ROAD_MODEL.eye_m[0], 0.0)), bearing_rad, bearing_rad + turn_rad
+    middle = eye_m + 0.7 * np.array((math.cos(there), math.sin(there)))
+    return sighted(middle + along * np.array((math.cos(direction), math.sin(direction))))
+
+
+@pytest.mark.parametrize("bearing_rad", [-0.3, 0.0, 0.25])
+def test_what_points_to_the_camera_may_be_a_reflection(bearing_rad: float) -> None:
+    """A line of the lane must be likelier than that. What is turned from there is none."""
+    anything = belief(STRAIGHT, (0.1, 0.25, 0.5, 0.05)).anything()
+
+    def gain(line: SightedLine, reflection: float) -> float:
+        return anything.of_line(replace(line, reflection=reflection)) - anything.of_line(line)
+
+    assert gain(on_a_ray(bearing_rad), 0.5) > 2.0
+    assert 0.0 < gain(on_a_ray(bearing_rad), 0.01) < gain(on_a_ray(bearing_rad), 0.5)
+    assert gain(on_a_ray(bearing_rad, 0.3), 0.5) == pytest.approx(-math.log(2.0), abs=0.3)
+
+
+def anything_smooth(believed: LaneBelief) -> LaneBelief:
+    """A thing of its own that is as smooth as a road."""
+    model, unit = believed.road, believed.road.lane_width_m
+    somewhere = np.diag(np.square((model.anywhere * unit, model.any_turn_rad, model.any_bend / unit, 0.0)))
+    return LaneBelief.arc(np.zeros(4), somewhere, model, believed.reference_x_m)
+
+
+def test_clutter_is_the_sum_of_a_smooth_thing_of_one_with_corners_and_of_a_reflection() -> None:
     wide = belief(STRAIGHT, (0.02, 0.1, 1.0, 0.05))
     anything, model = wide.anything(), wide.road
-    unit = model.lane_width_m
-    somewhere = np.diag(np.square((model.anywhere * unit, model.any_turn_rad, model.any_bend / unit, 0.0)))
-    smooth = LaneBelief.arc(np.zeros(4), somewhere, model, wide.reference_x_m)
+    unit, smooth = model.lane_width_m, anything_smooth(wide)
     for line in (line_of(STRAIGHT, LEFT, 0.5, 1.4), line_of(ARCS[2], RIGHT, 0.3, 1.2)):
         sigma_m, y = model.anywhere * unit, line.points_m[:, 1]
         corners = float((-0.5 * (y / sigma_m) ** 2 - np.log(sigma_m * np.sqrt(2.0 * np.pi))).sum())
-        expected = np.logaddexp(likelihood(smooth, line, 0.0), corners - anything.CORNERS)
-        assert anything.of_line(line) == pytest.approx(float(expected), rel=1e-12)
+        thing = np.logaddexp(likelihood(smooth, line, 0.0), corners - anything.CORNERS)
+        away_m = math.dist(line.points_m.mean(axis=0).tolist(), (model.eye_m[0], 0.0))
+        spread = np.diag(np.square((anything.streak.pointing_rad * away_m, model.any_turn_rad, 0.0, 0.0)))
+        ray = LaneBelief.arc(np.zeros(4), spread, replace(model, bend_walk=0.0), model.eye_m[0])
+        assert anything.of_line(line) == pytest.approx(float(thing), rel=1e-12)
+        expected = np.logaddexp(thing + math.log(0.7), likelihood(ray, line, 0.0) + math.log(0.3))
+        assert anything.of_line(replace(line, reflection=0.3)) == pytest.approx(float(expected), rel=1e-9)
