@@ -293,6 +293,7 @@ class LaneTracking:
         self._belief = self._belief.beside_it(side)
         self._profile.change_lane(side)
         self._innovations.reset()
+        self._rivals.reset()
 
     def start(self, t_ns: int, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
@@ -368,6 +369,9 @@ class LaneTracking:
             return self._recognise(others) if plain else self._watch(others, followed)
         own = [line.points_m for line, _ in _sides(followed) if line.seen]
         seen = self._together(lines, own)
+        lane = self._hypotheses.best.belief if self._certain else self._reckoned
+        if not self._confusable(lane):  # what was another thing before the doubt is none of its lines now
+            seen, lines = self._rivals.others(lane, seen), self._rivals.others(lane, lines)
         self._hypotheses.displace(lambda belief: self._confusable(belief, 1.0))
         share = self._hypotheses.update(seen, self._kinds)
         best, measured = self._hypotheses.best, self._measured(followed.pose)
@@ -402,6 +406,8 @@ class LaneTracking:
             self._believe(best.belief, best.assigned)
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
+            return best.belief
+        elif not own and self._is_elsewhere(apart, best):
             return best.belief
         elif likelier and self._is_dead(followed, apart, said, best):
             self._said = 0.0
@@ -460,6 +466,16 @@ class LaneTracking:
         look.update(seen, self._kinds)
         best = look.best
         return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
+
+    def _is_elsewhere(self, apart: float, best: Hypothesis) -> bool:
+        """Whether an estimator that sees nothing looks in another place than lines and dead reckoning have the lane.
+
+        It is put there, and the doubt goes on: what it sees then ends it.
+        """
+        differs, reckoned = self.config.differs, self._on_any_road
+        if reckoned is None or not (self._certain and self._tells(best) and self._possible(best.belief.pose)):
+            return False
+        return apart > differs and self._apart(best.belief, reckoned) < differs
 
     def _is_dead(self, followed: Followed, apart: float, said: float, best: Hypothesis) -> bool:
         """Whether what the estimator says, by these odds, is another story than the best, and so unlikely that it dies.
@@ -793,12 +809,16 @@ class LaneTracking:
             self._pair_m = 0.0
         elif {role for _, role in assigned} >= {LEFT, RIGHT}:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
+        was = self._reckoned or self._belief
+        if was is not None and self._apart(belief, was) < self.config.differs:
+            self._rivals.begin_anew()
+        else:
+            self._rivals.reset()
         self._belief, self._reckoned, self._on_any_road, self.in_doubt = belief.on(self.road), None, None, False
         self._marked = None  # it may be another lane's width
         self._news_m, self._learnt_ns = 0.0, self._t_ns
         self._hypotheses.start((), learnt=True)
         self._innovations.reset()
-        self._rivals.reset()
 
     def _may_be_next(self, belief: LaneBelief, reckoned: LaneBelief) -> bool:
         """Whether a lane may be the one beside that of dead reckoning, oftener than a bound may be exceeded.

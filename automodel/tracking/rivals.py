@@ -48,8 +48,13 @@ class Rivals:
 
     def reset(self) -> None:
         """A lane begins."""
-        self._looks = np.zeros(len(self._places))
         self._rivals: list[_Rival] = []
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """The same lane begins anew: what was another thing is one still."""
+        self._looks = np.zeros(len(self._places))
+        self._rivals = [rival for rival in self._rivals if rival.other]
 
     @property
     def settled(self) -> bool:
@@ -77,13 +82,18 @@ class Rivals:
         `in_view_m`: of a line that runs so many lane widths to the left, how much of it would be in view. A view
         without the lane's own lines tells of no others.
         """
-        if self.settled:
+        unit = belief.road.lane_width_m
+        roles = [(self._role(belief, line), line.painted_m / unit) for line in lines]
+        along = [(role, length) for role, length in roles if role is not None]
+        own = [side for side in (LEFT, RIGHT) if any(abs(role - side) <= self._config.same for role, _ in along)]
+        if not own:
             return
-        roles = [role for role in (self._role(belief, line) for line in lines) if role is not None]
-        found = [role for role in roles if min(abs(role - LEFT), abs(role - RIGHT)) > self._config.same]
-        if len(found) == len(roles):
-            return
-        both = all(min(abs(role - own) for role in roles) <= self._config.same for own in (LEFT, RIGHT))
+        both = len(own) == len((LEFT, RIGHT))
+        found = [
+            role
+            for role, length in along
+            if min(abs(role - LEFT), abs(role - RIGHT)) > self._config.same and self._is_line(length)
+        ]
         for rival in self._rivals:
             nearest = min(found, key=lambda role: abs(role - rival.role), default=math.inf)
             if abs(nearest - rival.role) < self._config.same:
@@ -93,11 +103,16 @@ class Rivals:
                 rival.late += news
         before = np.interp(found, self._places, self._looks).tolist()
         self._rivals += [_Rival(role, looks, other=both) for role, looks in zip(found, before, strict=True)]
-        kept = [(rival, rival.before + 0.5 * rival.late) for rival in self._rivals]  # it may be hidden, not for ever
-        self._rivals = [rival for rival, looks in kept if self._lanes_of(belief, rival, looks)]
+        self._rivals = [rival for rival in self._rivals if self._is_there(belief, rival)]
         for k in np.flatnonzero(self._looks * self._missed >= math.log(EXCEEDED)):
             if self._is_line(in_view_m(float(self._places[k])) / belief.road.lane_width_m):
                 self._looks[k] += news
+
+    def _is_there(self, belief: LaneBelief, rival: _Rival) -> bool:
+        """Whether a line may be one of the lane's own, or is another thing, still there, that would make a lane."""
+        if self._lanes_of(belief, rival, rival.before + 0.5 * rival.late):  # it may be hidden, not for ever
+            return True
+        return rival.other and bool(self._lanes_of(belief, rival, rival.late))
 
     def lanes(self, belief: LaneBelief) -> list[LaneBelief]:
         """The lanes that may be meant instead of the believed one, as likely as a bound may be exceeded."""
@@ -118,12 +133,9 @@ class Rivals:
     def _role(self, belief: LaneBelief, line: SightedLine) -> float | None:
         """Where a line runs, in lane widths to the left of the centerline.
 
-        None for one that does not run along, and where it is rather another thing by its length.
+        None for one that does not run along.
         """
-        length = line.painted_m / belief.road.lane_width_m
-        if not self._is_line(length):
-            return None
-        left = belief.aside(line.points_m) / belief.width_m
+        length, left = line.painted_m / belief.road.lane_width_m, belief.aside(line.points_m) / belief.width_m
         return None if np.ptp(left) > self._config.same * max(length, 1.0) else float(np.median(left))
 
     def _is_line(self, length: float) -> bool:

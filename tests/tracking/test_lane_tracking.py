@@ -157,6 +157,35 @@ def test_a_line_inside_the_lane_makes_no_narrower_one_where_its_own_is_out_of_vi
     assert not drive.doubted
 
 
+def test_an_estimator_that_takes_another_thing_for_its_line_is_sent_back_however_well_that_fits() -> None:
+    inside, drive, sent = -0.3, driving(frames=0), []
+    for _ in range(40):
+        drive.follow(said(0.0), sights(0.0, (*BOTH, inside)))
+    middle = 0.5 * (0.5 + inside)
+    narrow = said(-middle * LANE_M, BOTH, width_m=(0.5 - inside) * LANE_M)
+    left, right = (replace(narrow.left, points_m=sights(0.0, (role,))[0].points_m) for role in (LEFT, inside))
+    for _ in range(20):
+        told = drive.follow(replace(narrow, left=left, right=right), sights(0.0, (LEFT, inside)))
+        assert told.pose is not None
+        assert abs(told.pose.offset_m) < told.pose.offset_bound_m
+        sent += [] if drive.anew is None else [drive.anew]
+    assert sent
+    for one in sent:
+        assert one.width_m == pytest.approx(LANE_M, rel=0.05)
+        assert one.offset_m == pytest.approx(0.0, abs=0.02)
+
+
+def test_what_another_thing_was_beside_one_lane_is_any_line_beside_the_next() -> None:
+    inside, drive = -0.3, driving(frames=0)
+    for _ in range(40):
+        drive.follow(said(0.0), sights(0.0, (*BOTH, inside)))
+    known, belief = drive.tracking._rivals, drive.tracking._belief
+    assert belief is not None
+    assert not known.others(belief, sights(0.0, (inside,)))
+    drive.tracking.change_lane(+1)
+    assert known.others(belief, sights(0.0, (inside,)))
+
+
 def test_a_heading_by_one_line_may_be_that_of_a_lane_that_gets_wider() -> None:
     drive = driving(frames=30)
     assert drive.follow(said(0.0), sights(0.0)).pose.heading_bound_rad < K * 0.5 * TAPER  # type: ignore[union-attr]
@@ -652,6 +681,22 @@ def test_a_blind_and_unsure_estimator_is_sent_to_the_line_that_is_in_view() -> N
     assert found
     assert found[0].offset_m == pytest.approx(0.0, abs=0.015)
     assert found[0].heading_rad == pytest.approx(0.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("said_rad", "reckoned_rad", "sent_rad"), [(0.3, 0.0, 0.0), (0.02, 0.0, None), (0.3, 0.4, 0.4)]
+)
+def test_in_doubt_an_estimator_that_sees_nothing_is_put_where_one_line_and_dead_reckoning_have_the_lane(
+    said_rad: float, reckoned_rad: float, sent_rad: float | None
+) -> None:
+    """The doubt goes on until it sees the lane, too. Where the two differ, it is put where dead reckoning has it."""
+    drive = driving()
+    drive.tracking._contradict(drive.tracking._measured(said(0.0, heading_rad=reckoned_rad).pose))
+    drive.follow(said(0.0, NONE, heading_rad=said_rad), sights(0.0, (LEFT,)))
+    assert drive.doubted
+    assert (drive.anew is None) == (sent_rad is None)
+    if drive.anew is not None:
+        assert drive.anew.heading_rad == pytest.approx(sent_rad, abs=0.03)
 
 
 @pytest.mark.parametrize(("seen", "off_m"), [(NONE, 0.012), (BOTH, 0.03)])

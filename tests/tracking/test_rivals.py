@@ -121,6 +121,30 @@ def test_what_was_in_view_with_both_of_the_lanes_own_lines_is_another_one() -> N
     assert beside.others(LANE, lines) == (lines[0],)
 
 
+def test_a_short_piece_of_the_lanes_own_line_is_one() -> None:
+    rivals = Rivals(HypothesesConfig(), LANE.road.width_sigma)
+    rivals.look(LANE, [line(LEFT), line(RIGHT, to_m=0.4), line(INSIDE)], 1.0, wide)
+    assert rivals.others(LANE, [line(INSIDE)]) == ()
+
+
+def test_another_thing_is_one_though_it_came_late_and_the_lane_begins_anew() -> None:
+    rivals = looked(*4 * [(LEFT, RIGHT)], (LEFT, RIGHT, INSIDE))
+    rivals.begin_anew()
+    assert rivals.others(LANE, [line(INSIDE)]) == ()
+    assert not rivals.lanes(LANE)
+    for _ in range(7):
+        rivals.look(LANE, [line(LEFT), line(RIGHT)], 1.0, wide)
+    assert len(rivals.others(LANE, [line(INSIDE)])) == 1  # it has ended
+    assert rivals.settled
+
+
+def test_what_may_be_the_lanes_own_is_any_when_the_lane_begins_anew() -> None:
+    rivals = looked((LEFT, INSIDE))
+    rivals.begin_anew()
+    assert not rivals.lanes(LANE)
+    assert not rivals.settled
+
+
 def test_a_double_line_is_one() -> None:
     rivals = Rivals(HypothesesConfig(), LANE.road.width_sigma)
     rivals.look(LANE, [line(LEFT), line(RIGHT), line(RIGHT + 0.05)], 1.0, wide)
