@@ -690,11 +690,6 @@ BOUNDS = (
         ("told-by-what-is-suspected", "return self.reckons and self._odometry.borne_out", "return self.reckons"),
         ("not-a-number-and-coasting", "if known is None or not _is_finite(followed.pose):", "if known is None:"),
         ("looks-elsewhere-and-stays", "elif not own and self._is_elsewhere(apart, best):", "elif False:"),
-        (
-            "elsewhere-by-lines-alone",
-            "return apart > differs and self._apart(best.belief, reckoned) < differs",
-            "return apart > differs",
-        ),
         ("dead-and-followed", "elif likelier and self._is_dead(followed, apart, said, best):", "elif False:"),
         ("what-taught-is-forgotten", "self._hypotheses.note([line for line, _ in own], self.road)", "pass"),
         ("reckoned-and-impossible", "story is not None and self._possible(story.pose)", "True"),
