@@ -542,7 +542,7 @@ class Clutter:
 
     def __init__(self, somewhere: LaneBelief) -> None:
         self.prior = prior_of(somewhere)
-        road = replace(somewhere.road, bend_walk=0.0)  # rays are straight
+        road = replace(somewhere.road, bend_walk=0.0)  # rays are straight, from a camera in the middle of the car
         straight = LaneBelief.arc(np.zeros(4), np.diag((1.0, road.any_turn_rad**2, 0.0, 0.0)), road, road.eye_m[0])
         self.streak = Streak(prior_of(straight), ReflectionConfig().pointing_rad)
         self.sigma_m = somewhere.road.anywhere * somewhere.road.lane_width_m

@@ -2,7 +2,8 @@
 
 A lane whose lines are both followed is the one that it was; which two lines these are was decided when it began, by
 what was in view then. A line that runs along them all the while, at the distance of a lane's other line, may have been
-the right one. One that comes into view later is none: the lane was there without it.
+the right one. One that comes into view later is none: the lane was there without it. What was in view with both of the
+lane's lines is another thing, and stays one in doubts, until it has ended.
 """
 
 from __future__ import annotations
@@ -99,13 +100,13 @@ class Rivals:
             if abs(nearest - rival.role) < self._config.same:
                 rival.role, rival.late, rival.other = nearest, max(rival.late - news, 0.0), rival.other or both
                 found.remove(nearest)
-            elif self._is_line(in_view_m(rival.role) / belief.road.lane_width_m):
+            elif self._is_line(in_view_m(rival.role) / unit):
                 rival.late += news
         before = np.interp(found, self._places, self._looks).tolist()
         self._rivals += [_Rival(role, looks, other=both) for role, looks in zip(found, before, strict=True)]
         self._rivals = [rival for rival in self._rivals if self._is_there(belief, rival)]
         for k in np.flatnonzero(self._looks * self._missed >= math.log(EXCEEDED)):
-            if self._is_line(in_view_m(float(self._places[k])) / belief.road.lane_width_m):
+            if self._is_line(in_view_m(float(self._places[k])) / unit):
                 self._looks[k] += news
 
     def _is_there(self, belief: LaneBelief, rival: _Rival) -> bool:

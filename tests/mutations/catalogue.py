@@ -739,7 +739,7 @@ BOUNDS = (
             "return False",
         ),
         ("rivals-seen-with-one-line", "rival.other or both", "True"),
-        ("rivals-out-of-view-missed", "elif self._is_line(in_view_m(rival.role) / belief.road.lane_width_m):", "else:"),
+        ("rivals-out-of-view-missed", "elif self._is_line(in_view_m(rival.role) / unit):", "else:"),
         ("rivals-of-any-width", "and self._width_odds(lane) > least]", "]"),
     ),
     *_of(
