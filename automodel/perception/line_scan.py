@@ -117,7 +117,7 @@ class ScanConfig:
 class LineScan:
     """Finds lines in binary views (h, w), 0 or 255, of a `View`; lanes are about `lane_width_m` wide."""
 
-    _SLOPE = 1.7  # steepest piece, dy/dx: 60 degrees across the view; a view's rows cut what lies flatter too rarely
+    SLOPE = 1.7  # steepest piece, dy/dx: 60 degrees across the view; a view's rows cut what lies flatter too rarely
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, config: ScanConfig | None = None):
         self.view, self.config = view, config or ScanConfig()
@@ -188,7 +188,7 @@ class LineScan:
             halves = (slice(half), slice(half, None))
             return [one for part in halves for one in self._line_pieces(rows[part], middles[part], sizes[part], least)]
         narrow = across < self.config.wide * self._marking_m and off < self._marking_m
-        return [_Piece(x=x, y=y, fit=fit, middle=middle)] if slope < self._SLOPE and narrow else []
+        return [_Piece(x=x, y=y, fit=fit, middle=middle)] if slope < self.SLOPE and narrow else []
 
     def _bars(self, lines: Image) -> Bools:
         """The rows (h,) of a zebra crossing: several bars next to each other, at least in most of the rows around."""

@@ -29,20 +29,17 @@ from automodel.perception.stereo.stage_views import PairStages, stage_views
 from automodel.perception.stereo.stripes import Stripes, StripeSearch
 from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import SIDES, Frame, LaneEstimate, LaneLine, LanePose, Motion, StageView, StereoFrame
-from automodel.tracking.belief import LaneBelief
+from automodel.tracking.belief import LaneBelief, RoadModel
 from automodel.tracking.gentle_start import GentleStart
 from automodel.tracking.hypotheses import HypothesesConfig
 from automodel.tracking.lane_change import LaneChanges
-from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
+from automodel.tracking.lane_tracking import FAR_OFF, Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, Complexes, FloatArray, Image, Ints
 
 NOISE_PX = 0.5  # of a match: two ridges, each measured to a third of a pixel
-FAR_OFF = 31.8  # chi-square of three degrees of freedom that is exceeded as rarely as 5 sigma of one are: 6e-7
 SURE = 6.0  # [nats] for or against a stripe: three ridges' that the other image shows, of which one is news
 BLIND = 0.2  # share of pairs in which one camera alone shows markings, from which on the user is told
-ACROSS = 1.0  # slope from which on a line far ahead may be that of a crossing
 ALIKE = 0.7  # mean correlation of what both images show about a stripe that they see as infinitely far: a lamp's
-BEND_LANES = 25.0  # lane widths of road over which the curvature gets as large as the tightest bend's
 
 
 class Stereo:
@@ -62,8 +59,6 @@ class Stereo:
         near_m = max(near - self._reference_x_m, 0.2 * unit)
         self._far_m = near_m + options.look_ahead_lanes * unit
         self._rows_m = self._stations(near_m)
-        # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
-        bend_walk = 1.0 / (self._radius_lanes**2 * BEND_LANES)
         self._width = MarkingWidth(self._rig.left, car.lane, self._reference_x_m)
         self._gentle = GentleStart(car, self._rig.left, options.look_ahead_lanes)
         self._look_for(car.lane.marking_width_m)
@@ -73,7 +68,10 @@ class Stereo:
             TrackingConfig(coast_s=options.coast_s, coast_lanes=options.coast_lanes, hypotheses=anyhow),
             self._far_m,
         )
-        width_sigma_m = self._tracking.road.width_sigma * unit
+        road, usual = self._tracking.road, RoadModel(lane_width_m=unit, marking_width_m=car.lane.marking_width_m)
+        width_sigma_m = road.width_sigma * unit
+        # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
+        bend_walk = usual.bend_walk * (road.new_bend / usual.new_bend) ** 2
         self._pair = ParabolaPair(unit, width_sigma_m, self._reference_x_m, self._far_m, bend_walk)
         self._changes = LaneChanges()
         if options.lane_changes and not car.lane.left == car.lane.right == "any":
@@ -131,7 +129,7 @@ class Stereo:
 
         An eye that is turned against its calibration puts the ground plane where no body of a car brings it.
         """
-        if self._plane.off_calibration <= FAR_OFF:
+        if self._plane.chance >= math.erfc(FAR_OFF / math.sqrt(2.0)):  # sigmas
             return ""
         return (
             "the ground as both cameras see it does not fit their calibration: a camera was turned, or car.toml is that"
@@ -340,7 +338,7 @@ class Stereo:
     def _sighted(self, lines: list[FloatArray]) -> tuple[SightedLine, ...]:
         """The lines of the whole view among which the lane's are looked for: none that leads across."""
         ends = [points[-1] - points[0] for points in lines]
-        ahead = [points for points, (x, y) in zip(lines, ends, strict=True) if abs(y) < ACROSS * abs(x)]
+        ahead = [points for points, (x, y) in zip(lines, ends, strict=True) if abs(y) < LineScan.SLOPE * abs(x)]
         return self._scan.of_stripes(ahead)
 
     def _start(self, t_ns: int, image: Image | None, lines: list[FloatArray]) -> LaneBelief | None:

@@ -812,8 +812,8 @@ PAIRS = (
     *_of(
         "automodel/pipelines/stereo.py",
         "tests/pipelines/test_stereo.py",
-        ("any-plane-passes", "if self._plane.off_calibration <= FAR_OFF:", "if True:"),
-        ("bounce-is-no-plane", "FAR_OFF = 31.8 ", "FAR_OFF = 1.8 "),
+        ("any-plane-passes", "if self._plane.chance >= math.erfc(FAR_OFF / math.sqrt(2.0)):", "if True:"),
+        ("bounce-is-no-plane", "FAR_OFF / math.sqrt(2.0)", "1.0 / math.sqrt(2.0)"),
     ),
     *_of(
         "automodel/runtime/loop.py",

@@ -67,6 +67,12 @@ class PlaneFilter:
         plane = np.array(self.plane)
         return float(plane @ np.linalg.solve(self._most + self.covariance, plane))
 
+    @property
+    def chance(self) -> float:
+        """How often the plane over a calibrated pair is as far off: that quantile of chi-square."""
+        half = 0.5 * self.off_calibration
+        return math.erfc(math.sqrt(half)) + 2.0 * math.sqrt(half / math.pi) * math.exp(-half)
+
     def height_sigma_m(self, ahead_m: FloatArray) -> FloatArray:
         """How well the ground's height is known (n,) [m] at places (n, 2) [m] ahead and to the left of the cameras."""
         rows = np.column_stack((-np.ones(len(ahead_m)), ahead_m[:, 0], -ahead_m[:, 1]))

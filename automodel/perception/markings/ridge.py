@@ -19,6 +19,9 @@ from automodel.geometry import GroundCamera
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, MANY, least_ridge_over_many
 from automodel.types import FloatArray, Image
 
+BESIDE = 1.5  # markings from the middle of one to the middle of what is beside it
+FAINT = 0.5  # share of a marking's height: what is lower is none
+
 
 def ridge_sums(sums: NDArray[Any], window: int, apart: int) -> NDArray[Any]:
     """The filter times `window` (r, k - 2 apart - window) of rows by their cumulative sums (r, k), which start with 0.
@@ -74,8 +77,7 @@ class RidgeFilter:
 
     MAX_WIDTH_PX = 512
     MIN_WIDTH_PX = 0.75  # of a marking; rows where it is narrower have no evidence
-    # Lengths of the windows and their distance, in markings: a short middle gives evidence as wide as the marking.
-    MIDDLE, SIDE, APART = 0.5, 1.0, 1.75
+    MIDDLE = 0.5  # length of the middle window, in markings: a short one gives evidence as wide as the marking
     LEVEL = 128  # the evidence at the threshold
 
     def __init__(
@@ -92,7 +94,7 @@ class RidgeFilter:
         width = np.interp(rows, np.arange(len(given)), given) * self.size_px[0] / image_width_px
         self._bands = self._split(width)
         area = sum((band.rows.stop - band.rows.start) * self.size_px[0] for band in self._bands)
-        self._least = least_ridge_over_many(area / FALSE_SAMPLES, math.sqrt(self.MIDDLE / self.SIDE))
+        self._least = least_ridge_over_many(area / FALSE_SAMPLES, math.sqrt(self.MIDDLE))
         self._ground = slice(min(b.rows.start for b in self._bands), None) if self._bands else slice(0, 0)
 
     @classmethod
@@ -104,7 +106,7 @@ class RidgeFilter:
 
     def _split(self, width_px: FloatArray) -> list[_Band]:
         windows = [
-            (_odd(self.MIDDLE * width), _odd(self.SIDE * width), max(round(self.APART * width), 2))
+            (_odd(self.MIDDLE * width), _odd(width), max(round(BESIDE * width), 2))
             if width >= self.MIN_WIDTH_PX
             else None
             for width in width_px.tolist()

@@ -38,8 +38,12 @@ def _median() -> float:
     return _height(lambda height: _exceeded(height) + 1.0 - _exceeded(-height), 0.5)
 
 
-MEDIAN = _median()
-MANY = 0.167  # share of places: half of those with a ridge above 0, so that paint and rounding change little
+def _many() -> float:
+    """The share of places that half of those with a ridge above 0 are: paint and rounding change it little."""
+    return 0.5 * _exceeded(0.0)
+
+
+MEDIAN, MANY = _median(), _many()
 FALSE_SAMPLES = 2  # length of a false ridge: so many neighbouring samples exceed a threshold at once
 
 

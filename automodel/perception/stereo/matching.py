@@ -15,14 +15,14 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry.stereo_rig import Eye, image_of
+from automodel.perception.markings.ridge import BESIDE, FAINT
+from automodel.perception.stereo.points import GATE
 from automodel.perception.stereo.stripes import Field, Stripes, Traces
 from automodel.types import Bools, FloatArray, Image, Ints
 
-GATE = 3.0  # sigmas within which a match lies: the root of chi-square's 0.9973 quantile of one degree of freedom
-PLAIN = 0.5  # share of a ridge's contrast that the other image has where it shows none
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
 _FAR_M = 1e4  # as good as infinitely far
-_PROFILE, _REACH = 8, 1.5  # samples of a profile on each side of a ridge, and its length there in the ridge's widths
+_PROFILE = 8  # samples of a profile on each side of a ridge, over `BESIDE` of the ridge's widths
 _LEAST = 0.5  # share of a profile that both images must show: one flank and the ridge itself
 _BRIGHTER = 1.25  # than all of a profile: what the other image shows there is another thing
 _ON_PX = 1e-6  # from an epipolar line: a ridge that is nearer lies on it
@@ -98,11 +98,11 @@ def _likeness(
             continue
         brightest, count = 0.0, 0
         for k in range(samples):
-            here = math.floor(pixels[i, 0] + _REACH * width_px[i] * (k - _PROFILE) / _PROFILE + 0.5)
+            here = math.floor(pixels[i, 0] + BESIDE * width_px[i] * (k - _PROFILE) / _PROFILE + 0.5)
             if 0 <= here <= last:
                 brightest = max(brightest, float(image[int(pixels[i, 1]), here]))
         for k in range(samples):
-            away = _REACH * width_px[i] * (k - _PROFILE) / _PROFILE
+            away = BESIDE * width_px[i] * (k - _PROFILE) / _PROFILE
             here, there = math.floor(pixels[i, 0] + away + 0.5), math.floor(u + away + 0.5)
             if min(here, there) < 0 or max(here, there) > last:
                 continue
@@ -277,7 +277,7 @@ def _borne_out(
             found[i] = -1
         else:
             here = _standing_out(images[0], ridges.pixels[i], ridges.width_px[i])
-            found[i] = -1 if _contrast(images[1], line, reach) < PLAIN * here else 0
+            found[i] = -1 if _contrast(images[1], line, reach) < FAINT * here else 0
     return found
 
 

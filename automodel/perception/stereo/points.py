@@ -16,13 +16,11 @@ from automodel.geometry import GroundCamera
 from automodel.geometry.stereo_rig import Eye, StereoRig, bearings
 from automodel.types import Bools, FloatArray, Image
 
-CORNERS = 1000  # of an image at most: 20 to 70 ms a pair
 CONTRAST = 7  # grey levels of a corner: floors are plain
 NEAR_PX = 2.0  # of an epipolar line lies what may be the same point: corners are found within a pixel or two
-PARALLAX_PX = 5.0  # beyond the noise of points that are infinitely far
-ORDER_SIGMAS = 3.0  # of the sign test: 1 in 700 that wrong matches alone say so
+GATE = 3.0  # sigmas that an error has at most: 1 in 370 is larger, 1 in 700 to one side
+ORDER_SIGMAS = GATE  # of the sign test, which wrong matches alone exceed as rarely
 _LEAST = 8  # matches that an epipolar geometry needs
-_RIGID_PX, _SURE, _TRIES = 1.0, 0.999, 2000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,12 +63,12 @@ def check_rig(pairs: Iterable[tuple[Image, Image]], rig: StereoRig) -> RigCheck:
 
 def _possible(error_px: FloatArray, parallax_px: FloatArray) -> Bools:
     """Whether matches (n,) can be points that both cameras see: on epipolar lines, and not behind the cameras."""
-    return np.asarray((np.abs(error_px) < NEAR_PX) & (parallax_px > -PARALLAX_PX))
+    return np.asarray((np.abs(error_px) < NEAR_PX) & (parallax_px > -NEAR_PX))
 
 
 def matched_corners(left: Image, right: Image) -> tuple[FloatArray, FloatArray]:
     """Pixels (n, 2) of corners in the left and in the right image that are each other's most similar one."""
-    finder = cv2.ORB_create(CORNERS, fastThreshold=CONTRAST)  # type: ignore[attr-defined]
+    finder = cv2.ORB_create(fastThreshold=CONTRAST)  # type: ignore[attr-defined]
     (left_corners, left_looks), (right_corners, right_looks) = (
         finder.detectAndCompute(image, None) for image in (left, right)
     )
@@ -106,7 +104,7 @@ def _rigid(left_px: FloatArray, right_px: FloatArray) -> Bools:
     if len(left_px) < _LEAST:
         return np.zeros(len(left_px), np.bool_)
     try:
-        _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC, _RIGID_PX, _SURE, _TRIES)
+        _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC)
     except cv2.error:  # some matches that are all wrong make a geometry that OpenCV itself refuses
         mask = None
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel().astype(np.bool_)

@@ -19,7 +19,7 @@ from automodel.types import Bools, FloatArray, Ints
 
 # How often the other image shows a ridge where the ground puts it: one of paint, and one of anything else by chance.
 OF_PAINT, BY_CHANCE = 0.8, 0.1
-FOR, AGAINST = math.log(OF_PAINT / BY_CHANCE), math.log((1.0 - OF_PAINT) / (1.0 - BY_CHANCE))  # [nats] that it is paint
+FOR, AGAINST = math.log(OF_PAINT / BY_CHANCE), math.log1p(-OF_PAINT) - math.log1p(-BY_CHANCE)  # [nats] that it is paint
 
 
 def log_odds(stripes: Stripes, witnesses: Ints) -> FloatArray:

@@ -20,18 +20,21 @@ from automodel.compiled import compiled
 from automodel.geometry import CameraModel, GroundCamera
 from automodel.geometry.stereo_rig import Eye, bearings, image_of, on_ground
 from automodel.perception.line_scan import ScanConfig
+from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.ridge import RidgeFilter
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge
 from automodel.perception.rows.row_ridges import LEVEL, LINE, MARGIN, PER_MARKING, SIDE, WIDEST, WINDOW, measure_ridges
 from automodel.perception.rows.row_search import MAX_TURN
 from automodel.types import Complexes, Float32Array, FloatArray, Image, Ints
 
-SLANTS = (1.0, 1.8, 3.2)  # widths of the filters, in markings straight ahead
+SLANTS = (1.8, 3.2)  # widths of the filters for stripes that lie across, in markings straight ahead
 MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
 WIDER = WIDEST / PER_MARKING  # a filter finds stripes that are wider than itself by so much
-WIDTHS = (0.5, 1.7)  # of a stripe across its direction, in markings: the width in use may be wrong by a third
+WIDEST_STRIPE = WIDER * MarkingWidth.CHANGE  # across its direction, in markings: the width in use may be wrong itself
+WIDTHS = (1 / WIDEST_STRIPE, WIDEST_STRIPE)
 WHOLE = 3  # ridges of a stripe beside the first or the last, at least, that tell where its ends are
-THIN = 4  # every so many-th sample measures a row's noise: as long as the filter's windows
-NARROW_PX = 0.75  # rows on which a marking is narrower show none
+THIN = WINDOW  # every so many-th sample measures a row's noise: as long as the filter's windows
+NARROW_PX = RidgeFilter.MIN_WIDTH_PX  # rows on which a marking is narrower show none
 _KNOTS = 33  # columns of a row whose ground is computed; linear in between
 
 
@@ -102,9 +105,8 @@ class StripeSearch:
         self._contrast, self._size, self._rows, self._dark = contrast, size, rows, dark
         self._least_m = ScanConfig().least_lanes * lane_width_m
         widest = 1.0 / math.cos(min(turn_rad + MAX_TURN, MOST_TURN))  # of a stripe along a row
-        self._slants = np.array(
-            [1.0, *(wide for wide, before in zip(SLANTS[1:], SLANTS, strict=False) if WIDER * before < widest)]
-        )
+        wider = [wide for wide, before in zip(SLANTS, (1.0, *SLANTS), strict=False) if WIDER * before < widest]
+        self._slants = np.array([1.0, *wider])
         self._noises = least_ridge(rows * 2.0 * self._half_m / marking_m * PER_MARKING / FALSE_SAMPLES)
 
     def look(self, grey: Image, camera: GroundCamera, place: Complexes) -> Stripes:
