@@ -81,8 +81,7 @@ class Centerline:
 
     name = "centerline"
     MIN_MARKING_LANES = 0.03  # a mask shows no thinner lines: far away its pixels are wider than a marking
-    REACH_LANES = 0.2  # lateral distance from its expected place in which a line is searched
-    END_LANES = 0.8  # a line that is not visible over this distance, where it should be, has ended
+    END_LANES = ScanConfig().gap_lanes  # a line that is not visible over this distance, where it should be, has ended
 
     def __init__(self, car: CarConfig, markings: Markings | None = None) -> None:
         options, lane = car.pipeline.centerline, car.lane
@@ -235,7 +234,7 @@ class Centerline:
         for side in (+0.5, -0.5):
             points, heading, sigma = belief.beside(s, side)
             expected = ExpectedLine(points_m=points, heading_rad=heading)
-            reach = max(self.REACH_LANES * self._unit, 2.0 * float(sigma[0]))
+            reach = max(TrackedLane.REACH_LANES * self._unit, 2.0 * float(sigma[0]))
             line = self._seen(self._following.follow(features, expected=expected, reach_m=reach))
             if len(line.points_m) >= SEEN:
                 line = _with_belief(line, points, sigma)
@@ -265,7 +264,9 @@ class Centerline:
         """A line's points from where it is expected."""
         points, heading, known_m = lane.expected(side, self._ahead_m + 0.5 * self._unit)
         expected = ExpectedLine(points_m=points, heading_rad=heading, known_m=known_m)
-        return self._seen(self._following.follow(features, expected=expected, reach_m=self.REACH_LANES * self._unit))
+        return self._seen(
+            self._following.follow(features, expected=expected, reach_m=TrackedLane.REACH_LANES * self._unit)
+        )
 
     def _seen(self, followed: FollowedLine) -> SeenLine:
         """The line, and whether it ended within the view."""

@@ -26,8 +26,8 @@ def test_fields_attributes_and_parts_of_tuples_are_found() -> None:
 def test_a_number_says_what_it_is() -> None:
     beside = one("perception.markings.binary_views.FeaturePoints.KERNEL").meaning
     assert beside == "side of the kernel that opens and closes, in marking widths"
-    described = one("perception.windows.window_tracker.FollowConfig.step_lanes").meaning
-    assert described.startswith("step_lanes: least distance between windows")
+    described = one("perception.windows.window_tracker.FollowConfig.turn_rad").meaning
+    assert described.startswith("turn_rad: largest direction of a piece")
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_users_are_those_that_import_a_module_through_others_too() -> None:
         "automodel.tracking.lane_tracking",
         "automodel.pipelines.contour",
     }
-    assert pipelines_of(one("perception.windows.line_windows.LineWindows.FILL")) == ("centerline",)
+    assert pipelines_of(one("perception.windows.line_windows.LineWindows.ALONG")) == ("centerline",)
     assert not users("automodel.perception.windows.line_windows") & {"automodel.tracking.belief"}
 
 

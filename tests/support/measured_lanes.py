@@ -15,7 +15,7 @@ from tests.support.world_lanes import WorldLane
 
 UNIT, REFERENCE_M = 0.4, 0.13
 FILTER = PoseFilterConfig(lane_width_m=UNIT, reference_x_m=REFERENCE_M)
-RLS = ThetaRlsConfig(lane_width_m=UNIT, reference_x_m=REFERENCE_M, memory_lanes=0.25, memory_s=0.3, sight_lanes=0.6)
+RLS = ThetaRlsConfig(lane_width_m=UNIT, reference_x_m=REFERENCE_M, memory_lanes=0.25, sight_lanes=0.6)
 
 
 def pose_state(offset_m: float, heading_rad: float, width_m: float = UNIT) -> np.ndarray:

@@ -21,7 +21,17 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.curves import DeferredCurve
-from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, NODE, TAPER_LANES, WALK
+from automodel.estimation.road import (
+    ANY_BEND,
+    BEHIND,
+    LOST_PACE,
+    LOST_STEP,
+    LOST_TURN_RAD,
+    NODE,
+    OUTLIER,
+    TAPER_LANES,
+    WALK,
+)
 from automodel.estimation.road import TAPER as ROAD_TAPER
 from automodel.geometry.elimination import solve
 from automodel.geometry.lane_path import (
@@ -37,9 +47,7 @@ from automodel.geometry.lane_path import (
 from automodel.types import Bools, Complexes, FloatArray, Floats, Ints
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
-CUT_LANES = 0.06  # distance at which Tukey's biweight becomes 0
 SECTIONS = 6  # of the view, between stations
-FORGOTTEN = 0.1  # share of the walk by which what was seen of the road is uncertain again
 TURNED = 0.4  # sine of the angle between a stripe and its line, at most, beyond what is uncertain
 
 
@@ -277,11 +285,10 @@ class ParabolaPair:
             self._advance(distance_m, turn_rad)
         else:
             way += LOST_PACE * dt_s
-        walk = np.full(SIZE, FORGOTTEN * self._bend * unit * way)
+        walk = np.full(SIZE, self._bend * unit * way)
         walk[:ROAD] = np.square((WALK * unit, WALK, WALK * unit, ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES))) * way
         if not known:
             walk[[OFFSET, THETA]] += dt_s * (LOST_STEP * unit) ** 2, dt_s * LOST_TURN_RAD**2
-            walk[ROAD:] += self._bend * unit * way
         self.covariance[np.diag_indices(SIZE)] += walk
         self._bound_width()
 
@@ -345,7 +352,7 @@ class ParabolaPair:
             self._bend,
             self.start_m,
             self._section_m,
-            CUT_LANES * self._unit,
+            OUTLIER * self._unit,
         )
         sides = np.unique(side[inliers])
         if len(sides) == 1:  # the line stays where it is, the width as it was, and the other line parallel
@@ -373,7 +380,7 @@ class ParabolaPair:
             np.cumsum([len(line) for line in lines], dtype=np.intp),
             self.start_m,
             self._section_m,
-            CUT_LANES * self._unit,
+            OUTLIER * self._unit,
             0.25 * self._unit,
         )
 

@@ -21,7 +21,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.curves.foot import LEAST_STRETCH, newton_step
 from automodel.curves.lanes import LaneShape
-from automodel.estimation.road import BEHIND, NODE
+from automodel.estimation.road import BEHIND, NODE, OUTLIER
 from automodel.geometry import SE2
 from automodel.geometry.elimination import solve
 from automodel.types import Bools, FloatArray
@@ -39,7 +39,7 @@ class LaneFitConfig:
     ahead_lanes: float = 4.0  # and ahead of it
     node_lanes: float = NODE  # spacing of the curvature's nodes
     sure_lanes: float = 1.0  # distance ahead up to which the prior is trusted
-    outlier_lanes: float = 0.06  # distance at which Tukey's biweight becomes 0
+    outlier_lanes: float = OUTLIER
 
 
 class LineSamples(NamedTuple):

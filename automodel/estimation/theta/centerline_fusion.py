@@ -20,12 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
+from automodel.estimation.theta.heading_polynomial import ORDER, HeadingPolynomial
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
+from automodel.estimation.theta.tracked_line import TrackedLine
 from automodel.types import FloatArray
 
-SAMPLES = 24  # of each line
-_GRID = np.linspace(0.0, 1.0, SAMPLES)
 _NOTHING = np.empty(0)
 
 
@@ -94,7 +93,8 @@ def _mapped(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArray,
         d = lateral * width_m
         if not line.s_max_m > line.s_min_m:
             continue
-        s = line.s_min_m + (line.s_max_m - line.s_min_m) * _GRID
+        count = math.ceil((line.s_max_m - line.s_min_m) / (TrackedLine.STEP_LANES * rls.config.lane_width_m))
+        s = np.linspace(line.s_min_m, line.s_max_m, max(count, ORDER) + 1)
         theta, weight = rls.samples(s)
         on_centre = to_centerline(s, theta, own, d)
         # eq. (16): the feet on lines that are not parallel do not lie on one perpendicular
@@ -106,7 +106,7 @@ def _mapped(sides: list[_Side], width_m: float) -> tuple[FloatArray, FloatArray,
     spans = [max(float(on_centre[-1] - on_centre[0]), 0.0) for on_centre, _, _ in parts]
     longest = max(*spans, 1e-9)
     s, theta, weight = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return s, theta, weight * np.repeat([span / longest for span in spans], SAMPLES)
+    return s, theta, weight * np.repeat([span / longest for span in spans], [len(part[0]) for part in parts])
 
 
 def _distance(sides: list[_Side], width_m: float, width_variance_m2: float) -> tuple[float, float]:

@@ -161,7 +161,7 @@ class LanePoseFilter:
     `rejected` counts the measurements that failed their gate since `start`.
     """
 
-    _FLOOR = 1e-3  # [lane widths] least standard deviation of a point
+    _FLOOR = 1e-4  # [lane widths] least standard deviation of a point
 
     def __init__(self, config: PoseFilterConfig) -> None:
         from filterpy.kalman import ExtendedKalmanFilter  # imports scipy, which takes most of a second

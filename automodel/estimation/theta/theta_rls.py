@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from automodel.curves.foot import LEAST_STRETCH, foot_on_circle, nearest_samples
-from automodel.estimation.road import WALK
+from automodel.estimation.road import NODE, WALK
 from automodel.estimation.theta.heading_polynomial import ORDER, HeadingPolynomial, shift_matrix
 from automodel.estimation.theta.line_spline import SampledLine
 from automodel.geometry import SE2
@@ -32,23 +32,22 @@ _IDENTITY: FloatArray = np.eye(ORDER)
 class ThetaRlsConfig:
     """Scales of the filter; lengths in lane widths, so that one set serves scale cars and highways.
 
-    The weight of a point falls by e within a distance of `memory_lanes` or a time of `memory_s`. `prior_rad`: standard
-    deviation of the second to fourth coefficient at `scale_lanes`; infinity switches the prior off. The cubic's own
-    error at s is `model_rad` (1 + (s / `sight_lanes`)^2).
+    The weight of a point falls by e within a distance of `memory_lanes`; a second counts as a lane width. `prior_rad`:
+    standard deviation of the second to fourth coefficient at `scale_lanes`; infinity switches the prior off. The
+    cubic's own error at s is `model_rad` (1 + (s / `sight_lanes`)^2).
     """
 
     lane_width_m: float
     reference_x_m: float
     scale_lanes: float = 2.0
     memory_lanes: float = 0.1
-    memory_s: float = 0.3
     prior_rad: float = 2.5
     model_rad: float = 0.02
-    sight_lanes: float = 0.6
+    sight_lanes: float = NODE
 
     def __post_init__(self) -> None:
         lengths = (self.lane_width_m, self.scale_lanes, self.memory_lanes, self.sight_lanes)
-        if not all(value > 0.0 for value in (*lengths, self.memory_s, self.model_rad, self.prior_rad)):
+        if not all(value > 0.0 for value in (*lengths, self.model_rad, self.prior_rad)):
             raise ValueError("ThetaRlsConfig: lane width, scales, memories and priors must be positive")
 
 
@@ -111,14 +110,14 @@ class ThetaRls:
             return
         config, unit = self.config, self.config.lane_width_m
         self.line, advance = self.line.moved(after_from_before)
-        keep = math.exp(-abs(distance_m) / (config.memory_lanes * unit) - max(dt_s, 0.0) / config.memory_s)
+        way = abs(distance_m) / unit + max(dt_s, 0.0)  # noise and light are new to a car that stands
+        keep = math.exp(-way / config.memory_lanes)
         back = shift_matrix(-advance / self.scale_m)
         moved = back.T @ self.information @ back
         moved = 0.5 * (moved + moved.T)
         self._learn(keep * moved, keep * (back.T @ self._pull + after_from_before.yaw_rad * moved[:, 0]))
         self._kept *= keep
-        walk = WALK**2 * (abs(distance_m) / unit + max(dt_s, 0.0))
-        self.lateral_variance_m2 += walk * unit * unit
+        self.lateral_variance_m2 += WALK**2 * way * unit * unit
 
     def update(
         self,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from automodel.estimation.road import LOST_PACE, TAPER
+from automodel.estimation.road import LOST_PACE, NODE, TAPER
 from automodel.estimation.theta.centerline_fusion import CenterlineFusion
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
 from automodel.estimation.theta.line_spline import MIN_POINTS
@@ -26,9 +26,8 @@ class TrackedLane:
     """
 
     KEPT_LANES = 1.0  # unseen distance after which a line's own estimate is dropped
-    NEW_LANES, NEW_POINTS = 2.0, 8  # a new line that starts at this distance from the car, and the points it takes
-    KNOWN_RAD = 0.1  # two sigma of an unseen line's direction lead out of the search's reach within a lane width
-    GUESS_LANES = 0.3  # a line is extrapolated this far beyond its known end before it counts as a guess
+    REACH_LANES = 0.2  # lateral distance from its expected place in which a line is searched
+    KNOWN_RAD = REACH_LANES / 2  # two sigma of an unseen line's direction lead out of that within a lane width
 
     def __init__(self, lane_width_m: float, reference_x_m: float) -> None:
         self.unit, self.reference_x_m = lane_width_m, reference_x_m
@@ -110,7 +109,7 @@ class TrackedLane:
             lateral = 0.5 * side * self.pose.width_m
             points[:, 0] -= lateral * np.sin(theta)
             points[:, 1] += lateral * np.cos(theta)
-        return points, theta, model.s_max_m + self.GUESS_LANES * self.unit - first
+        return points, theta, model.s_max_m - first
 
     def _own(self, side: float) -> HeadingPolynomial | None:
         tracked = self.left if side > 0 else self.right
@@ -120,15 +119,8 @@ class TrackedLane:
         return tracked.line if known and tracked.unseen_m < self.KEPT_LANES * self.unit else None
 
     def _take(self, tracked: TrackedLine, seen: SeenLine) -> bool:
-        enough = 1 if tracked.line is not None else self._first_points(seen)
+        enough = 1 if tracked.line is not None else MIN_POINTS
         return len(seen.points_m) >= enough and tracked.update(seen)
-
-    def _first_points(self, seen: SeenLine) -> int:
-        """How many points make a new line: more where it has to be extrapolated far back to the car."""
-        if not len(seen.points_m):
-            return MIN_POINTS
-        away = math.hypot(*(seen.points_m[0] - np.array((self.reference_x_m, 0.0))))
-        return MIN_POINTS if away < self.NEW_LANES * self.unit else self.NEW_POINTS
 
     def _width_ahead(self, left: SeenLine, right: SeenLine) -> tuple[float, float] | None:
         """The lane's width where a line begins that is not seen back to the car [m], and its variance [m^2]; or None.
@@ -139,7 +131,7 @@ class TrackedLane:
         """
         sides = (self.left, left, self.right), (self.right, right, self.left)
         tracked, seen, other = sides[0] if self.left.hidden_m > self.right.hidden_m else sides[1]
-        hidden = tracked.hidden_m > TrackedLine.KNOT_LANES * self.unit
+        hidden = tracked.hidden_m > NODE * self.unit
         if not hidden or tracked.known_m < TrackedLine.STEP_LANES * self.unit or other.line is None:
             return None
         point = seen.points_m[0].tolist()

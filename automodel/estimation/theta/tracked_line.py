@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.curves.foot import nearest_samples
-from automodel.estimation.road import BEHIND, LOST_PACE, LOST_STEP, WALK
+from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, NODE, WALK
 from automodel.estimation.theta.heading_polynomial import HeadingPolynomial
-from automodel.estimation.theta.line_spline import smooth
+from automodel.estimation.theta.line_spline import MIN_POINTS, smooth
 from automodel.estimation.theta.theta_rls import ThetaRls, ThetaRlsConfig
 from automodel.geometry import SE2
 from automodel.types import FloatArray
 
 LEAST_NEWS = 1e-6  # share of what is seen that counts as none, of a car that stands
-FORGET_UNKNOWN = 8.0  # factor by which a line is forgotten faster while the motion is unknown
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +32,7 @@ class SeenLine:
 
 def move_line(rls: ThetaRls, after_from_before: SE2, distance_m: float, dt_s: float, known: bool) -> None:
     """Move a line into the body frame after a motion; an unknown motion adds to its uncertainty."""
-    rls.predict(after_from_before, distance_m, dt_s if known else FORGET_UNKNOWN * dt_s)
+    rls.predict(after_from_before, distance_m if known else LOST_PACE * rls.config.lane_width_m * dt_s, dt_s)
     if not known:
         rls.lateral_variance_m2 += LOST_STEP**2 * rls.config.lane_width_m**2 * dt_s
 
@@ -48,10 +47,7 @@ class TrackedLine:
     distance driven since the first update.
     """
 
-    KEEP_POINTS = 4  # per round: the nearest, which leave the image next
-    HIDDEN_BEND_LANES = 0.25  # [1 / lane width] curvature that may be missed where there are no points
-    STEP_LANES, KNOT_LANES = 0.12, 0.6  # spacing of the spline's samples, and of remembered points; of its knots
-    BEND_LANES = 0.6  # [1 / lane width] usual change of curvature over a lane width
+    STEP_LANES = 0.12  # spacing of the spline's samples, and of remembered points
 
     def __init__(self, config: ThetaRlsConfig) -> None:
         self.unit = config.lane_width_m
@@ -98,7 +94,7 @@ class TrackedLine:
             order = np.argsort(s, kind="stable")
             points, sigma = points[order], sigma[order]
         unit = self.unit
-        sampled = smooth(points, sigma, self.STEP_LANES * unit, self.KNOT_LANES * unit, self.BEND_LANES / unit**2)
+        sampled = smooth(points, sigma, self.STEP_LANES * unit, NODE * unit, math.hypot(ANY_BEND, ANY_BEND) / unit**2)
         if sampled is None:
             return False
         self.rls.take(sampled)
@@ -106,7 +102,7 @@ class TrackedLine:
         self._set_hidden_bend(s, moved_m)
         self.unseen_m = 0.0
         if self._since_kept_m >= self.STEP_LANES * unit:
-            kept = slice(0, self.KEEP_POINTS)
+            kept = slice(0, MIN_POINTS)  # the nearest, which leave the image next
             self._memory = np.concatenate((self._memory, np.column_stack((points_m[kept], sigma_m[kept]))))
             self._since_kept_m = 0.0
         return True
@@ -127,7 +123,7 @@ class TrackedLine:
         b = float(ahead.min()) if len(ahead) else math.inf
         a = float(behind.min()) if len(behind) else math.inf
         near, far = min(a, b), min(max(a, b), 2.0 * min(a, b))
-        kappa = self.HIDDEN_BEND_LANES / self.unit
+        kappa = ANY_BEND / self.unit
         self.hidden_m = near
         if near > moved_m:
             kappa /= math.sqrt(max(moved_m / near, LEAST_NEWS))

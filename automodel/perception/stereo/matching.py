@@ -16,13 +16,14 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.geometry.stereo_rig import Eye, image_of
 from automodel.perception.markings.ridge import BESIDE, FAINT
+from automodel.perception.rows.row_ridges import PER_MARKING
 from automodel.perception.stereo.points import GATE
 from automodel.perception.stereo.stripes import Field, Stripes, Traces
 from automodel.types import Bools, FloatArray, Image, Ints
 
 GLANCING = 0.2  # sine of the smallest angle at which an epipolar line cuts a stripe: there noise is five times as large
 _FAR_M = 1e4  # as good as infinitely far
-_PROFILE = 8  # samples of a profile on each side of a ridge, over `BESIDE` of the ridge's widths
+_PROFILE = round(BESIDE * PER_MARKING)  # samples of a profile on each side of a ridge, over `BESIDE` of its widths
 _LEAST = 0.5  # share of a profile that both images must show: one flank and the ridge itself
 _BRIGHTER = 1.25  # than all of a profile: what the other image shows there is another thing
 _ON_PX = 1e-6  # from an epipolar line: a ridge that is nearer lies on it

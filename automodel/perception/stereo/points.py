@@ -20,7 +20,6 @@ CONTRAST = 7  # grey levels of a corner: floors are plain
 NEAR_PX = 2.0  # of an epipolar line lies what may be the same point: corners are found within a pixel or two
 GATE = 3.0  # sigmas that an error has at most: 1 in 370 is larger, 1 in 700 to one side
 ORDER_SIGMAS = GATE  # of the sign test, which wrong matches alone exceed as rarely
-_LEAST = 8  # matches that an epipolar geometry needs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,10 +100,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 def _rigid(left_px: FloatArray, right_px: FloatArray) -> Bools:
     """Which matches (n,) the epipolar geometry explains that explains most of them."""
-    if len(left_px) < _LEAST:
-        return np.zeros(len(left_px), np.bool_)
     try:
         _, mask = cv2.findFundamentalMat(left_px, right_px, cv2.USAC_MAGSAC)
-    except cv2.error:  # some matches that are all wrong make a geometry that OpenCV itself refuses
+    except cv2.error:  # too few matches, or such as make a geometry that OpenCV itself refuses
         mask = None
     return np.zeros(len(left_px), np.bool_) if mask is None else mask.ravel().astype(np.bool_)

@@ -28,7 +28,6 @@ from automodel.perception.rows.row_search import MAX_TURN
 from automodel.types import Complexes, Float32Array, FloatArray, Image, Ints
 
 SLANTS = (1.8, 3.2)  # widths of the filters for stripes that lie across, in markings straight ahead
-MOST_TURN = math.radians(75.0)  # of a stripe from straight ahead: the last of them finds what lies so far across
 WIDER = WIDEST / PER_MARKING  # a filter finds stripes that are wider than itself by so much
 WIDEST_STRIPE = WIDER * MarkingWidth.CHANGE  # across its direction, in markings: the width in use may be wrong itself
 WIDTHS = (1 / WIDEST_STRIPE, WIDEST_STRIPE)
@@ -104,7 +103,7 @@ class StripeSearch:
         self._marking_m, self._half_m = marking_m, half_lanes * lane_width_m
         self._contrast, self._size, self._rows, self._dark = contrast, size, rows, dark
         self._least_m = ScanConfig().least_lanes * lane_width_m
-        widest = 1.0 / math.cos(min(turn_rad + MAX_TURN, MOST_TURN))  # of a stripe along a row
+        widest = 1.0 / max(math.cos(min(turn_rad + MAX_TURN, 0.5 * math.pi)), 1e-9)  # of a stripe along a row
         wider = [wide for wide, before in zip(SLANTS, (1.0, *SLANTS), strict=False) if WIDER * before < widest]
         self._slants = np.array([1.0, *wider])
         self._noises = least_ridge(rows * 2.0 * self._half_m / marking_m * PER_MARKING / FALSE_SAMPLES)

@@ -41,10 +41,8 @@ class LineFollowing:
     `visible` (h, w) is nonzero where the view shows ground that the camera sees; None: everywhere.
     """
 
-    MAX_REACH_LANES = 0.35
-
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float, visible: Image | None = None) -> None:
-        self.view, self._lane_m, self._marking_m = view, lane_width_m, marking_width_m
+        self.view, self._marking_m = view, marking_width_m
         self._layout = LineWindows(view, marking_width_m, visible).layout
         self._scales = track_scales(view, lane_width_m, marking_width_m)
         far = ExpectedLine(points_m=np.array([[-1e3, 0.0], [-2e3, 0.0]]), heading_rad=np.zeros(2))
@@ -55,9 +53,8 @@ class LineFollowing:
 
         `reach_m` is the lateral distance from the expectation in which the line may lie.
         """
-        reach = min(reach_m, self.MAX_REACH_LANES * self._lane_m)
         line, known_m = (expected.points_m, expected.heading_rad), float(expected.known_m)
-        tracked, *lost_m = track(features, self._layout, self._scales, *line, known_m, reach)
+        tracked, *lost_m = track(features, self._layout, self._scales, *line, known_m, reach_m)
         points = tracked[:, :2].copy()
         sigma = 0.12 * self._marking_m + 0.01 * np.hypot(points[:, 0] - self.view.x_near_m, points[:, 1])
         after_gap = tracked[:, MISSED] > 0.0

@@ -10,7 +10,8 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry import View
-from automodel.perception.windows.sliding_windows import moments
+from automodel.perception.markings.ridge import BESIDE
+from automodel.perception.windows.sliding_windows import SlidingWindows, moments
 from automodel.types import Image
 
 
@@ -26,15 +27,6 @@ class WindowHit(NamedTuple):
     direction_rad: float
 
 
-class Surroundings(NamedTuple):
-    """The share of the window's length that a piece covers, and the line areas to its left and right, as shares of a
-    whole line."""
-
-    covered: float
-    left: float
-    right: float
-
-
 class _WindowShape(NamedTuple):
     """A window in pixels. Its columns lie across the line and its rows along it; `sideways`: the other way round."""
 
@@ -43,8 +35,7 @@ class _WindowShape(NamedTuple):
     across_px: int
     along_px: int
     sideways: bool
-    full: float  # share of a whole line's pixels above which it is no single line
-    spread_px2: float  # variance across the line, likewise
+    spread_px2: float  # variance across the line above which it is no single line
     long_px2: float  # variance along the window from which on a line's direction is defined
 
 
@@ -77,19 +68,16 @@ class LineWindows:
     nonzero where the view shows ground that the camera sees; None: everywhere.
     """
 
-    ACROSS, ALONG = 4.5, 2.8  # size in marking widths
-    FULL = 1.9  # share of a whole line's pixels from which on it is an area
-    SPREAD = 0.3  # maximum variance across the line in squared markings; that of one line is 1/12
-    FILL = 0.35  # minimum share of a whole line's pixels
-    LONG = 0.5  # minimum variance along the window, relative to a line that fills it, for a direction; no disc has it
-    FLANK = (1.5, ACROSS)  # markings from a piece to what is beside it
-    TRIES = 3  # iterations of centring a window
-    RIM = 1.3  # markings that a point lies inside the visible part, at least
+    ACROSS, FILL, LONG, SPREAD = SlidingWindows.WIDTH, SlidingWindows.FILL, SlidingWindows.LONG, SlidingWindows.SPREAD
+    ALONG = 2.8  # length in marking widths
+    FLANK = (BESIDE, ACROSS)  # markings from a piece to what is beside it
+    TRIES = 10  # iterations of centring a window, at most
+    RIM = BESIDE  # markings that a point lies inside the visible part, at least: so that what is beside it is visible
 
     def __init__(self, view: View, marking_width_m: float, visible: Image | None = None) -> None:
         self._marking_px = (marking_width_m / view.m_per_px, marking_width_m / view.m_per_row)  # index: `sideways`
-        whole = self.ACROSS, self.ALONG, self.FULL, self.SPREAD, self.LONG
-        part = 0.5 * self.ACROSS, 0.5 * self.ALONG, self.FULL, 0.5 * self.SPREAD, math.inf
+        whole = self.ACROSS, self.ALONG, self.SPREAD, self.LONG
+        part = 0.5 * self.ACROSS, 0.5 * self.ALONG, 0.5 * self.SPREAD, math.inf
         if visible is None:
             visible = np.full((view.height_px, view.width_px), 255, np.uint8)
         self.layout = Layout(
@@ -109,14 +97,12 @@ class LineWindows:
             sight=self._inner_part(visible),
         )
 
-    def _shape(
-        self, sideways: bool, across: float, along: float, full: float, spread: float, long: float
-    ) -> _WindowShape:
+    def _shape(self, sideways: bool, across: float, along: float, spread: float, long: float) -> _WindowShape:
         across_px = max(round(across * self._marking_px[sideways]), 3)
         along_px = max(round(along * self._marking_px[not sideways]), 2)
         rows, columns = (across_px, along_px) if sideways else (along_px, across_px)
         spread_px2, long_px2 = spread * self._marking_px[sideways] ** 2, long * along_px**2 / 12.0
-        return _WindowShape(rows, columns, across_px, along_px, sideways, full, spread_px2, long_px2)
+        return _WindowShape(rows, columns, across_px, along_px, sideways, spread_px2, long_px2)
 
     def _inner_part(self, visible: Image) -> Image:
         """The visible part less a rim."""
@@ -149,15 +135,14 @@ def is_empty(features: Image, layout: Layout, x_m: float, y_m: float, reach_m: f
 
 
 @compiled
-def surroundings(features: Image, layout: Layout, x_m: float, y_m: float, heading_rad: float) -> Surroundings:
-    """The surroundings of a line's piece in a binary view (h, w)."""
+def beside_piece(features: Image, layout: Layout, x_m: float, y_m: float, heading_rad: float) -> tuple[float, float]:
+    """The areas to the left and right of a line's piece in a binary view (h, w), as shares of a whole line."""
     sideways = int(abs(math.sin(heading_rad)) > abs(math.cos(heading_rad)))
     place = (layout.far_m - x_m) / layout.row_m, (layout.left_m - y_m) / layout.column_m
     length, width = layout.shapes[sideways][0].along_px, layout.marking_px[sideways]
     first, middle, (near, far) = int(place[sideways] - 0.5 * length), place[1 - sideways], layout.flank
-    left = right = covered = 0
+    left = right = 0
     for along in range(max(first, 0), min(first + length, features.shape[sideways])):
-        crossed = False
         for across in range(
             max(int(middle - far * width), 0), min(int(middle + far * width), features.shape[1 - sideways])
         ):
@@ -165,12 +150,9 @@ def surroundings(features: Image, layout: Layout, x_m: float, y_m: float, headin
                 continue
             if across < int(middle - near * width):
                 left += 1
-            elif across < int(middle + near * width):
-                crossed = True
-            else:
+            elif across >= int(middle + near * width):
                 right += 1
-        covered += crossed
-    return Surroundings(covered / length, left / (width * length), right / (width * length))
+    return left / (width * length), right / (width * length)
 
 
 @compiled
@@ -194,7 +176,7 @@ def look(features: Image, layout: Layout, x_m: float, y_m: float, heading_rad: f
         steep = lean / along if along > 0.0 else 0.0
         slope = steep * layout.aspect[sideways]  # on the ground
         spread = (across - steep * lean) / (1.0 + slope * slope)
-        if pixels <= shape.full * whole and spread <= shape.spread_px2 * pixels:
+        if spread <= shape.spread_px2 * pixels:
             x, y = layout.far_m - (at_row + 0.5) * layout.row_m, layout.left_m - (at_column + 0.5) * layout.column_m
             if not in_sight(layout, x, y):
                 return nothing

@@ -84,7 +84,7 @@ class SlidingWindows:
     COUNT = 12
     WIDTH = 4.8
     FILL = 0.4  # share of a full line's pixels that a window needs
-    LONG = 0.3  # minimum variance of the pixels along the rows, relative to a line that fills the window, for a slope
+    LONG = 0.5  # minimum variance of the pixels along a window, relative to a line that fills it, for a direction
     SPREAD = 0.25  # variance of the pixels about their straight line, in squared markings; that of one line is 1/12
 
     def __init__(self, view: View, marking_width_m: float) -> None:

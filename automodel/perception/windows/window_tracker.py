@@ -14,15 +14,16 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry import View
+from automodel.perception.line_scan import ScanConfig
 from automodel.perception.windows.line_windows import (
     Layout,
     LineWindows,
     WindowHit,
+    beside_piece,
     in_sight,
     is_empty,
     look,
     remainder,
-    surroundings,
 )
 from automodel.types import Bools, FloatArray, Image
 
@@ -36,43 +37,23 @@ class FollowConfig(NamedTuple):
 
     The effects are those of `automodel bench sensitivity`, of half and one and a half times the value.
 
-    - `step_lanes`: least distance between windows. 0.05: no effect; 0.15: the offset's error grows by a half, because a
-      window no longer reaches what the line turns within a step.
-    - `gap_lanes`: a line that is not seen for longer is lost: the length of an intersection. 2: in one world of twenty
-      the far side is not found again, and the neighbour's line is taken.
-    - `wide_gap_lanes`: a gap that is a junction's, not one between two dashes, which are half a lane width apart on
-      roads. Effect below 0.1 % of the lane's width.
-    - `radius_lanes`: radius of the tightest bend that a line is followed into. No effect but on roads that are tighter.
-    - `turn_rad`, `gap_turn_rad`: largest direction of a piece relative to the track's, and after a gap, when it may
-      lead into another road. One angle for both loses the lane in the chicane.
-    - `away_rad`: a line that turns away from the expected one by more is given up. 12 degrees: error plus a tenth.
-    - `odd_rad`: a point beside a wide gap that is turned by more from the line's usual direction lies on the corner of
+    - `turn_rad`: largest direction of a piece relative to the track's, and of the track relative to the expected line.
+    - `gap_turn_rad`: the first of these after a gap, when the piece may lead into another road. One angle for both
+      loses the lane in the chicane.
+    - `odd_rad`: a point beside a gap that is turned by more from the line's usual direction lies on the corner of
       another road. Without such points' removal the error in full-size circuits grows by a sixth.
     - `spread`: widening of the search per distance, as uncertain as the direction of the expected line is. 0.12: the
       neighbour's line is taken in one of twenty worlds.
-    - `heading_gain`, `curvature_gain`: shares of a window's lateral error that correct its heading and curvature.
-      Without the first the lane is lost in the chicane, without the second an S-bend is not followed to its end.
-    - `own_gain`, `found_gain`: share of a piece's own direction in the window's heading; of one found after a gap.
-      With 0.5 for both the lane is lost in the chicane; otherwise below 0.1 %.
-    - `covered`, `flanked`: a line found again covers this share of its window's length, and has less than this share of
-      a line on one of its sides: it is none of a zebra's bars. Without them other paint is followed at intersections.
+    - `heading_gain`: share of a window's lateral error that corrects its heading; the curvature's follows from it, as
+      in an alpha-beta-gamma filter whose alpha is 1 (Kalata 1984). Without the first the lane is lost in the chicane,
+      without the second an S-bend is not followed to its end.
     """
 
-    step_lanes: float = 0.1
-    gap_lanes: float = 4.0
-    wide_gap_lanes: float = 0.6
-    radius_lanes: float = 1.0
     turn_rad: float = math.radians(35.0)
     gap_turn_rad: float = math.radians(17.0)
-    away_rad: float = math.radians(25.0)
     odd_rad: float = math.radians(8.0)
-    spread: float = 0.06
+    spread: float = ScanConfig().turn_rad
     heading_gain: float = 0.5
-    curvature_gain: float = 0.1
-    own_gain: float = 0.25
-    found_gain: float = 0.5
-    covered: float = 0.7
-    flanked: float = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,10 +88,8 @@ class TrackScales(NamedTuple):
     marking_m: float
     step_m: float
     spacing_m: float  # between the windows of a search
-    max_gap_m: float
     max_turn_rad: float  # on one step
     max_shift_m: float  # lateral, of a line not lost
-    wide_gap: int  # windows
     max_steps: int
     config: FollowConfig
 
@@ -118,17 +97,15 @@ class TrackScales(NamedTuple):
 def track_scales(view: View, lane_width_m: float, marking_width_m: float) -> TrackScales:
     """The scales for a view."""
     config = FollowConfig()
-    step_m = max(LineWindows.ALONG * marking_width_m, config.step_lanes * lane_width_m)
-    max_turn_rad = step_m / (config.radius_lanes * lane_width_m)
+    step_m = LineWindows.ALONG * marking_width_m
+    max_turn_rad = step_m / lane_width_m  # in a bend about a point on the lane's other line
     length_m = view.x_far_m - view.x_near_m + 2.0 * view.half_width_m
     return TrackScales(
         marking_m=marking_width_m,
         step_m=step_m,
         spacing_m=0.6 * LineWindows.ACROSS * marking_width_m,
-        max_gap_m=config.gap_lanes * lane_width_m,
         max_turn_rad=max_turn_rad,
         max_shift_m=0.5 * (step_m * max_turn_rad + marking_width_m),
-        wide_gap=math.ceil(config.wide_gap_lanes * lane_width_m / step_m),
         max_steps=math.ceil(1.5 * length_m / step_m),
         config=config,
     )
@@ -236,14 +213,14 @@ def track(
             seen, missed = True, 0
         elif in_sight(layout, pose[0], pose[1]):
             seen, missed = True, missed + 1
-            if at == NO_PATH or missed * scales.step_m > scales.max_gap_m:
+            if at == NO_PATH:
                 lost_x, lost_y = pose[0], pose[1]
                 break
         elif seen:
             break
         at = _advance(scene, at, pose, _is_lost(count, missed))
     if guided:
-        return without_corners(points[:count], scales, missed >= scales.wide_gap), lost_x, lost_y
+        return without_corners(points[:count], scales, missed > 0), lost_x, lost_y
     return points[:count], lost_x, lost_y
 
 
@@ -283,11 +260,10 @@ def _look(scene: _Scene, at: int, pose: FloatArray, left_m: float, most_m: float
     hit = look(features, layout, pose[0] - left_m * math.sin(heading), pose[1] + left_m * math.cos(heading), heading)
     if math.isnan(hit.x_m) or abs(_lateral(pose, hit.x_m, hit.y_m)) > most_m:
         return nothing
-    if lost:  # the line again if the piece is whole, and none of a zebra's bars
+    if lost:  # the line again if the piece is long enough for a direction, and no bar of a zebra between two others
         if math.isnan(hit.direction_rad):
             return nothing
-        around = surroundings(features, layout, hit.x_m, hit.y_m, hit.direction_rad)
-        if around.covered < scales.config.covered or min(around.left, around.right) >= scales.config.flanked:
+        if min(beside_piece(features, layout, hit.x_m, hit.y_m, hit.direction_rad)) >= layout.fill:
             return nothing
     if abs(hit.direction_rad - heading) > (scales.config.gap_turn_rad if lost else scales.config.turn_rad):  # not NaN
         return nothing
@@ -311,17 +287,14 @@ def _accept(
     _shift(pose, error)
     if not lost:
         pose[HEADING] += scales.config.heading_gain * error / step
-        pose[BEND] += scales.config.curvature_gain * error / step**2
-    seen_rad = pose[HEADING]
-    if not math.isnan(hit.direction_rad):
-        seen_rad = hit.direction_rad
-        pose[HEADING] += (scales.config.found_gain if lost else scales.config.own_gain) * (seen_rad - pose[HEADING])
+        pose[BEND] += 0.5 * (scales.config.heading_gain / step) ** 2 * error
+    seen_rad = pose[HEADING] if math.isnan(hit.direction_rad) else hit.direction_rad
     lateral = turned = 0.0
     if at != NO_PATH:
         lateral = _lateral(path.nodes[at], pose[0], pose[1])
         turned = remainder(0.5 * (pose[HEADING] + seen_rad) - path.nodes[at, HEADING], math.tau)
         if lost or _is_known(path, at):
-            if abs(turned) > scales.config.away_rad:
+            if abs(turned) > scales.config.turn_rad:
                 return False, at, *_turned_back(scales, path.nodes[at], pose, points[:count], missed)
             pose[TURNED] += (turned - pose[TURNED]) / (count + 2)
         elif abs(turned - pose[TURNED]) > scales.config.odd_rad:  # the line leaves the guessed part
@@ -383,13 +356,13 @@ def _odd(points: FloatArray, odd_rad: float) -> Bools:
 
 @compiled
 def without_corners(points: FloatArray, scales: TrackScales, lost: bool) -> FloatArray:
-    """Points (n, 5) of a line less the odd ones beside a wide gap: at a junction they lie on another road's corner.
+    """Points (n, 5) of a line less the odd ones beside a gap: at a junction they lie on another road's corner.
 
     `lost`: there is such a gap beyond the last point.
     """
     count, odd, kept = len(points), _odd(points, scales.config.odd_rad), np.ones(len(points), np.bool_)
     for gap in range(1, count + 1):
-        if not (lost if gap == count else points[gap, MISSED] >= scales.wide_gap):
+        if not (lost if gap == count else points[gap, MISSED] > 0.0):
             continue
         i = gap
         while i < count and odd[i]:

@@ -31,7 +31,7 @@ def paper_recursion(w: np.ndarray, r: np.ndarray, mu: float, s: np.ndarray, thet
 
 def test_the_batch_is_the_papers_recursion() -> None:
     rng = np.random.default_rng(0)
-    rls = ThetaRls(replace(FREE, memory_lanes=1e9, memory_s=0.5))
+    rls = ThetaRls(replace(FREE, memory_lanes=0.5))
     scale = rls.scale_m ** np.arange(4)
     s = rng.uniform(-0.5, 1.5, 12)
     rls.start(s, rng.normal(0.0, 0.3, 12), np.ones(12), 0.2, 1e-4)
@@ -68,7 +68,7 @@ def test_the_moved_model_is_that_of_moved_points(motion: SE2) -> None:
     rng = np.random.default_rng(2)
     s = np.linspace(-0.6, 1.6, 40)
     theta, weight = 0.1 + 0.6 * s - 0.2 * s**2 + 0.05 * s**3, rng.uniform(1.0, 5.0, 40)
-    moved = ThetaRls(replace(FREE, memory_lanes=1e9, memory_s=1e9))
+    moved = ThetaRls(replace(FREE, memory_lanes=1e9))
     moved.start(s, theta, weight, 0.2, 1e-4)
     assert moved.line is not None
     before = moved.line
@@ -129,7 +129,7 @@ def test_few_points_bend_nothing() -> None:
 def test_with_the_prior_it_is_ridge_regression_on_all_points() -> None:
     """Not on each frame's: the prior counts once, however many frames there are."""
     rng = np.random.default_rng(3)
-    rls = ThetaRls(replace(RLS, memory_lanes=1e9, memory_s=1e9))
+    rls = ThetaRls(replace(RLS, memory_lanes=1e9))
     every_phi, every_theta = [], []
     for frame in range(6):
         s = rng.uniform(0.0, 0.5, 8)
@@ -200,7 +200,7 @@ def test_numbers_that_are_not_finite_change_nothing(bad: float) -> None:
     assert rls.line is None
 
 
-@pytest.mark.parametrize("field", ["lane_width_m", "scale_lanes", "memory_lanes", "memory_s", "model_rad"])
+@pytest.mark.parametrize("field", ["lane_width_m", "scale_lanes", "memory_lanes", "model_rad"])
 def test_scales_must_be_positive(field: str) -> None:
     wrong: dict[str, Any] = {field: 0.0}
     with pytest.raises(ValueError, match="positive"):

@@ -85,7 +85,7 @@ def test_the_variances_are_about_right() -> None:
 
 def test_forgetting_follows_a_bend_that_begins() -> None:
     lane = WorldLane(lambda s: np.where(s < 2.0, 0.0, 0.8), 10.0, UNIT)
-    quick, slow = ThetaRls(RLS), ThetaRls(replace(RLS, memory_lanes=50.0, memory_s=50.0))
+    quick, slow = ThetaRls(RLS), ThetaRls(replace(RLS, memory_lanes=50.0))
     results = []
     for rls in (quick, slow):
         *_, (s, _, _, heading) = drive(rls, lane, 50)

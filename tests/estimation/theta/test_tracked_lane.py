@@ -129,7 +129,7 @@ def test_lines_are_expected_where_they_are(side: float, bend: float, sees: str) 
     length = 1.0 + 0.5 * UNIT
     bent = 1.0 if sees == "both" or (side > 0) == (sees == "left") else 1.0 - bend * side * 0.5 * UNIT
     assert driven_m == pytest.approx(length * bent, rel=0.03)
-    assert 0.5 * UNIT + 1.3 < known_m < 0.5 * UNIT + 2.2
+    assert 0.5 * UNIT + 1.2 < known_m < 0.5 * UNIT + 2.2
 
 
 def test_a_line_that_is_not_seen_is_kept_for_a_while() -> None:

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.road import BEHIND
+from automodel.estimation.road import ANY_BEND, BEHIND
+from automodel.estimation.theta.line_spline import MIN_POINTS
 from automodel.estimation.theta.tracked_line import SeenLine, TrackedLine
 from automodel.geometry import SE2
 from tests.support.measured_lanes import REFERENCE_M, RLS, UNIT
@@ -107,7 +108,7 @@ def test_the_memory_is_pruned() -> None:
         places = remembered(run.tracked)
         counts.append(len(places))
         backs.append(float(REFERENCE_M - places[:, 0].min()))
-    assert max(counts[60:]) <= max(counts[:60]) + TrackedLine.KEEP_POINTS  # it does not grow
+    assert max(counts[60:]) <= max(counts[:60]) + MIN_POINTS  # it does not grow
     assert max(counts) < 200
     assert max(backs) < (BEHIND + 0.5) * UNIT
 
@@ -119,7 +120,7 @@ def test_a_car_that_stands_remembers_no_more() -> None:
     for _ in range(50):
         run.go(distance_m=0.0)
         run.tracked.update(seen(run.lane, run.car, run.s_m))
-    assert len(remembered(run.tracked)) <= before + TrackedLine.KEEP_POINTS
+    assert len(remembered(run.tracked)) <= before + MIN_POINTS
     assert abs(run.errors[0]) < 0.002
 
 
@@ -184,7 +185,7 @@ def test_frames_that_miss_the_same_bend_weigh_as_one(frames: int) -> None:
         assert run.tracked.update(SeenLine(points_m=points, sigma_m=np.full(len(points), 0.004)))
         if frame:
             weight += run.tracked.heading_sigma_rad**-2
-    kappa = TrackedLine.HIDDEN_BEND_LANES / UNIT
+    kappa = ANY_BEND / UNIT
     near_m = np.linspace(1.0, 0.4, 1001)
     assert weight == pytest.approx(0.6 * np.mean(near_m**-3) / kappa**2, rel=0.35)
 

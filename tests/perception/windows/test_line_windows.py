@@ -11,7 +11,7 @@ import pytest
 from automodel.config import CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.windows.line_following import LineFollowing
-from automodel.perception.windows.line_windows import LineWindows, Surroundings, look, surroundings
+from automodel.perception.windows.line_windows import LineWindows, beside_piece, look
 from automodel.perception.windows.window_tracker import HEADING, NO_PATH, ExpectedLine, Path, beside, resampled
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road
 from tests.support.drawn_views import Shape, bar, binary, disc, line_at
@@ -65,24 +65,20 @@ def test_of_two_lines_in_a_window_the_one_ahead_counts() -> None:
     assert abs(seen.y_m) < 0.5 * VIEW.m_per_px
 
 
-def test_what_lies_about_a_piece() -> None:
+def test_what_lies_beside_a_piece() -> None:
     layout = LineWindows(VIEW, MARKING_M).layout
 
-    def about(*shapes: Shape, x_m: float = 1.2, heading_rad: float = 0.0) -> Surroundings:
-        return surroundings(binary(VIEW, *shapes), layout, x_m, 0.0, heading_rad)
+    def about(*shapes: Shape, x_m: float = 1.2, heading_rad: float = 0.0) -> tuple[float, float]:
+        return beside_piece(binary(VIEW, *shapes), layout, x_m, 0.0, heading_rad)
 
-    assert about(line_at(0.0)) == (1.0, 0.0, 0.0)
-    flanked = about(*(line_at(0.1 * k, 0.05) for k in (-1, 0, 1)))
-    assert min(flanked.left, flanked.right) > 1.0
-    left_only = about(line_at(0.0), line_at(0.1))
-    assert left_only.left > 0.7
-    assert left_only.right == 0.0
+    assert about(line_at(0.0)) == (0.0, 0.0)
+    assert min(about(*(line_at(0.1 * k, 0.05) for k in (-1, 0, 1)))) > 1.0
+    left, right = about(line_at(0.0), line_at(0.1))
+    assert left > 0.7
+    assert right == 0.0
     aside = about(bar(1.2, 0.03), bar(1.1, 0.03), x_m=1.215, heading_rad=0.5 * math.pi)
-    assert aside.covered == 1.0
-    assert min(aside.left, aside.right) == 0.0
-    assert max(aside.left, aside.right) > 0.7
-    dotted = about(lambda x, y: line_at(0.0)(x, y) & (np.abs(x - 1.2) > 0.025))
-    assert dotted.covered < 0.5
+    assert min(aside) == 0.0
+    assert max(aside) > 0.7
 
 
 class TestSight:
