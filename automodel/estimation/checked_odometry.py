@@ -91,4 +91,4 @@ class CheckedOdometry:
         odometry, ground = np.array(speeds_mps).T
         low, high = np.quantile(ground - odometry, (0.25, 0.75))
         fastest = max(np.median(np.abs(odometry)), np.median(np.abs(ground)))
-        return bool(0.5 * (high - low) <= self._images.config.length * fastest)
+        return bool(0.5 * (high - low) <= 2.0 * self._images.config.camera * fastest)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from automodel.estimation.road import LOST_PACE, MAX_GAP_S
+from automodel.estimation.road import LOST_PACE, LOST_TURN_RAD, MAX_GAP_S
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.types import Bools, Float32Array, FloatArray, Image
@@ -26,8 +26,8 @@ from automodel.types import Bools, Float32Array, FloatArray, Image
 class ImageMotionConfig:
     """Scales of `ImageMotion`; lengths in lane widths, pixels of an image of at most `width_px`.
 
-    `ahead`, `aside`: ground that is looked at. `corners`: at most so many. `least` of them must agree on a motion;
-    fewer agree by chance. So many that move together, most of those that move at all, show that the car does:
+    `reach`: ground that is looked at, ahead and to each side. `corners`: at most so many. `least` of them must agree on
+    a motion; fewer agree by chance. So many that move together, most of those that move at all, show that the car does:
     nothing moves while it stands. `sigma_px`: the error of following; a corner agrees up to twice that.
     `window_px`: of the following; `alike`: most that two windows may differ, relative to what is in them; noise
     that was followed differs by 1.4. `texture`: least mean square of a window's gradient along its weaker
@@ -38,20 +38,17 @@ class ImageMotionConfig:
     what is dark in a window that judges (its lower quartile), relative to the ground's median: what shines through a
     lamp's reflection, which stands still, seems to move by less than the ground. In fifteen drives in random light the
     right motion is contradicted in at most 2 % of the frames (without it 24 %), a standstill that is none borne out in
-    at most 2 % (65 %), and one of twice the speed contradicted in 0 to 98 % (9 to 100 %). `systematic`: share
-    of a motion by which a wrong camera falsifies it. `acceleration` [1/s^2, rad/s^2]: what a driver and a steering
-    do to speed and yaw rate, sigma after a second. `speed` [1/s], `yaw_rate_radps`: largest sigmas of a motion that
-    is told: those of the odometry that dead reckoning expects at a few lane widths a second. `agree`: of the
-    corners that agree on the motion that most agree on, the share that must agree with a given one: in simulated
-    drives with lamps they do in 90 to 100 % of frames, in heavy noise in 45 %; with a speed that is wrong by half
-    in at most 1 %. `length`, `aslant`: share of its way by which a corner may be off along it and across: a camera
-    that is set wrong by 2 deg or 10 % sees ways that are as wrong. `most_yaw_rate_radps`: sigma of a car of which
-    nothing is known, whose speed's is `LOST_PACE`.
+    at most 2 % (65 %), and one of twice the speed contradicted in 0 to 98 % (9 to 100 %). `agree`: of the corners that
+    agree on the motion that most agree on, the share that must agree with a given one: in simulated drives with lamps
+    they do in 90 to 100 % of frames, in heavy noise in 45 %; with a speed that is wrong by half in at most 1 %.
+    `camera`: sigma of a motion, and of a corner's way along it and across, relative to them: a camera that is set wrong
+    by 2 deg or 10 %, which is two sigmas, sees ways that are as wrong. `acceleration` [1/s^2, rad/s^2]: what a driver
+    and a steering do to speed and yaw rate, sigma after a second. `told`: largest sigma of a motion that is told,
+    relative to that of a car of which nothing is known.
     """
 
     width_px: int = 720
-    ahead: float = 3.0
-    aside: float = 1.5
+    reach: float = 3.0
     corners: int = 80
     least: int = 6
     sigma_px: float = 0.5
@@ -60,14 +57,10 @@ class ImageMotionConfig:
     texture: float = 1.5
     edge: float = 16.0
     glare: float = 1.25
-    systematic: float = 0.05
-    acceleration: float = 1.0
-    speed: float = 0.3
-    yaw_rate_radps: float = 0.2
     agree: float = 0.8
-    length: float = 0.2
-    aslant: float = 0.1
-    most_yaw_rate_radps: float = 2.0
+    camera: float = 0.05
+    acceleration: float = 1.0
+    told: float = 0.2
 
 
 class Seen(NamedTuple):
@@ -80,10 +73,9 @@ class Seen(NamedTuple):
 class ImageMotion:
     """Fills in the motion of frames that come without one."""
 
-    ROUNDS = 3  # of the least squares
     QUALITY = 0.02  # of a corner, relative to the best one
+    MOST_SIGMAS = 10.0  # of a car of which nothing is known: no car has a motion that is larger
     MARGIN_PX = 4  # above the ground: a corner depends on 3 x 3 gradients of 3 x 3 pixels, and on the corners beside it
-    MOST_SIGMAS = 10.0  # of a car of which nothing is known: no motion that is told is taken for a larger one
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
         self.config, self._unit = config or ImageMotionConfig(), lane_width_m
@@ -115,7 +107,6 @@ class ImageMotion:
         """Forget the last image and motion."""
         self.most: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s] by most corners, in the last `agrees`
         self._last: Frame | None = None
-        self._given: Motion | None = None  # of the last frame, where it came with one
         self._mean: FloatArray = np.zeros(2)  # speed [m/s], yaw rate [rad/s]
         self._covariance = self._nothing()
 
@@ -123,27 +114,21 @@ class ImageMotion:
         """The motion up to a frame: as given where it is known, else as seen; unknown where too little was seen."""
         last, self._last = self._last, frame
         if motion.known and math.isfinite(motion.speed_mps + motion.yaw_rate_radps):
-            self._given = motion
+            self._mean, self._covariance = np.zeros(2), self._nothing()
             return motion
-        config, unit = self.config, self._unit
-        told = np.array((config.speed * unit, config.yaw_rate_radps))
-        if self._given is not None:
-            most = self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))
-            self._mean = np.clip((self._given.speed_mps, self._given.yaw_rate_radps), -most, most)
-            self._covariance, self._given = np.diag(told**2), None
         dt_s = 0.0 if last is None else (frame.t_ns - last.t_ns) * 1e-9
         if last is None or not 0.0 < dt_s <= MAX_GAP_S or not self._fits(last) or not self._fits(frame):
             self._mean, self._covariance = np.zeros(2), self._nothing()
             return motion
-        walk = np.array((config.acceleration * unit, config.acceleration)) ** 2 * dt_s
+        walk = np.square(self.config.acceleration * np.array((self._unit, 1.0))) * dt_s
         self._covariance = self._covariance + np.diag(walk)
         seen = self._between(self._small(last.image), self._small(frame.image), self._mean * dt_s)
         if seen is not None:
             self._correct(seen, dt_s)
-        if (np.diag(self._covariance) > told**2).any():
-            most = np.diag(self._nothing())
-            if (np.diag(self._covariance) > most).any():
-                self._mean, self._covariance = np.zeros(2), self._nothing()
+        nothing = np.diag(self._nothing())
+        if (np.diag(self._covariance) > nothing).any():
+            self._mean, self._covariance = np.zeros(2), self._nothing()
+        if (np.diag(self._covariance) > self.config.told**2 * nothing).any():
             return motion
         speed, yaw_rate = self._mean.tolist()
         return replace(motion, speed_mps=speed, yaw_rate_radps=yaw_rate, source=MotionSource.IMAGES)
@@ -186,7 +171,7 @@ class ImageMotion:
         return frame.eye == 0 and frame.image.shape[:2] == (camera.height_px, camera.width_px)
 
     def _nothing(self) -> FloatArray:
-        return np.diag(np.square((LOST_PACE * self._unit, self.config.most_yaw_rate_radps)))
+        return np.diag(np.square((LOST_PACE * self._unit, LOST_TURN_RAD)))
 
     def _correct(self, seen: Seen, dt_s: float) -> None:
         """The Kalman filter's correction by a motion that was seen."""
@@ -217,15 +202,14 @@ class ImageMotion:
             if together < max(config.least, moving // 2):
                 return None
             least = min(least, int(together))
-        for _ in range(self.ROUNDS):
-            near = self._near(self._image_of(start, moved), end)
-            if np.count_nonzero(near) < least:
-                return None
-            residual, jacobian = self._linearised(start[near], end[near], moved)
-            moved = moved - np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+        near = self._near(self._image_of(start, moved), end)
+        if np.count_nonzero(near) < least:
+            return None
+        residual, jacobian = self._linearised(start[near], end[near], moved)
+        moved = moved - np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
         sigma_px = max(1.4826 * float(np.median(np.abs(residual))), config.sigma_px)
         covariance = np.linalg.solve(jacobian.T @ jacobian, np.eye(2)) * sigma_px**2
-        return Seen(moved, covariance + np.diag(np.square(config.systematic * moved)))
+        return Seen(moved, covariance + np.diag(np.square(config.camera * moved)))
 
     def _follow(self, before: Image, after: Image, expected: FloatArray) -> tuple[FloatArray, FloatArray, Bools]:
         """Corners (n, 2) [px], where they went, and which (n,) have texture in both directions."""
@@ -295,11 +279,9 @@ class ImageMotion:
         length = np.maximum(np.hypot(*way.T), 1e-9)
         along = np.abs((off * way).sum(axis=1)) / length
         across = np.abs(off[:, 0] * way[:, 1] - off[:, 1] * way[:, 0]) / length
-        near = 2.0 * self.config.sigma_px
+        near = 2.0 * (self.config.sigma_px + self.config.camera * length)
         with np.errstate(invalid="ignore"):
-            return np.asarray(
-                (along < near + self.config.length * length) & (across < near + self.config.aslant * length)
-            )
+            return np.asarray(np.maximum(along, across) < near)
 
     def _linearised(self, start: FloatArray, end: FloatArray, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Residuals (2 n,) [px] and their Jacobian (2 n, 2) for distance and turn, by differences."""
@@ -326,9 +308,9 @@ class ImageMotion:
         v, u = np.mgrid[0:height:block, 0:width:block] + 0.5 * (block - 1)
         pixels = np.stack((u, v), axis=-1).reshape(-1, 2) * self._scale + self._middle
         ground = self._camera.px_to_ground(pixels)
-        far_m = self._camera.first_visible_x_m() + self.config.ahead * self._unit
+        far_m = self._camera.first_visible_x_m() + self.config.reach * self._unit
         with np.errstate(invalid="ignore"):
             inside = (ground[:, 0] > 0.0) & (ground[:, 0] < far_m)
-            inside &= np.abs(ground[:, 1]) < self.config.aside * self._unit
+            inside &= np.abs(ground[:, 1]) < self.config.reach * self._unit
         mask = np.where(inside, 255, 0).astype(np.uint8).reshape(u.shape)
         return mask.repeat(block, axis=0).repeat(block, axis=1)[:height, :width].copy()
