@@ -33,6 +33,7 @@ from automodel.pipelines.stages import SEEN, StageClock, carry
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
+from automodel.tracking.integrity import K
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
 from automodel.types import Bools, FloatArray, Floats, Image
 
@@ -122,7 +123,7 @@ class Contour:
         sigma = np.hypot(self.MARKING_SIGMA * car.lane.marking_width_m, self.RANGE_SIGMA * away)
         return ClothoidTracker(
             ClothoidPair(nodes, spacing, reference, dtype),
-            TrackerConfig(lane_width_m=unit, solver=options.update, radius_lanes=options.radius_lanes),
+            TrackerConfig(lane_width_m=unit, radius_lanes=options.radius_lanes, gate=K, solver=options.update),
             np.concatenate((sigma, np.full(len(nodes), self.TURN_SIGMA_RAD))),
         )
 

@@ -40,6 +40,7 @@ class TrackerConfig:
 
     lane_width_m: float
     radius_lanes: float  # of the tightest bend
+    gate: float  # [sigmas of the estimate and the measurement together]
     solver: str = "gauss_newton"  # a key of `SOLVERS`
     walk: float = 0.012  # of offset, and heading [rad]; with 0.02 a wrong speed is noticed too late
     width_walk: float = 0.002
@@ -49,7 +50,6 @@ class TrackerConfig:
     unknown: float = 0.05  # added to the offset, and to the heading [rad], in a frame without odometry
     unknown_curvature: float = 0.8  # share that is kept then of a curvature out of sight: the car may have passed it
     unknown_share: float = 0.1  # share of the variance of roads' curvature that is added in its place
-    gate: float = 3.5  # [sigmas of the estimate and the measurement together]
 
 
 _foot_on_circle = compiled(foot_on_circle)

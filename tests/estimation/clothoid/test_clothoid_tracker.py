@@ -24,7 +24,7 @@ def tracker(
     solver: str = "gauss_newton", lane: tuple[float, float, float] = (0.03, -0.1, 0.6), noise: float = 1.0
 ) -> ClothoidTracker:
     """One that follows a lane of offset, heading and constant curvature, whose parameters are not correlated."""
-    config = TrackerConfig(lane_width_m=WIDTH, radius_lanes=1.1, solver=solver)
+    config = TrackerConfig(lane_width_m=WIDTH, radius_lanes=1.1, gate=3.5, solver=solver)
     made = ClothoidTracker(ClothoidPair(NODES, SPACING, REFERENCE), config, noise * SIGMA)
     offset, heading, curvature = lane
     made.start(np.array((offset, heading, curvature, WIDTH)), np.diag(np.full(4, 0.01)))
