@@ -133,7 +133,7 @@ class Centerline:
         self._features = FeaturePoints(seen_with, self.view, marking_m, options.threshold)
         self._following = LineFollowing(self.view, unit, shown_m, self._features.visible)
         # Nothing tests whether what the network takes for paint is a reflection: it is as likely as another thing.
-        self._scan = LineScan(self.view, unit, shown_m, ScanConfig(reflection=0.5))
+        self._scan = LineScan(self.view, unit, shown_m, ScanConfig(reflection=1.0))
         self._gentle.look_for(marking_m)
 
     @property

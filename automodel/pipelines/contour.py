@@ -23,7 +23,7 @@ from automodel.estimation.clothoid.clothoid_tracker import ClothoidTracker, Trac
 from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
-from automodel.perception.line_scan import LineScan
+from automodel.perception.line_scan import LineScan, SightedLine
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
@@ -158,7 +158,7 @@ class Contour:
         self.stages.lap("width")
         gentle, both = None, False
         if self._tracking.lost:
-            start = self._tracking.start(frame.t_ns, self._scan.step(*self._lines_in_view(frame.image)))
+            start = self._tracking.start(frame.t_ns, self._lines_in_view(frame.image))
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             self.stages.lap("start")
             if gentle is not None:
@@ -180,7 +180,7 @@ class Contour:
             right = replace(followed.right, points_m=gentle.right_m, seen=True)
             followed = replace(followed, left=left, right=right)
         if not both and self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
-            anew = self._tracking.judge(self._scan.step(*self._lines_in_view(frame.image)), followed)
+            anew = self._tracking.judge(self._lines_in_view(frame.image), followed)
             self.stages.lap("doubt")
             if anew is not None:
                 tracked = self._restart(frame.image, anew)
@@ -231,8 +231,8 @@ class Contour:
         left, right = tracked.counts()
         return left >= SEEN, right >= SEEN
 
-    def _lines_in_view(self, image: Image) -> tuple[Image, Image]:
-        """The lines of the whole view, without reflections, and all that is bright."""
+    def _lines_in_view(self, image: Image) -> tuple[SightedLine, ...]:
+        """The lines of the whole view, without reflections."""
         pixels, colour = np.asarray(image), self._options.colour
         if pixels.ndim == 2:
             grey = pixels
@@ -242,7 +242,8 @@ class Contour:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._white_areas.step(view)
-        return self._reflections.step(view, areas.lines, self._paint_check.step(areas)), areas.bright
+        lines = self._reflections.step(view, areas.lines, self._paint_check.step(areas))
+        return self._reflections.told(self._scan.step(lines, areas.bright))
 
     def _track(self, image: Image, rounds: int) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times."""

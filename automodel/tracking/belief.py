@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from automodel.config import ContourConfig
 from automodel.curves import DeferredCurve
-from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, TAPER
+from automodel.estimation.road import ANY_BEND, BEHIND, LOST_PACE, LOST_STEP, LOST_TURN_RAD, TAPER, WALK
 from automodel.geometry.lane_path import OFFSET, PITCH, ROAD, THETA, WIDTH, curvature, line_of_path, next_lane
 from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.reflections import ReflectionConfig
@@ -71,11 +72,11 @@ class RoadModel:
     pitch_rad: float = 0.0
     pixel_rad: float = 0.0
     bend_walk: float = 0.02
-    new_bend: float = 1.0 / 1.4
+    new_bend: float = 1.0 / ContourConfig().radius_lanes
     line_sigma: float = 0.02
     point_markings: float = 0.1
     step: float = 0.01
-    turn_rad: float = 0.02
+    turn_rad: float = WALK
     pace: float = 0.1
     lost_step: float = LOST_STEP
     lost_turn_rad: float = LOST_TURN_RAD
@@ -145,8 +146,7 @@ class LearntRoad:
     aside is followed with a smaller bound.
     """
 
-    BEND = 0.5  # lane widths between two looks at the curvature
-    TURN = 3.0  # the same at the turn, by lines none of which it saw before
+    TURN = 3.0  # lane widths between two looks at the turn, by lines none of which it saw before
 
     def __init__(self, road: RoadModel) -> None:
         self._assumed = road
@@ -176,7 +176,7 @@ class LearntRoad:
     def see(self, curvature_per_m: float, heading_rad: float | None) -> None:
         """The road's curvature beside the car, and the car's direction in the lane where both lines show it."""
         self._curvature_per_m = curvature_per_m
-        if self._bend_way >= self.BEND:
+        if self._bend_way >= STATION:
             bend = curvature_per_m * self._assumed.lane_width_m
             if self._bend is not None:
                 self._bends.add((bend - self._bend) ** 2, self._bend_way)

@@ -435,16 +435,16 @@ def own_thing(
     """The logarithm of how likely a line's points (k, 2) [m] are as a thing of its own [nats].
 
     It is as smooth as a road of `prior`, or has `corners`, less likely by so many nats: its points lie anywhere with a
-    lateral sigma. Or it is a `reflection`, with that probability.
+    lateral sigma. Or it is a `reflection`, so many times as likely as one of these by what is known of it otherwise.
     """
     squares, volume = fit(prior, points, 0.0)
     smooth, anywhere = -0.5 * (squares + volume), -corners
     for i in range(len(points)):
         anywhere -= 0.5 * (points[i, 1] / sigma_m) ** 2 + math.log(sigma_m * math.sqrt(math.tau))
     thing = _sum(smooth, anywhere)
-    if reflection < NO_NEWS:
+    if reflection == 0.0:
         return thing
-    return _sum(thing + math.log(1.0 - reflection + NO_NEWS), _as_streak(streak, points) + math.log(reflection))
+    return _sum(thing, _as_streak(streak, points) + math.log(reflection))
 
 
 @compiled

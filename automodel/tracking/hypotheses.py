@@ -76,7 +76,8 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HypothesesConfig:
-    """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies.
+    """`most`: hypotheses that live on. `prune`: log of the odds [nats] to the best below which one dies: a
+    bound may leave it out.
 
     `lines`: lines of a frame that are looked at, the longest first. `same` [lane widths, and radians]: hypotheses
     closer than this are one, and so are places on the ground. `neighbour_price` [nats]: a road may have no lane there.
@@ -85,7 +86,7 @@ class HypothesesConfig:
     """
 
     most: int = 4
-    prune: float = 7.0
+    prune: float = -math.log(EXCEEDED)
     lines: int = 5
     same: float = 0.12
     neighbour_price: float = 1.5
@@ -126,7 +127,6 @@ class Hypotheses:
         self.config = config or HypothesesConfig()
         self.all: tuple[Hypothesis, ...] = ()
         self._places = SeenPlaces(self.config.same)
-        self.driven_lanes = 0.0  # since the start
         self._first = True  # whether there was no frame since then
 
     def start(self, beliefs: Sequence[tuple[LaneBelief, float]], *, learnt: bool = False) -> None:
@@ -135,7 +135,7 @@ class Hypotheses:
         To the beliefs too, unless they have `learnt` from what was seen so far or is in `note`.
         """
         self.all = tuple(Hypothesis(belief, odds) for belief, odds in beliefs)
-        self.driven_lanes, self._first = 0.0, True
+        self._first = True
         if not learnt:
             self._places = SeenPlaces(self.config.same)
 
@@ -149,7 +149,6 @@ class Hypotheses:
             replace(one, belief=one.belief.moved(distance_m, turn_rad, dt_s, known), assigned=()) for one in self.all
         )
         driven = abs(distance_m) / road.lane_width_m if known else road.lost_pace * dt_s
-        self.driven_lanes += driven
         self._places.move(distance_m, turn_rad, max(driven, STILL_LANES * dt_s), known)
 
     def update(
@@ -188,6 +187,12 @@ class Hypotheses:
         self._keep(grown, far_m)
         counts = [len(each.line.points_m) for each in seen]
         return float(np.average([each.news for each in seen], weights=counts)) if seen else 1.0
+
+    def condition(self, possible: Callable[[LaneBelief], float]) -> None:
+        """Drop those that are less likely than a bound may be exceeded, each possible with a probability."""
+        best, *others = zip(self.all, self.posterior(), strict=True)
+        kept = [one for one, share in others if share * possible(one.belief) > EXCEEDED]
+        self.all = (best[0], *kept)
 
     def displace(self, confusable: Callable[[LaneBelief], bool]) -> None:
         """Note which hypotheses are so uncertain now that a line of another lane may be taken for the lane's."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from statistics import NormalDist
 
 import numpy as np
 
@@ -93,6 +94,16 @@ class Innovations:
     def inflation(self) -> float:
         """The factor for the covariance."""
         return max(self._mean, 1.0)
+
+
+def chi_square(exceeded: float) -> float:
+    """What a chi-square of two degrees of freedom exceeds with a probability."""
+    return -2.0 * math.log(exceeded)
+
+
+def sigmas(exceeded: float) -> float:
+    """How many sigmas a normal error exceeds, to either side, with a probability."""
+    return NormalDist().inv_cdf(1.0 - 0.5 * exceeded)
 
 
 def bound(variance: float, systematic: float) -> float:

@@ -38,7 +38,7 @@ from automodel.signals import (
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, LearntRoad, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
-from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound
+from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound, chi_square, sigmas
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.rivals import Rivals
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
@@ -50,8 +50,7 @@ LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many,
 RIDGE_PX = 0.33  # to which the middle of a line is measured: assumed
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
 SLIGHT = 0.5  # of the sigma of a camera's pitch: less is not worth measuring anew
-FAR_OFF = 5.0  # sigmas of it, which happen to one camera in a million: lines that say so are not parallel
-STILL = 0.01  # lane widths that a car drives that stands: a tick of its encoder
+FAR_OFF = sigmas(EXCEEDED * EXCEEDED)  # of it, which happen to one camera in a million: such lines are not parallel
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
 
@@ -64,8 +63,9 @@ class TrackingConfig:
     as much, and the next lane may be taken for this one.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
-    happens once in a thousand true lines of nine points, the most (as of Student's errors). `sure`: posterior of the
-    one hypothesis that a lane starts with, or that lines teach; a doubt ends with all but what a bound may leave out.
+    happens once in a thousand true lines of nine points, the most (as of Student's errors). `unsure`: what all others
+    may have together beside the hypothesis that a lane starts with, in doubt, or that lines teach; a doubt ends with
+    all but what a bound may leave out.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter: those of a bound.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a
@@ -79,10 +79,10 @@ class TrackingConfig:
     coast_lanes: float
     bend: float = 0.1
     confusable: float = 0.125
-    gate: float = 27.6
-    differs: float = 9.2
     fits: float = 49.4
-    sure: float = 0.99
+    unsure: float = 0.01
+    gate: float = chi_square(EXCEEDED * EXCEEDED)
+    differs: float = chi_square(unsure)
     exists: float = -math.log(EXCEEDED)
     start: float = 0.25
     look: float = 1.0
@@ -299,12 +299,14 @@ class LaneTracking:
         """A lane to start with, from the lines of this frame and of those since it was lost; None while none is sure.
 
         The lane is the one that the car is in: it may stand anywhere there, in any direction that is not across. Where
-        one of its lines is all that is in view, it is in doubt. After a lane was lost, it may be the next one.
+        one of its lines is all that is in view, or it is only likely, it is in doubt. After a lane was lost, it may be
+        the next one.
         """
-        if not self._hypotheses.all or self._hypotheses.driven_lanes < STILL:
-            self._hypotheses.start(((self._anywhere(), 0.0),))  # a car that stands sees the same again: no new witness
+        if not self._hypotheses.all:
+            self._hypotheses.start(((self._anywhere(), 0.0),))
         (left, right), told = self._profile.dashed, self._kinds
         self._hypotheses.update(lines, LineKinds(left + told.left, right + told.right))
+        self._hypotheses.condition(_inside)
         best = self._hypotheses.best
         if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
             self._hypotheses.start(())
@@ -312,13 +314,13 @@ class LaneTracking:
         roles = {role for _, role in best.assigned}
         if self._sure(best):
             self._believe(best.belief)
-        elif roles & {LEFT, RIGHT} and not best.bounds_a_lane and self._alone(best):
+        elif self._likely(best) and (self._is_lane(best) or (roles & {LEFT, RIGHT} and not best.bounds_a_lane)):
             self._reckon(self._anywhere())
         else:
             return None
         self._started_ns = self._seen_ns = t_ns
         both = min(roles, default=0.0) < 0.0 < max(roles, default=0.0)
-        self._pair_m = self._unit if self._placed and both else 0.0
+        self._pair_m = self._unit if self._placed and both and best.bounds_a_lane else 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:
@@ -507,7 +509,11 @@ class LaneTracking:
         return (1.0 if clear else 4.0) * self.config.exists + (0.0 if agreed else max(best.log_odds, 0.0))
 
     def _sure(self, best: Hypothesis) -> bool:
-        """Whether one hypothesis is left, too certain to be taken for another, and two lines of this frame bear it out.
+        """Whether one hypothesis is left, and the last frame bears it out by both lines of a lane."""
+        return self._certain and self._likely(best) and self._is_lane(best)
+
+    def _is_lane(self, best: Hypothesis) -> bool:
+        """Whether two lines of the last frame bear out a lane, too certain to be taken for another.
 
         A single piece of a line can be anything; two at the distance of a lane's lines seldom are. At twice that
         distance they may be the lines of one wide lane, or a street's kerbs.
@@ -515,11 +521,11 @@ class LaneTracking:
         own = bool(best.line(LEFT) or best.line(RIGHT)) and best.bounds_a_lane
         width = best.belief.width_m / self._unit
         lane = max(width, 1.0 / width) < math.exp(3.0 * self.road.width_sigma) if width > 0.0 else False
-        return self._alone(best) and own and lane and not self._confusable(best.belief)
+        return own and lane and not self._confusable(best.belief)
 
-    def _alone(self, best: Hypothesis) -> bool:
-        """Whether one hypothesis is left, and the last frame speaks for it."""
-        return self._hypotheses.certainty > self.config.sure and best.news > self.config.exists
+    def _likely(self, best: Hypothesis) -> bool:
+        """Whether a hypothesis is far likelier than all others, and the last frame speaks for it."""
+        return self._hypotheses.certainty > 1.0 - self.config.unsure and best.news > self.config.exists
 
     def _beats(self, best: Hypothesis, said: float, news: float) -> bool:
         """Whether a hypothesis is far likelier than the estimator's, by all frames and by this one."""
@@ -581,10 +587,11 @@ class LaneTracking:
         if self._news_m > self.config.glance * self._unit / 3.0:  # not after `_watch`, which learnt or doubts
             own = [Assigned(_sighted(line.points_m), role) for line, role in _sides(followed) if line.seen]
             evidence, assigned = self._explained(own)
-            if len(assigned) < len(own):
+            lines = [line for line, _ in own]
+            if len(assigned) < len(own) or len(self._rivals.others(belief, lines)) < len(own):
                 self._contradict(belief)
             elif len(assigned) == len((LEFT, RIGHT)):  # a lone line may be anything: `_watch` weighs it with all others
-                self._hypotheses.note([line for line, _ in own], self.road)
+                self._hypotheses.note(lines, self.road)
                 belief = evidence.update(assigned, belief.road.news_of(len(assigned), self._news_m / self._unit))
                 self._learn(belief, followed, True)
         if not self.in_doubt and self._confusable(belief):
@@ -620,7 +627,7 @@ class LaneTracking:
         seen = self._together(lines, own)
         around.update(seen, self._kinds, self._news_m / self._unit)
         best = around.best
-        if around.certainty < self.config.sure or (own and not best.assigned):
+        if around.certainty < 1.0 - self.config.unsure or (own and not best.assigned):
             self._contradict(belief)
         elif best.assigned and best.news > self.config.exists:
             self._hypotheses.note(seen, self.road)
@@ -952,6 +959,12 @@ class LaneTracking:
         if not self.paired:  # what is seen may be the next lane's, a lane width away, whatever its own width seems
             offset += max(pose.width_m, self._unit)
         return offset, heading
+
+
+def _inside(lane: LaneBelief) -> float:
+    """The probability that the car is in a lane."""
+    away = (0.5 * lane.width_m - abs(lane.offset_m)) / lane.sigma(Part.OFFSET)
+    return 0.5 * math.erfc(-away / math.sqrt(2.0))
 
 
 def _is_finite(pose: LanePose) -> bool:

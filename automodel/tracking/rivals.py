@@ -67,13 +67,14 @@ class Rivals:
 
         Where one of these is out of view, the other line would make another lane, a narrower one if it lies inside.
         """
-        known = np.array([rival.role for rival in self._rivals if rival.other])
-        if not len(known):
-            return tuple(lines)
-        roles = [float(np.median(belief.aside(line.points_m))) / belief.width_m for line in lines]
-        return tuple(
-            line for line, role in zip(lines, roles, strict=True) if np.abs(known - role).min() > self._config.same
-        )
+        known = [rival.role for rival in self._rivals if rival.other]
+        return tuple(line for line in lines if not known or not self._is_one_of(known, belief, line))
+
+    def _is_one_of(self, known: Sequence[float], belief: LaneBelief, line: SightedLine) -> bool:
+        """Whether a line runs where one of these does, rather than where the lane's own run."""
+        role = float(np.median(belief.aside(line.points_m))) / belief.width_m
+        away = min(abs(other - role) for other in known)
+        return away <= self._config.same and away < min(abs(role - LEFT), abs(role - RIGHT))
 
     def look(
         self, belief: LaneBelief, lines: Sequence[SightedLine], news: float, in_view_m: Callable[[float], float]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from automodel.config import CarConfig, LaneConfig, VehicleConfig
+from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows import brightness, row_search
 from automodel.perception.rows.brightness import read_pixels
@@ -50,7 +51,7 @@ class WatchedPixels:
         monkeypatch.setattr(brightness, "read_pixels", self._read_pixels)
         search, streak = Contour._lines_in_view, Reflections._streak
 
-        def search_everything(contour: Contour, image: Image) -> tuple[Image, Image]:
+        def search_everything(contour: Contour, image: Image) -> tuple[SightedLine, ...]:
             self.read.update(range(image.shape[0] * image.shape[1]))
             return search(contour, image)
 

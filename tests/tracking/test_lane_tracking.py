@@ -22,6 +22,7 @@ from automodel.perception.line_scan import SightedLine
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_motion, seen_places
 from automodel.tracking.belief import LaneBelief
+from automodel.tracking.hypotheses import Hypotheses
 from automodel.tracking.integrity import EXCEEDED, K
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import Followed, LaneTracking, TrackingConfig
@@ -175,6 +176,23 @@ def test_an_estimator_that_takes_another_thing_for_its_line_is_sent_back_however
         assert one.offset_m == pytest.approx(0.0, abs=0.02)
 
 
+def test_another_thing_teaches_nothing_in_place_of_a_line_that_is_out_of_view() -> None:
+    """An estimator has come to follow a tape that was in view beside the line before; it lies almost where that ran."""
+    inside, drive = -0.36, driving(frames=0)
+    for _ in range(40):
+        drive.follow(said(0.0), sights(0.0, (*BOTH, inside)))
+    middle = 0.5 * (0.5 + inside)
+    narrow = said(-middle * LANE_M, BOTH, width_m=(0.5 - inside) * LANE_M)
+    left, right = (replace(narrow.left, points_m=sights(0.0, (role,))[0].points_m) for role in (LEFT, inside))
+    widths = []
+    for _ in range(20):
+        drive.follow(replace(narrow, left=left, right=right))
+        belief = drive.tracking._belief
+        assert belief is not None
+        widths.append(belief.width_m)
+    assert min(widths) == pytest.approx(LANE_M, abs=0.005)
+
+
 def test_what_another_thing_was_beside_one_lane_is_any_line_beside_the_next() -> None:
     inside, drive = -0.3, driving(frames=0)
     for _ in range(40):
@@ -313,6 +331,31 @@ def test_both_lines_of_the_next_lane_and_the_far_one_are_a_lane_at_once(roles: t
     assert bound(drive.tracking.follow(drive.frame, said(start.offset_m))) < LANE_M
 
 
+@pytest.mark.parametrize(("offset", "sure"), [(0.0, True), (0.44, True), (0.49, False)])
+def test_of_two_lanes_side_by_side_the_one_that_the_car_is_in_is_the_lane(offset: float, sure: bool) -> None:
+    """Astride the line between them, to what the lines tell, it may be either."""
+    drive = Drive()
+    drive.predict()
+    start = drive.tracking.start(drive.t_ns, sights(offset * LANE_M, (*BOTH, LEFT_FAR)))
+    assert (start is not None) == sure
+    if start is not None:
+        assert start.offset_m == pytest.approx(offset * LANE_M, abs=0.01)
+
+
+@pytest.mark.parametrize(("certainty", "starts", "doubted"), [(0.98, 0, 0), (0.995, 1, 1), (0.9995, 1, 0)])
+def test_a_lane_that_is_only_likely_is_in_doubt(
+    certainty: float, starts: bool, doubted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another one is likelier than a bound may be exceeded."""
+    monkeypatch.setattr(Hypotheses, "certainty", property(lambda _: certainty))
+    drive = Drive()
+    drive.predict()
+    start = drive.tracking.start(drive.t_ns, sights(0.0))
+    assert (start is not None, drive.doubted) == (starts, doubted)
+    if start is not None:
+        assert (bound(drive.tracking.follow(drive.frame, said(0.0))) > 0.5 * LANE_M) == doubted
+
+
 @pytest.mark.parametrize("roles", [(LEFT, RIGHT_FAR), (LEFT_FAR, RIGHT)])
 def test_lines_two_lanes_apart_may_be_those_of_one_wide_lane_or_two_kerbs(roles: tuple[float, ...]) -> None:
     drive = Drive()
@@ -322,6 +365,7 @@ def test_lines_two_lanes_apart_may_be_those_of_one_wide_lane_or_two_kerbs(roles:
         assert start is not None
         assert start.offset_m == pytest.approx(0.05, abs=0.01)
         assert bound(drive.tracking.follow(drive.frame, said(start.offset_m))) > LANE_M
+        assert not drive.tracking.paired
 
 
 @pytest.mark.parametrize("roles", [(), (RIGHT_FAR,), (LEFT_FAR,)])
@@ -581,7 +625,7 @@ def test_a_look_at_lines_that_agree_ends_the_doubt() -> None:
     assert bound(estimate) < 0.3 * LANE_M
 
 
-@pytest.mark.parametrize(("log_odds", "counts"), [(-6.0, True), (-6.95, False)])
+@pytest.mark.parametrize(("log_odds", "counts"), [(-6.0, True), (-6.9072, False)])
 def test_a_story_that_is_less_likely_than_a_bound_may_be_exceeded_does_not_widen_it(
     log_odds: float, counts: bool
 ) -> None:

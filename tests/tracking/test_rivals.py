@@ -121,6 +121,13 @@ def test_what_was_in_view_with_both_of_the_lanes_own_lines_is_another_one() -> N
     assert beside.others(LANE, lines) == (lines[0],)
 
 
+def test_a_line_is_another_thing_where_that_ran_not_where_the_lanes_own_runs() -> None:
+    near = RIGHT + 0.14
+    rivals = looked(*2 * [(LEFT, RIGHT, near)])
+    kept = [line(RIGHT), line(RIGHT + 0.05), line(near + 0.15)]
+    assert rivals.others(LANE, [*kept, line(near), line(near - 0.05)]) == tuple(kept)
+
+
 def test_a_short_piece_of_the_lanes_own_line_is_one() -> None:
     rivals = Rivals(HypothesesConfig(), LANE.road.width_sigma)
     rivals.look(LANE, [line(LEFT), line(RIGHT, to_m=0.4), line(INSIDE)], 1.0, wide)

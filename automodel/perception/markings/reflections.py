@@ -10,13 +10,15 @@ width.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from automodel.compiled import compiled
 from automodel.geometry import GroundCamera, View
+from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
@@ -68,6 +70,8 @@ class Reflections:
         # Three steps to that of a lens, and two beyond, for fast turns: with half as many, paint in between is lost.
         self._blurs_px: FloatArray = sharp_px * (self.config.blur_px / sharp_px) ** (np.arange(6) / 3.0)
         self._blur_px, self._marking_m = math.inf, marking_width_m
+        self._labels: Ints = np.zeros((view.height_px, view.width_px), np.intp)
+        self._paint_odds: FloatArray = np.full(pieces, np.nan)
         x = view.x_far_m - (np.arange(pieces) + 0.5) * self._rows_a_piece * view.m_per_row
         self._wide_px = self._pixels_across(np.stack((x, 0.0 * x), axis=1), np.array((0.0, 1.0)))
         shapes = [self._shapes(wide_px) for wide_px in self._wide_px.tolist()]
@@ -158,7 +162,8 @@ class Reflections:
         A piece of `areas` is whole, while the check over time leaves shreds of a streak that moves along itself.
         """
         # Rows that miss a pixel in noise, up to two in a row, are of the same piece.
-        _, labels = cv2.connectedComponents(cv2.dilate(areas, np.ones((3, 1), np.uint8)), connectivity=8)
+        count, labels = cv2.connectedComponents(cv2.dilate(areas, np.ones((3, 1), np.uint8)), connectivity=8)
+        self._labels, self._paint_odds = np.asarray(labels, np.intp), np.full(count * self._pieces, np.nan)
         found = cv2.findNonZero(areas)
         if found is None:
             return lines
@@ -169,6 +174,24 @@ class Reflections:
             lines = lines.copy()
             lines[row[away], column[away]] = 0
         return lines
+
+    def told(self, lines: Sequence[SightedLine]) -> tuple[SightedLine, ...]:
+        """The lines of the last view, with how likely each is a reflection by the profiles of its pieces alone.
+
+        Where none of them was judged it is as likely as another thing.
+        """
+        return tuple(replace(line, reflection=self._reflection(line.points_m)) for line in lines)
+
+    def _reflection(self, points_m: FloatArray) -> float:
+        """How many times as likely a line with points (n, 2) [m] is one as paint, by the pieces that it lies on."""
+        view, half = self.view, max(round(0.5 * self._marking_px), 1)
+        row = ((view.x_far_m - points_m[:, 0]) / view.m_per_row).astype(np.intp).clip(0, view.height_px - 1)
+        column = ((view.half_width_m - points_m[:, 1]) / view.m_per_px).astype(np.intp)
+        columns = (column[:, None] + np.arange(-half, half + 1)).clip(0, view.width_px - 1)
+        labels = self._labels[row[:, None], columns].max(axis=1)
+        piece = np.unique((labels * self._pieces + (row / self._rows_a_piece).astype(np.intp))[labels > 0])
+        odds = float(np.nansum(self._paint_odds[piece]))
+        return math.exp(-min(max(odds, -MOST_NATS), MOST_NATS))
 
     def _odds(self, view: Image, piece: Ints, row: Ints, column: Ints) -> FloatArray:
         """Log-odds (k,) [nats] that the pieces of the pixels (n,) are of paint; NaN where nothing is known."""
@@ -190,13 +213,16 @@ class Reflections:
         maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & long)
         if len(maybe):
             paint = self._paint(view, r[maybe], c[maybe], slope[maybe], half[maybe])
-            odds[large[maybe]] = paint + 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
+            self._paint_odds[large[maybe]] = paint
+            odds[large[maybe]] = (
+                np.where(np.isnan(paint), np.inf, paint) + 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
+            )
         return odds
 
     def _paint(
         self, view: Image, row: FloatArray, column: FloatArray, slope: FloatArray, half: FloatArray
     ) -> FloatArray:
-        """Log-odds (n,) [nats] that pieces are markings, by their profiles; infinite at the rim of what is visible."""
+        """Log-odds (n,) [nats] that pieces are markings, by their profiles; NaN at the rim of what is visible."""
         tilt = slope / self._aspect
         cos = 1.0 / np.hypot(1.0, tilt)
         count = SAMPLES
@@ -213,8 +239,7 @@ class Reflections:
         x = self.view.x_far_m - (row + 0.5) * self.view.m_per_row
         y = self.view.half_width_m - (column + 0.5) * self.view.m_per_px
         blurs = self._blurs(piece, np.stack((x, y), axis=1), np.stack((-tilt * cos, cos), axis=1))
-        odds = self._profiles.log_odds(values, seen, piece, blurs)
-        return np.where(np.isnan(odds), np.inf, odds)
+        return self._profiles.log_odds(values, seen, piece, blurs)
 
     def _visible(self, rows: Float32Array, columns: Float32Array) -> Bools:
         """Which samples of profiles (n, k) lie on ground that the camera sees."""

@@ -12,6 +12,7 @@ import pytest
 
 from automodel.config import CameraConfig, CarConfig
 from automodel.geometry import BirdsEye, GroundCamera, View
+from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.binary_views import WhiteAreas
 from automodel.perception.markings.reflections import ReflectionConfig, Reflections, of_streaks, to_the_valleys
 from tests.support.drawn_views import Shape, bar, line_at
@@ -224,6 +225,31 @@ def test_points_on_a_streak_are_told_from_points_on_paint(azimuth_rad: float, da
     assert not reflections.on_streaks(paint, points).any()
     assert not reflections.on_streaks(streak, points, paint=-1e6).any()  # odds are wanted of it
     assert reflections.on_streaks(paint, points, paint=1e6).all()
+
+
+def of_line(points_m: np.ndarray) -> SightedLine:
+    return SightedLine(points_m=points_m, painted_m=0.8, span_m=0.8)
+
+
+def test_a_line_is_a_reflection_as_likely_as_its_profiles_say_or_as_another_thing_where_none_was_judged() -> None:
+    at, reflections = 0.2, of_camera()
+    streak = drawn(light=100.0 * lamp(CAR, at, 0.04))
+    pointing = drawn(line_at(-np.tan(at) * CAR.extrinsics.x_m, slope=np.tan(at)))
+    aside = drawn(line_at(0.2))
+    beside = np.stack((np.linspace(0.6, 1.4, 9), np.full(9, 0.2)), axis=1)
+    told = []
+    for image, points in ((streak, ray(at)), (pointing, ray(at)), (aside, beside), (aside, ray(-at))):
+        birdseye = BirdsEye(GroundCamera.from_config(CAR), VIEW)
+        view = birdseye.warp(image)
+        lines = WhiteAreas(birdseye, MARKING_M, 0.0, "light").step(view).lines
+        reflections.step(view, lines, lines)
+        (one,) = reflections.told((of_line(points),))
+        assert one.points_m is points
+        told.append(one.reflection)
+    assert told[0] > 100.0
+    assert told[1] < 0.01
+    assert told[2:] == [1.0, 1.0]  # it does not point to the camera; there is nothing
+    assert of_camera().told((of_line(beside),))[0].reflection == 1.0  # before the first view
 
 
 def test_only_points_that_point_to_the_camera_are_looked_at() -> None:
