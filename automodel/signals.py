@@ -16,6 +16,7 @@ from automodel.curves.base import Curve
 from automodel.types import FloatArray, Image
 
 SIDES = ("left", "right")  # the cameras of a pair, by `Frame.eye`
+EXCEEDED = 1e-3  # share of frames in which an error may exceed its bound
 FALSE_LANE = 0.25  # a valid estimate whose offset is wrong by more than this share of the lane's width
 
 

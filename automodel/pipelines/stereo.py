@@ -71,7 +71,7 @@ class Stereo:
         road, usual = self._tracking.road, RoadModel(lane_width_m=unit, marking_width_m=car.lane.marking_width_m)
         width_sigma_m = road.width_sigma * unit
         # Variance that the curvature gains per lane width of road: arcs begin at once, which nothing learns before.
-        bend_walk = usual.bend_walk * (road.new_bend / usual.new_bend) ** 2
+        bend_walk = usual.bend_walk * (usual.radius_lanes / road.radius_lanes) ** 2
         self._pair = ParabolaPair(unit, width_sigma_m, self._reference_x_m, self._far_m, bend_walk)
         self._changes = LaneChanges()
         if options.lane_changes and not car.lane.left == car.lane.right == "any":

@@ -51,8 +51,8 @@ class RoadModel:
     `eye_m`: the camera's place ahead of the rear axle and above the ground, `pitch_rad`: sigma of its pitch and of its
     nod, by which what lies aside seems the further aside the further ahead it lies. `bend_walk`: variance that the
     curvature gains per lane width of road, [1 / lane width^2]: a bend of three lane widths' radius (the Carolo-Cup's
-    tightest has 2.5) that begins or ends every 5.5; `LearntRoad` learns the real one. `new_bend`: the curvature
-    [1 / lane width] that begins or ends with the road's tightest bend, however straight it was. `line_sigma`: error
+    tightest has 2.5) that begins or ends every 5.5; `LearntRoad` learns the real one. `radius_lanes`: of the
+    road's tightest bend, which may begin or end however straight it was. `line_sigma`: error
     common to a line's points. `point_markings`: scale of a single point's error, in marking widths, which is Student's
     with two degrees of freedom: of 44,000 points of scanned lines on three drives it is 0.04 to 0.06; neighbours'
     errors are alike, so that it counts twice. `pixel_rad`: sigma of its direction, by the camera's pixels. `step`,
@@ -72,7 +72,7 @@ class RoadModel:
     pitch_rad: float = 0.0
     pixel_rad: float = 0.0
     bend_walk: float = 0.02
-    new_bend: float = 1.0 / ContourConfig().radius_lanes
+    radius_lanes: float = ContourConfig().radius_lanes
     line_sigma: float = 0.02
     point_markings: float = 0.1
     step: float = 0.01
@@ -282,7 +282,7 @@ class LaneBelief:
         shows = (ahead_m + self.start_m) / (STATION * unit)
         for station in range(math.ceil(shows - 1.0 / STATION), math.ceil(shows) + 1):
             first = ROAD + min(max(station, 0), STATIONS - 1)
-            covariance[first:, first:] += (self.road.new_bend / unit) ** 2
+            covariance[first:, first:] += (self.road.radius_lanes * unit) ** -2.0
         return replace(self, covariance=covariance)
 
     def of_any_width(self) -> LaneBelief:

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from automodel.perception.line_scan import SightedLine
+from automodel.signals import EXCEEDED
 from automodel.tracking.belief import STATION, Assigned, Clutter, Evidence, LaneBelief, RoadModel
-from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.seen_places import SeenPlaces
 from automodel.tracking.stories import LEFT, RIGHT, ROLES, Things
 

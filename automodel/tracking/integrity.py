@@ -17,14 +17,21 @@ import numpy as np
 
 from automodel.config import CameraConfig
 from automodel.geometry import GroundCamera
+from automodel.signals import EXCEEDED
 
-EXCEEDED = 1e-3  # share of frames in which an error may exceed its bound
 K = 3.5  # sigmas of a bound: a normal error exceeds 3.3 in 1 of 1,000; the tails of a vision error are heavier
 # Of a camera that nobody calibrated: standard deviations of a mount set by eye with a spirit level and a ruler.
 ANGLE_RAD = math.radians(0.6)
 HEIGHT_SHARE = 0.03
 SHARE = 0.05  # of an innovation in the running mean of their squares: about the last twenty count
-MOST = 25.0  # largest inflation: a bound five times as large as the covariance says fills any lane
+
+
+def chi_square(exceeded: float) -> float:
+    """What a chi-square of two degrees of freedom exceeds with a probability."""
+    return -2.0 * math.log(exceeded)
+
+
+MOST = chi_square(EXCEEDED * EXCEEDED)  # largest inflation: a bound five times as large as it was fills any lane
 
 
 class CameraErrors:
@@ -94,11 +101,6 @@ class Innovations:
     def inflation(self) -> float:
         """The factor for the covariance."""
         return max(self._mean, 1.0)
-
-
-def chi_square(exceeded: float) -> float:
-    """What a chi-square of two degrees of freedom exceeds with a probability."""
-    return -2.0 * math.log(exceeded)
 
 
 def sigmas(exceeded: float) -> float:

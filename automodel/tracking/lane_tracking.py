@@ -26,6 +26,7 @@ from automodel.estimation.road import TAPER
 from automodel.geometry import GroundCamera
 from automodel.perception.line_scan import ScanConfig, SightedLine
 from automodel.signals import (
+    EXCEEDED,
     Crossing,
     Frame,
     LaneEstimate,
@@ -38,7 +39,7 @@ from automodel.signals import (
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, LearntRoad, RoadModel, warm_up
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
-from automodel.tracking.integrity import ANGLE_RAD, EXCEEDED, CameraErrors, Innovations, K, bound, chi_square, sigmas
+from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, K, bound, chi_square, sigmas
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.rivals import Rivals
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
@@ -58,9 +59,7 @@ DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 class TrackingConfig:
     """`coast_s`, `coast_lanes`: time, and distance in lane widths, for which a lane lives without any line.
 
-    `bend`: sigma of the curvature [1 / lane width] beside the car. `confusable`: lateral sigma [lane widths] at the
-    nearest lines from which on another line may be taken for the lane's: four of them reach halfway to the next; twice
-    as much, and the next lane may be taken for this one.
+    `bend`: sigma of the curvature [1 / lane width] beside the car.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
     happens once in a thousand true lines of nine points, the most (as of Student's errors). `unsure`: what all others
@@ -78,7 +77,6 @@ class TrackingConfig:
     coast_s: float
     coast_lanes: float
     bend: float = 0.1
-    confusable: float = 0.125
     fits: float = 49.4
     unsure: float = 0.01
     gate: float = chi_square(EXCEEDED * EXCEEDED)
@@ -122,7 +120,7 @@ class LaneTracking:
             eye_m=(float(camera.centre_m[0]), float(camera.centre_m[2])),
             pitch_rad=ANGLE_RAD,
             pixel_rad=RIDGE_PX / car.camera.intrinsics.fx_px,
-            new_bend=1.0 / car.pipeline.contour.radius_lanes,
+            radius_lanes=car.pipeline.contour.radius_lanes,
         )
         if car.lane.width_sigma_m > 0.0:  # a lane that was measured; the camera may still see it larger or smaller
             measured = math.hypot(car.lane.width_sigma_m / car.lane.width_m, self._errors.scale)
@@ -864,8 +862,10 @@ class LaneTracking:
         return LaneBelief.arc(mean, covariance, self.road, self._reference_x_m)
 
     def _confusable(self, belief: LaneBelief, away: float = 0.5) -> bool:
-        """Whether a line so many lane widths away may be taken for the lane's."""
-        return self._lateral_variance(belief) > (2.0 * away * self.config.confusable * belief.width_m) ** 2
+        """Whether a line so many lane widths away may be taken for the lane's: the next one halfway to it, as it may be
+        as far off itself; a lane width, and the next lane may be taken for this one.
+        """
+        return K * math.sqrt(self._lateral_variance(belief)) > away * belief.width_m
 
     def _lateral_variance(self, belief: LaneBelief) -> float:
         """Of the lane's place at the nearest ground that is seen [m^2]."""

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from automodel.perception.line_scan import SightedLine
+from automodel.signals import EXCEEDED
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.hypotheses import HypothesesConfig
-from automodel.tracking.integrity import EXCEEDED
 from automodel.tracking.road_profile import RoadProfileConfig
 from automodel.tracking.stories import LEFT, RIGHT
 from automodel.types import FloatArray

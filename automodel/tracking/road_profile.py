@@ -29,13 +29,13 @@ _SHIFTS = (0, -1, 1)  # by so many slots each lane's line lies elsewhere in the 
 class RoadProfileConfig:
     """`change`: lane widths of road after which a line is of another kind, on average: a no-passing zone.
 
-    `slips`: probabilities, per lane width driven with no line seen, with one and with both, that another lane is
-    followed from there on. `found`: probability that a line is found that is in view; `ghost`: that one is found where
-    there is none.
+    `slip`: probability, per lane width driven with no line seen, that another lane is followed from there on; with
+    a line in view that must be missed too. `found`: probability that a line is found that is in view; `ghost`: that one
+    is found where there is none.
     """
 
     change: float = 100.0
-    slips: tuple[float, float, float] = (1e-2, 1e-3, 1e-4)
+    slip: float = 1e-2
     found: float = 0.9
     ghost: float = 0.05
 
@@ -67,7 +67,7 @@ class RoadProfile:
     def move(self, lanes: float, lines_seen: int) -> None:
         """The car has driven so many lane widths, with so many of its lane's lines in view."""
         self._driven_lanes += lanes
-        self._born += self.config.slips[lines_seen] * lanes
+        self._born += self.config.slip * (1.0 - self.config.found) ** lines_seen * lanes
 
     def fade(self, share: float) -> None:
         """The lane is a new one with a probability: what was known of its lines counts for less."""

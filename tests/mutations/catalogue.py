@@ -607,7 +607,7 @@ BOUNDS = (
     *_of(
         "automodel/tracking/belief.py",
         "tests/tracking/test_hypotheses.py",
-        ("no-bend-begins", "+= (self.road.new_bend / unit) ** 2", "+= 0.0"),
+        ("no-bend-begins", "+= (self.road.radius_lanes * unit) ** -2.0", "+= 0.0"),
         ("bends-begin-where-they-show", "range(math.ceil(shows - 1.0 / STATION)", "range(math.ceil(shows)"),
     ),
     *_of(

@@ -29,6 +29,7 @@ from automodel.curves.foot import LEAST_STRETCH, foot_on_circle
 from automodel.estimation.road import LOST_STEP, LOST_TURN_RAD, WALK
 from automodel.geometry import SE2
 from automodel.geometry.se2 import wrap_angle
+from automodel.signals import EXCEEDED
 from automodel.types import FloatArray
 
 _LINES = (slice(0, 2), slice(2, 4))  # rows of the measurement, eq. (22)
@@ -96,18 +97,19 @@ def predicted_state(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFilterConfig:
-    """Noise of the lane's pose; offsets and widths in lane widths. `gate`: share of good measurements that pass.
+    """Noise of the lane's pose; offsets and widths in lane widths.
 
-    Heading, offset and width gain `WALK` over a lane width of distance, and over a second.
+    `rejected`: share of good measurements that fail their gate. Heading, offset and width gain `WALK` over a lane width
+    of distance, and over a second.
     """
 
     lane_width_m: float
     reference_x_m: float
-    gate: float = 0.999
+    rejected: float = EXCEEDED
 
     def __post_init__(self) -> None:
-        if not (self.lane_width_m > 0.0 and 0.0 < self.gate < 1.0):
-            raise ValueError("PoseFilterConfig: lane_width_m must be positive, gate between 0 and 1")
+        if not (self.lane_width_m > 0.0 and 0.0 < self.rejected < 1.0):
+            raise ValueError("PoseFilterConfig: lane_width_m must be positive, rejected between 0 and 1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -167,8 +169,8 @@ class LanePoseFilter:
         from filterpy.kalman import ExtendedKalmanFilter  # imports scipy, which takes most of a second
 
         self.config = config
-        self._pair_gate = -2.0 * math.log1p(-config.gate)  # chi-square with two degrees of freedom
-        self._single_gate = NormalDist().inv_cdf(0.5 + 0.5 * config.gate) ** 2
+        self._pair_gate = -2.0 * math.log(config.rejected)  # chi-square with two degrees of freedom
+        self._single_gate = NormalDist().inv_cdf(1.0 - 0.5 * config.rejected) ** 2
         self._floor = (self._FLOOR * config.lane_width_m) ** 2 * np.eye(2)
         self._ekf: Any = ExtendedKalmanFilter(dim_x=len(State), dim_z=4)
         self._ekf.predict_x = self._predict_x

@@ -245,7 +245,7 @@ def test_unknown_motion_opens_the_filter() -> None:
     assert width < 0.01
 
 
-@pytest.mark.parametrize("change", [{"lane_width_m": 0.0}, {"gate": 1.0}, {"gate": 0.0}])
+@pytest.mark.parametrize("change", [{"lane_width_m": 0.0}, {"rejected": 1.0}, {"rejected": 0.0}])
 def test_the_scales_are_checked(change: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="PoseFilterConfig"):
         replace(FILTER, **change)

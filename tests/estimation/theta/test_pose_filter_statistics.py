@@ -21,7 +21,7 @@ def test_the_innovations_are_as_large_as_the_filter_says(lines: str, dimensions:
     dimensions += with_heading
     runs, steps, total, tests = 40, 20, 0.0, 0
     for _ in range(runs):
-        tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
+        tracker = LanePoseFilter(replace(FILTER, rejected=1e-9))
         start = (0.03, 0.05, 0.02)
         tracker.start(0.02, 0.1, UNIT, sigma=start)
         truth = rng.multivariate_normal(tracker.state, tracker._ekf.P)
@@ -48,7 +48,7 @@ def test_the_errors_are_as_large_as_the_filter_says() -> None:
     rng = np.random.default_rng(11)
     total, count = 0.0, 0
     for _ in range(150):
-        tracker = LanePoseFilter(replace(FILTER, gate=1.0 - 1e-9))
+        tracker = LanePoseFilter(replace(FILTER, rejected=1e-9))
         tracker.start(0.0, 0.0, UNIT, sigma=(0.05, 0.05, 0.03))
         truth = rng.multivariate_normal(tracker.state, tracker._ekf.P)
         for step in range(12):
@@ -66,7 +66,7 @@ def test_the_errors_are_as_large_as_the_filter_says() -> None:
 
 
 def test_the_gate_passes_the_share_that_it_is_set_to() -> None:
-    rng, tracker = np.random.default_rng(12), LanePoseFilter(replace(FILTER, gate=0.9))
+    rng, tracker = np.random.default_rng(12), LanePoseFilter(replace(FILTER, rejected=0.1))
     passed, tries = {0: 0, 1: 0}, 3000
     for _ in range(tries):
         tracker.start(0.0, 0.0, UNIT, sigma=(0.02, 0.02, 0.01))
