@@ -158,7 +158,9 @@ class Contour:
         self.stages.lap("width")
         gentle, both = None, False
         if self._tracking.lost:
-            start = self._tracking.start(frame.t_ns, self._lines_in_view(frame.image))
+            # Where no lane is known yet, what points to the camera may as well be a reflection.
+            sighted = self._reflections.told(self._lines_in_view(frame.image))
+            start = self._tracking.start(frame.t_ns, sighted)
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             self.stages.lap("start")
             if gentle is not None:
@@ -243,7 +245,7 @@ class Contour:
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._white_areas.step(view)
         lines = self._reflections.step(view, areas.lines, self._paint_check.step(areas))
-        return self._reflections.told(self._scan.step(lines, areas.bright))
+        return self._scan.step(lines, areas.bright)
 
     def _track(self, image: Image, rounds: int) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times."""
