@@ -17,7 +17,6 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import SE2, BirdsEye, GroundCamera, View
-from automodel.perception.markings.ridge import FAINT, RidgeFilter
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
 from automodel.types import Bools, Image, Ints
 
@@ -163,6 +162,8 @@ class WhiteAreas:
     """
 
     NARROW, WIDE = 0.45, 2.4
+    SMOOTH = 0.75  # marking widths over which a row is averaged, as three rows are: faint paint stands out of noise
+    SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
     SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
 
     def __init__(
@@ -171,7 +172,7 @@ class WhiteAreas:
         self.contrast, self._markings = contrast, markings
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
-        self._smooth = 2 * int(0.5 * RidgeFilter.MIDDLE * marking_px) + 1, 3  # faint paint stands out of noise
+        self._smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1, 3
         self._run = Run(
             reach=round(1.6 * marking_px),
             narrow=2 * int(0.5 * self.NARROW * marking_px) + 1,
@@ -195,7 +196,7 @@ class WhiteAreas:
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
         contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
         level = self._level(contrast)
-        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), FAINT * level, self._run, self.mask)
+        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self._run, self.mask)
         bright = cv2.bitwise_and(cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1], self.mask)
         return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, contrast)
 
@@ -274,6 +275,8 @@ class TemporalPaintCheck:
     places pass, and so does everything until the car has driven far enough.
     """
 
+    EVERY_LANES = 0.1  # distance between two remembered views
+    BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
     NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
 
     def __init__(
@@ -281,7 +284,7 @@ class TemporalPaintCheck:
     ) -> None:
         self.view, self._unseen = view, cv2.bitwise_not(visible)
         self._unseen[~self._reliable(camera, marking_width_m)] = 255
-        self._distance_m, self._every_m = lane_width_m, marking_width_m
+        self._distance_m, self._every_m = lane_width_m, self.EVERY_LANES * lane_width_m
         across = 2 * round(marking_width_m / view.m_per_px) + 1
         along = 2 * round(marking_width_m / view.m_per_row) + 1
         self._kernel = np.ones((along, across), np.uint8)
@@ -332,5 +335,5 @@ class TemporalPaintCheck:
         size = (self.view.width_px, self.view.height_px)
         flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
         contrast = cv2.warpAffine(past.contrast, affine, size, flags=flags, borderValue=[255])
-        bare = cv2.compare(contrast, cv2.convertScaleAbs(views.contrast, alpha=FAINT), cv2.CMP_LT)
+        bare = cv2.compare(contrast, cv2.convertScaleAbs(views.contrast, alpha=self.BARE), cv2.CMP_LT)
         return np.asarray(cv2.subtract(views.lines, bare), dtype=np.uint8)

@@ -21,7 +21,6 @@ from automodel.perception.markings.binary_views import (
     resized_camera,
     share_above,
 )
-from automodel.perception.markings.ridge import FAINT
 from tests.support.drawn_roads import MARKING_M, Road
 from tests.support.drawn_views import Shape, binary, disc, line_at, seen_from, share
 
@@ -320,7 +319,7 @@ def test_a_line_that_was_fainter_stays(before: float) -> None:
     lines = binary(SMALL_VIEW, *PAINT)
     check.step(seen_as(lines, before))
     check.move(SE2(), 1.1 * LANE_M)
-    assert (check.step(seen_as(lines))[lines > 0] > 0).mean() == (1.0 if before > FAINT else 0.0)
+    assert (check.step(seen_as(lines))[lines > 0] > 0).mean() == (1.0 if before > TemporalPaintCheck.BARE else 0.0)
 
 
 def test_ground_that_was_too_far_away_removes_nothing() -> None:
