@@ -48,6 +48,7 @@ from automodel.types import Bools, Complexes, FloatArray, Floats, Ints
 
 ROUNDS = 5  # of linearisation; the limit of a residual halves in each
 SECTIONS = 6  # of the view, between stations
+FORGOTTEN = 0.1  # share of the walk by which what was seen of the road is uncertain again
 TURNED = 0.4  # sine of the angle between a stripe and its line, at most, beyond what is uncertain
 
 
@@ -285,10 +286,11 @@ class ParabolaPair:
             self._advance(distance_m, turn_rad)
         else:
             way += LOST_PACE * dt_s
-        walk = np.full(SIZE, self._bend * unit * way)
+        walk = np.full(SIZE, FORGOTTEN * self._bend * unit * way)
         walk[:ROAD] = np.square((WALK * unit, WALK, WALK * unit, ROAD_TAPER * math.sqrt(2.0 / TAPER_LANES))) * way
         if not known:
             walk[[OFFSET, THETA]] += dt_s * (LOST_STEP * unit) ** 2, dt_s * LOST_TURN_RAD**2
+            walk[ROAD:] += self._bend * unit * way
         self.covariance[np.diag_indices(SIZE)] += walk
         self._bound_width()
 

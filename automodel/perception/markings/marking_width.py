@@ -12,7 +12,7 @@ import numpy as np
 
 from automodel.config import LaneConfig
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.ridge import FAINT, ridge_sums
+from automodel.perception.markings.ridge import ridge_sums
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge, rounding_noise
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
@@ -20,7 +20,9 @@ from automodel.types import Bools, Float32Array, FloatArray, Floats, Image, Ints
 
 PER_MARKING = 8  # samples
 SCALES = (PER_MARKING // 2, PER_MARKING, 2 * PER_MARKING)  # of the filters
-LOW = math.sqrt(SCALES[0] / SCALES[1])  # scales: the narrowest ridge of a scale; the widest is that of the next one
+FAINT = 0.5  # of the highest ridge of a row: what is lower does not count
+STREAK_RAD = 0.15  # from the direction to the camera: a ridge's place in two neighbouring rows is wrong by a sample
+LOW = 0.7  # scales: the narrowest ridge of a scale; the widest is twice as wide
 
 
 def ridge_widths(
@@ -55,7 +57,7 @@ def ridge_widths(
     row = row.astype(np.intp)
     top = np.zeros(len(values))
     np.maximum.at(top, row, heights)
-    plain = heights > FAINT * top[row]  # of the highest ridge of its row: texture is fainter than paint
+    plain = heights > FAINT * top[row]  # texture is fainter than paint
     return row[plain], at[plain].astype(np.intp), widths[plain], heights[plain]
 
 
@@ -75,7 +77,7 @@ def continued(
     slopes = (at - at[:, None]) / np.where(following, depth, 1.0)
     if foot is not None:
         away = np.arctan(slopes) - np.arctan2(at - foot[1], ahead[row] - foot[0])[:, None]
-        following &= np.abs(away * depth) > 1.0  # a sample, by which a ridge's place in the next row may be wrong
+        following &= np.abs(away) > STREAK_RAD
     lean = np.where(following, np.abs(slopes), 1.0)
     slope = lean.min(axis=1, initial=1.0)
     goes_on = slope < 1.0
@@ -109,13 +111,18 @@ class MarkingWidth:
     """The running width of the markings; `step` measures it and says when the filters need another one.
 
     `width_m` is the width in use, `measured_m` the last estimate and `sigma` its relative standard deviation. It is the
-    peak of a histogram of the logarithm of the ridges' widths; the start value counts as a line on all rows.
-    Every ridge counts once: a lamp's reflection is brighter than any paint, and a line is seen on more rows than it.
+    peak of a histogram of the logarithm of the ridges' widths; the start value counts as `PRIOR` ridges. Every ridge
+    counts once: a lamp's reflection is brighter than any paint, and a line is seen on more rows than a lamp.
     """
 
     ROWS = 16
+    LATERAL_LANES = 1.2  # to each side of the car, over a lane width ahead
+    EVERY = 32  # frames between two measurements once the width is settled
+    BIN = 0.07  # relative width of a bin of the histogram
+    MEMORY = 0.98  # share of the histogram that is kept at a measurement: a crossing shows other widths for seconds
+    PRIOR = 20.0
     CHANGE = 1.3  # ratio from which on a width is used instead of the last one, and reported
-    SETTLED = 0.05  # relative sigma from which on an estimate is used, and relative width of a bin of the histogram
+    SETTLED = 0.05  # relative sigma from which on an estimate is used
 
     def __init__(
         self,
@@ -129,7 +136,7 @@ class MarkingWidth:
         self._brightness = (brightness, brightness.negative()) if lane.markings == "both" else (brightness,)
         self._step_m = lane.marking_width_m / PER_MARKING
         self.see_with(camera)
-        self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.SETTLED)  # bins
+        self._half = math.ceil(math.log(2.0 * LOW * SCALES[-1] / PER_MARKING) / self.BIN)  # bins
         self._bins = 2 * self._half + 1
         self.reset()
 
@@ -137,7 +144,7 @@ class MarkingWidth:
         """From now on the camera is set so."""
         near = max(camera.first_visible_x_m(), self._reference_x_m)
         lookup = RowGroundLookup(camera, (near, near + self._lane_width_m), self.ROWS)
-        half = math.ceil(self._lane_width_m / self._step_m)  # to each side of the car, as far as ahead
+        half = math.ceil(self.LATERAL_LANES * self._lane_width_m / self._step_m)
         y = np.arange(-half, half) * self._step_m
         self._pixels, self._within = lookup.pixels(np.broadcast_to(y, (len(lookup.rows), len(y))))
         self._ahead = lookup.ahead_m / self._step_m
@@ -158,7 +165,8 @@ class MarkingWidth:
         if self._wait > 0:
             return False
         self._tries += 1
-        self._wait = 1 + self._tries // 8  # ever more seldom
+        self._wait = 1 + self._tries // 8  # ever more seldom where nothing is found
+        self._counts *= self.MEMORY
         for brightness in self._brightness:
             values = brightness.read(image, self._pixels).astype(np.float32)
             ridges = ridge_widths(values, self._within, self._noises, self._rounding)
@@ -166,6 +174,7 @@ class MarkingWidth:
             self.add(widths)
         if self.sigma > self.SETTLED:
             return False
+        self._wait = self.EVERY
         if abs(math.log(self.measured_m / self.width_m)) < math.log(self.CHANGE):
             return False
         self.width_m = self.measured_m
@@ -173,19 +182,19 @@ class MarkingWidth:
 
     def add(self, widths: Floats) -> None:
         """Count ridges of widths (n,) [samples of the configured width / `PER_MARKING`]."""
-        place = np.log(np.maximum(widths, 1e-9) / PER_MARKING) / self.SETTLED + 0.5 * self._bins
+        place = np.log(np.maximum(widths, 1e-9) / PER_MARKING) / self.BIN + 0.5 * self._bins
         inside = (place >= 0.0) & (place < self._bins)
         if inside.any():
             self._counts += np.bincount(place[inside].astype(np.intp), minlength=self._bins)
-        prior = np.exp(-0.5 * ((np.arange(self._bins) - self._half) * self.SETTLED / math.log(self.CHANGE)) ** 2)
-        counts = self._counts + self.ROWS / prior.sum() * prior
+        prior = np.exp(-0.5 * ((np.arange(self._bins) - self._half) * self.BIN / math.log(self.CHANGE)) ** 2)
+        counts = self._counts + self.PRIOR / prior.sum() * prior
         smooth = np.convolve(counts, (0.5, 1.0, 0.5), "same")
         peak = int(smooth.argmax())
         about = slice(max(peak - 2, 0), peak + 3)
         number = float(counts[about].sum())
-        middles = (np.arange(self._bins)[about] - self._half) * self.SETTLED
+        middles = (np.arange(self._bins)[about] - self._half) * self.BIN
         mean = float((counts[about] * middles).sum() / number)
-        spread = math.sqrt(float((counts[about] * (middles - mean) ** 2).sum() / number) + self.SETTLED**2 / 12.0)
+        spread = math.sqrt(float((counts[about] * (middles - mean) ** 2).sum() / number) + self.BIN**2 / 12.0)
         self.measured_m = self._start_m * math.exp(mean)
         self.sigma = spread / math.sqrt(number) * float(counts.sum() / number)
 
