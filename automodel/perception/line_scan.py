@@ -28,8 +28,8 @@ class SightedLine:
     """One line of a frame: points (n, 2) [m] on its middle, body frame, near to far.
 
     `span_m` is the length from the first to the last paint, 0: unknown; `painted_m` that without the gaps between
-    dashes, but with what is worn off. `reflection`: how many times as likely it is one, if it is no line, as another
-    thing.
+    dashes, but with what is worn off. `reflection`: if it is no line, how many times as likely as
+    another thing it is a reflection.
     """
 
     points_m: FloatArray
@@ -99,8 +99,8 @@ class ScanConfig:
     by how much the line may turn besides [rad] over a lane width of gap. `wide`: a piece as many markings wide is an
     area. `worn_lanes`: a shorter gap is none between dashes, paint is worn off there. `bars` pieces next to each other,
     `bar_lanes` apart, are a zebra crossing: where lanes are divided, two double lines make four, but no three next to
-    each other. `spacing_lanes`: of the points. `reflection`: how many times as likely what is no line is one as
-    another thing; 0 where there are none.
+    each other. `spacing_lanes`: of the points. `reflection`: that of all lines: how many times as likely as
+    another thing a reflection is; 0 where there are none.
     """
 
     least_lanes: float = 0.15

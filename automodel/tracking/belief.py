@@ -534,8 +534,8 @@ class Evidence:
 class Clutter:
     """How likely lines are as things of their own: most are as smooth as roads, a few have corners.
 
-    The points of one with corners lie anywhere. Those of a reflection, which a line may be with a
-    probability of its own, lie on a ray from below the camera.
+    The points of one with corners lie anywhere. Those of a reflection, as likely as each line says, lie on a ray from
+    below the camera.
     """
 
     CORNERS = 4.0  # [nats] one thing in 50 has

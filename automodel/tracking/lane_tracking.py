@@ -862,8 +862,8 @@ class LaneTracking:
         return LaneBelief.arc(mean, covariance, self.road, self._reference_x_m)
 
     def _confusable(self, belief: LaneBelief, away: float = 0.5) -> bool:
-        """Whether a line so many lane widths away may be taken for the lane's: the next one halfway to it, as it may be
-        as far off itself; a lane width, and the next lane may be taken for this one.
+        """Whether the lane may be so many lane widths off, as a bound must hold: by a half, and the nearest line to a
+        place is no longer sure to be the lane's; by a whole one, and the next lane may be taken for this one.
         """
         return K * math.sqrt(self._lateral_variance(belief)) > away * belief.width_m
 
