@@ -96,7 +96,7 @@ def filmed_drive(world: RandomWorld, tick: Tick) -> tuple[list[Image], float]:
     """The images of a drive in the world, and the median width [m] of the lane in which they were taken."""
     nod_max_rad = 0.0 if world.nod is None else world.nod.amplitude_rad
     eye = renderer(world.track, world.car, world.look, nod_max_rad)
-    follower = TruthFollower(world.lane, world.car.vehicle.reference_x_m)
+    follower = TruthFollower(world.lane, world.car.vehicle.reference_x_m, world.start_s_m)
     t_s = np.arange(IMAGES) / RATE_HZ
     images, widths_m = [], []
     for index, (t, pose) in enumerate(zip(t_s.tolist(), world.poses(t_s), strict=True)):

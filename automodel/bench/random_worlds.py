@@ -184,7 +184,7 @@ def views(world: RandomWorld, frames: int) -> Iterator[View]:
     """What the car sees in its first frames."""
     nod_max_rad = 0.0 if world.nod is None else world.nod.amplitude_rad
     eye = renderer(world.track, world.car, world.look, nod_max_rad)
-    follower, sight = TruthFollower(world.lane, world.car.vehicle.reference_x_m), LaneSight(world)
+    follower, sight = TruthFollower(world.lane, world.car.vehicle.reference_x_m, world.start_s_m), LaneSight(world)
     odometer = Odometer(world.seed)
     t_s = np.arange(frames) / RATE_HZ
     # odometry measures the distance since the frame before: its speeds are those of the middle between both

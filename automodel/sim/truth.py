@@ -40,16 +40,18 @@ class Truth:
 class TruthFollower:
     """Follows a car along a lane; where the road crosses itself, it stays on the branch that the car was on.
 
-    The first step searches the whole lane and prefers, among branches at about the same distance, the one in the car's
-    direction. `reference_x_m` is the distance of the reported point ahead of the rear axle.
+    The first step looks about `start_s_m` [m], the arc length at which the car starts. Where that is not given it
+    searches the whole lane and prefers, among branches at about the same distance, the one in the car's direction: of
+    a car that stands aslant on an intersection that may be the other one. `reference_x_m` is the distance of the
+    reported point ahead of the rear axle.
 
     The centerline is tabulated every millimetre (at most 60,000 samples), so that a step takes about 10 us. The foot of
     the perpendicular is refined on the osculating circle: errors are below 1e-6 m and 1e-6 rad, except within half a
     step of a curvature jump (there half a step times the jump: 0.0004 rad at 0.8 1/m).
     """
 
-    def __init__(self, lane: Lane, reference_x_m: float) -> None:
-        self.lane, self.reference_x_m = lane, reference_x_m
+    def __init__(self, lane: Lane, reference_x_m: float, start_s_m: float | None = None) -> None:
+        self.lane, self.reference_x_m, self._start_s_m = lane, reference_x_m, start_s_m
         line = lane.centerline
         self._count = min(max(math.ceil(line.length_m / _STEP_M), 16), _MAX_SAMPLES)
         self._step_m = line.length_m / self._count
@@ -66,9 +68,10 @@ class TruthFollower:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the car: the next step searches the whole lane, and laps count from there."""
-        self._index: int | None = None
-        self._s_m = self._distance_m = 0.0
+        """Forget the car: the next step is the first one, and laps count from there."""
+        start = self._start_s_m
+        self._index: int | None = None if start is None else int(start / self._step_m) % self._size
+        self._s_m, self._distance_m = start or 0.0, 0.0
 
     def step(self, x_m: float, y_m: float, yaw_rad: float) -> Truth:
         """The truth for a rear axle at (x, y) [m] in the world frame, turned by yaw [rad]."""

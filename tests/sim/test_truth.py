@@ -101,6 +101,21 @@ def test_at_a_crossing_the_branch_it_was_on_counts(tmr: Track) -> None:
         assert truth.offset_m == pytest.approx(0.0, abs=1e-6)
 
 
+def test_a_car_that_starts_aslant_on_an_intersection_is_on_the_branch_that_it_starts_on(tmr: Track) -> None:
+    lane = tmr.lane()
+    crossing = tmr.crossings[0]
+    s = float(lane.centerline.project(tmr.road.offset_position(crossing.s_first_m, -0.2))[0])
+    aslant = at(lane, s, 0.0, -1.4)  # the other branch's direction is nearer
+    assert step(TruthFollower(lane, REFERENCE_M), aslant).s_m != pytest.approx(s, abs=1.0)
+    follower = TruthFollower(lane, REFERENCE_M, s - 0.1)
+    for _ in range(2):
+        truth = step(follower, aslant)
+        assert truth.s_m == pytest.approx(s, abs=1e-6)
+        assert truth.heading_rad == pytest.approx(-1.4, abs=1e-6)
+        assert truth.lap == 0
+        follower.reset()
+
+
 def test_reference_point_and_signs_on_a_left_arc() -> None:
     road = arc(2.0, 0.0, math.pi / 2, 0.5, 3.0)  # about the origin, radius 2, anticlockwise
     lane = Lane(centerline=road, left=OffsetCurve(road, 0.2), right=OffsetCurve(road, -0.2), width_m=constant(0.4))
