@@ -66,8 +66,8 @@ def test_patterns_choose() -> None:
 
 
 def test_whole_numbers_stay_whole() -> None:
-    count = one("tracking.hypotheses.HypothesesConfig.most")
-    assert [count.moved(share) for share in (-0.5, -0.1, 0.2, 0.5)] == [2, None, 5, 6]
+    count = one("perception.line_scan.ScanConfig.bars")
+    assert [count.moved(share) for share in (-0.5, -0.1, 0.2, 0.5)] == [2, None, 4, 4]
     assert one("estimation.road.MAX_GAP_S").moved(0.5) == 0.75
 
 
