@@ -657,7 +657,8 @@ class LaneTracking:
         """Learn the road's cross-section by a frame's lines; the lane that was followed, where this is another one."""
         belief = self._belief
         assert belief is not None
-        far = {role: self._in_view_m(belief, role) for role in (LEFT_FAR, RIGHT_FAR)} if plain else {}
+        beside = (LEFT_FAR, RIGHT_FAR)
+        far = dict(zip(beside, self._in_view_m(belief, beside).tolist(), strict=True)) if plain else {}
         self._profile.see({role: best.line(role) for role in SLOTS}, far, self._unit)
         for lane, side in ((LEFT_LANE, -1), (RIGHT_LANE, +1)):
             if self._profile.lanes[lane] > self.config.another:
@@ -667,13 +668,15 @@ class LaneTracking:
                 return self._belief
         return None
 
-    def _in_view_m(self, belief: LaneBelief, role: float) -> float:
-        """The length of a line of the road that is in view, as far ahead as lines are found."""
+    def _in_view_m(self, belief: LaneBelief, roles: Sequence[float]) -> FloatArray:
+        """The lengths (n,) [m] of the road's lines of these roles that are in view, as far ahead as lines are found."""
         s_m = self._near_m + np.arange(0.0, 4.0, 0.2) * self._unit
-        points = belief.beside(s_m, role)[0]
-        pixels = self.camera.ground_to_px(points)
-        seen = self.camera.camera.inside(pixels) & (np.abs(points[:, 1]) < 1.5 * self._unit)
-        return 0.2 * self._unit * float(np.count_nonzero(seen))
+        places, headings, _ = belief.beside(s_m, 0.0)
+        left = belief.width_m * np.stack((-np.sin(headings), np.cos(headings)), axis=1)
+        points = places + np.asarray(roles, np.float64)[:, None, None] * left
+        seen = self.camera.camera.inside(self.camera.ground_to_px(points))
+        seen &= np.abs(points[..., 1]) < 1.5 * self._unit
+        return 0.2 * self._unit * np.count_nonzero(seen, axis=1)
 
     def _together(self, lines: tuple[SightedLine, ...], own: list[FloatArray]) -> tuple[SightedLine, ...]:
         """All lines in view, and what the estimator alone sees: no paint is a witness twice, in two roles perhaps.

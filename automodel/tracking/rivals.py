@@ -77,11 +77,15 @@ class Rivals:
         return away <= self._config.same and away < min(abs(role - LEFT), abs(role - RIGHT))
 
     def look(
-        self, belief: LaneBelief, lines: Sequence[SightedLine], news: float, in_view_m: Callable[[float], float]
+        self,
+        belief: LaneBelief,
+        lines: Sequence[SightedLine],
+        news: float,
+        in_view_m: Callable[[Sequence[float]], FloatArray],
     ) -> None:
         """All lines in view, of which a share is news: one that was in view before tells nothing new.
 
-        `in_view_m`: of a line that runs so many lane widths to the left, how much of it would be in view. A view
+        `in_view_m`: of lines that run so many lane widths to the left, how much of each would be in view. A view
         without the lane's own lines tells of no others.
         """
         unit = belief.road.lane_width_m
@@ -96,19 +100,20 @@ class Rivals:
             for role, length in along
             if min(abs(role - LEFT), abs(role - RIGHT)) > self._config.same and self._is_line(length)
         ]
-        for rival in self._rivals:
+        unseen = np.flatnonzero(self._looks * self._missed >= math.log(EXCEEDED))
+        expected = [rival.role for rival in self._rivals] + self._places[unseen].tolist()
+        in_view = [self._is_line(length) for length in (in_view_m(expected) / unit).tolist()] if expected else []
+        for rival, would_show in zip(self._rivals, in_view, strict=False):
             nearest = min(found, key=lambda role: abs(role - rival.role), default=math.inf)
             if abs(nearest - rival.role) < self._config.same:
                 rival.role, rival.late, rival.other = nearest, max(rival.late - news, 0.0), rival.other or both
                 found.remove(nearest)
-            elif self._is_line(in_view_m(rival.role) / unit):
+            elif would_show:
                 rival.late += news
         before = np.interp(found, self._places, self._looks).tolist()
         self._rivals += [_Rival(role, looks, other=both) for role, looks in zip(found, before, strict=True)]
         self._rivals = [rival for rival in self._rivals if self._is_there(belief, rival)]
-        for k in np.flatnonzero(self._looks * self._missed >= math.log(EXCEEDED)):
-            if self._is_line(in_view_m(float(self._places[k])) / unit):
-                self._looks[k] += news
+        self._looks[unseen[in_view[len(expected) - len(unseen) :]]] += news
 
     def _is_there(self, belief: LaneBelief, rival: _Rival) -> bool:
         """Whether a line may be one of the lane's own, or is another thing, still there, that would make a lane."""

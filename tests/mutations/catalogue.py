@@ -753,7 +753,7 @@ BOUNDS = (
         ),
         ("rivals-are-near-its-own-lines", "and away < min(abs(role - LEFT), abs(role - RIGHT))", ""),
         ("rivals-seen-with-one-line", "rival.other or both", "True"),
-        ("rivals-out-of-view-missed", "elif self._is_line(in_view_m(rival.role) / unit):", "else:"),
+        ("rivals-out-of-view-missed", "elif would_show:", "else:"),
         ("rivals-of-any-width", "and self._width_odds(lane) > least]", "]"),
     ),
     *_of(

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
 import pytest
 
 from automodel.perception.line_scan import SightedLine
 from automodel.tracking.hypotheses import HypothesesConfig
 from automodel.tracking.rivals import Rivals
 from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
+from automodel.types import FloatArray
 from tests.support.drawn_roads import LANE_M, Road
 from tests.support.sighted_lines import belief, line_of
 
@@ -22,9 +25,9 @@ def line(role: float, to_m: float = 1.2, painted: float = 1.0) -> SightedLine:
     return line_of(ROAD, role, to_m=to_m, painted=painted)
 
 
-def wide(role: float) -> float:
+def wide(roles: Sequence[float]) -> FloatArray:
     """All lines would be in view over a meter."""
-    return 1.0
+    return np.ones(len(roles))
 
 
 def looked(*views: tuple[float, ...]) -> Rivals:
@@ -73,14 +76,16 @@ def test_one_that_ends_is_none_and_one_that_is_hidden_for_a_while_is_one_again()
 def test_one_that_is_out_of_view_may_still_be_there() -> None:
     rivals = looked((LEFT, RIGHT, INSIDE))
     for _ in range(10):
-        rivals.look(LANE, [line(LEFT), line(RIGHT)], 1.0, lambda role: 0.5 * LANE_M)
+        rivals.look(LANE, [line(LEFT), line(RIGHT)], 1.0, lambda roles: 0.5 * LANE_M * np.ones(len(roles)))
     assert rivals.lanes(LANE)
 
 
 def test_one_may_come_into_view_whose_place_was_not_in_view() -> None:
     rivals = Rivals(HypothesesConfig(), LANE.road.width_sigma)
     for _ in range(10):
-        rivals.look(LANE, [line(LEFT), line(RIGHT)], 1.0, lambda role: LANE_M * (role > RIGHT - 0.1))
+        rivals.look(
+            LANE, [line(LEFT), line(RIGHT)], 1.0, lambda roles: np.where(np.asarray(roles) > RIGHT - 0.1, LANE_M, 0.0)
+        )
     assert not rivals.settled
     rivals.look(LANE, [line(LEFT), line(RIGHT), line(INSIDE)], 1.0, wide)
     assert not rivals.lanes(LANE)
