@@ -158,9 +158,7 @@ class Contour:
         self.stages.lap("width")
         gentle, both = None, False
         if self._tracking.lost:
-            # Where no lane is known yet, what points to the camera may as well be a reflection.
-            sighted = self._reflections.told(self._lines_in_view(frame.image))
-            start = self._tracking.start(frame.t_ns, sighted)
+            start = self._tracking.start(frame.t_ns, self._lines_in_view(frame.image))
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
             self.stages.lap("start")
             if gentle is not None:
@@ -234,7 +232,7 @@ class Contour:
         return left >= SEEN, right >= SEEN
 
     def _lines_in_view(self, image: Image) -> tuple[SightedLine, ...]:
-        """The lines of the whole view, without reflections."""
+        """The lines of the whole view, without reflections; those that point to the camera may be some, too."""
         pixels, colour = np.asarray(image), self._options.colour
         if pixels.ndim == 2:
             grey = pixels
@@ -245,7 +243,7 @@ class Contour:
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._white_areas.step(view)
         lines = self._reflections.step(view, areas.lines, self._paint_check.step(areas))
-        return self._scan.step(lines, areas.bright)
+        return self._reflections.told(self._scan.step(lines, areas.bright))
 
     def _track(self, image: Image, rounds: int) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times."""

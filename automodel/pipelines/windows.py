@@ -130,7 +130,7 @@ class Windows:
         self.stages.lap("white_areas")
         if self._tracking.lost:
             lines = self._reflections.step(view, areas.lines, lines)  # without reflections
-            # Lines in view; where no lane is known yet, what points to the camera may as well be a reflection.
+            # Lines in view, of which those that point to the camera may be reflections, too.
             sighted = self._reflections.told(self._scan.step(lines, areas.bright))
             start = self._tracking.start(frame.t_ns, sighted)  # the lane's pair
             self.stages.lap("start")
@@ -153,7 +153,7 @@ class Windows:
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
-            anew = self._tracking.judge(self._scan.step(lines, areas.bright), followed)
+            anew = self._tracking.judge(self._reflections.told(self._scan.step(lines, areas.bright)), followed)
             if anew is not None:
                 followed = self._followed(None, *self._restart(anew, view, areas, lines))
             self.stages.lap("doubt")

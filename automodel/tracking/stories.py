@@ -100,8 +100,8 @@ def stories(
     """The likeliest assignments of lines to roles, and the one that assigns none.
 
     The points (k, 2) of line i end at `ends[i]`, near to far. `clutter` (m,): how likely it is as a thing of its own;
-    `reflections` (m,): the probability that it is a streak then; `kinds` (m, 4): how much likelier its kind is in each
-    of `ROLES`; `news` (m,): the share of it that is news.
+    `reflections` (m,): how many times as likely as one it is a streak; `kinds` (m, 4): how much likelier its kind is in
+    each of `ROLES`; `news` (m,): the share of it that is news.
     """
     lines, full, count = len(ends), len(prior.root), 0
     room = 2 * len(ROLES) * lines

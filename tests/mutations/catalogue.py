@@ -557,6 +557,24 @@ BOUNDS = (
         ("a-damaged-network-drives", "!= SHIPPED[config.size]", "== data"),
     ),
     *_of(
+        "automodel/pipelines/windows.py",
+        "tests/pipelines/test_reflections.py",
+        (
+            "no-reflection-is-followed",
+            "self._reflections.told(self._scan.step(lines, areas.bright)), followed",
+            "self._scan.step(lines, areas.bright), followed",
+        ),
+    ),
+    *_of(
+        "automodel/pipelines/contour.py",
+        "tests/pipelines/test_reflections.py",
+        (
+            "no-reflection-is-looked-at",
+            "self._reflections.told(self._scan.step(lines, areas.bright))",
+            "self._scan.step(lines, areas.bright)",
+        ),
+    ),
+    *_of(
         "automodel/pipelines/contour.py",
         "tests/pipelines/test_contour_surroundings.py",
         ("a-doubtful-streak-is-paint", "on_streaks(image, points, self.PAINT)", "on_streaks(image, points, 0.0)"),
