@@ -612,6 +612,9 @@ class LaneTracking:
     def _watch(self, lines: tuple[SightedLine, ...], followed: Followed) -> LaneBelief | None:
         """Learn from all lines in view, which may fit in more than one way; specks, which lie anywhere, teach nothing.
 
+        Lines that may be the lane's and teach nothing for as long as it takes to see other places begin a doubt, in
+        which what they say adds up: the less is known, the less a single frame of a lone line can tell.
+
         Returns a belief to start anew from where the estimator misses a line.
         """
         belief, measured = self._belief, self._measured(followed.pose)
@@ -638,6 +641,8 @@ class LaneTracking:
                 anew = self._which_lane(best, plain=False)
                 if anew is not None:
                     return anew
+        elif (own or best.assigned) and self._news_m > self.road.news * self._unit:  # none of them has borne it out
+            self._doubt(belief)
         if not self.in_doubt and self._strays(followed):
             return self._belief
         return None

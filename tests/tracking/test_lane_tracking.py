@@ -839,6 +839,18 @@ def test_a_speck_in_place_of_a_line_teaches_nothing_and_keeps_no_lane_alive() ->
     assert ends_ns[1] == ends_ns[0] < 5_000_000_000
 
 
+def test_a_line_that_is_followed_and_bears_nothing_out_begins_a_doubt() -> None:
+    drive = driving(config=replace(CONFIG, coast_s=20.0, coast_lanes=50.0))
+    piece = line_of(Road(), LEFT, painted=0.1, count=2)  # a speck, and another one
+    plain = said(0.0, (LEFT,))
+    followed, way = replace(plain, left=replace(plain.left, points_m=piece.points_m)), 0.0
+    while not drive.doubted and way < 10.0:
+        drive.follow(followed, (piece,))
+        way += SPEED_MPS * STEP_NS * 1e-9 / LANE_M
+    news = drive.tracking.road.news
+    assert news < way < news + CONFIG.glance
+
+
 def test_a_lone_line_teaches_nothing_until_it_is_weighed_with_all_in_view() -> None:
     drive = driving()
     drive.follow(said(0.0, (LEFT,)), sights(0.0))  # a look at all of them
