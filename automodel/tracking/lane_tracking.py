@@ -51,6 +51,7 @@ LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many,
 RIDGE_PX = 0.33  # to which the middle of a line is measured: assumed
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
 SLIGHT = 0.5  # of the sigma of a camera's pitch: less is not worth measuring anew
+MOST_HEADING_RAD = math.radians(60.0)  # of a car that drives in its lane: more is across
 FAR_OFF = sigmas(EXCEEDED * EXCEEDED)  # of it, which happen to one camera in a million: such lines are not parallel
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
@@ -418,10 +419,12 @@ class LaneTracking:
         return None
 
     def _known(self) -> LaneBelief | None:
-        """Where dead reckoning or this frame's lines have the lane; None where neither knows it."""
+        """Where dead reckoning or this frame's lines have the lane; None where neither does or the car has left it."""
         known = self._reckoned if self.in_doubt else self._belief
         told = self._trusts or (not self.in_doubt and self._learnt_ns == self._t_ns)
-        return known if known is not None and told and not self._confusable(known) else None
+        if known is None or not told or self._confusable(known) or not self._possible(known.pose):
+            return None
+        return known
 
     def _by_lines(self, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """The lane by the lines in view alone, if they tell it, whatever an estimator or dead reckoning says."""
@@ -887,7 +890,7 @@ class LaneTracking:
             and abs(pose.width_m - unit)
             < 4.0 * math.hypot(self.road.width_sigma * unit, math.sqrt(pose.covariance[2, 2]))
             and abs(pose.offset_m) < (1.4 if self._beside else 0.9) * unit
-            and abs(pose.heading_rad) < math.radians(60.0)
+            and abs(pose.heading_rad) < MOST_HEADING_RAD
         )
 
     def _too_long(self, t_ns: int, count: int) -> bool:
@@ -966,6 +969,7 @@ class LaneTracking:
             heading = max(heading, turned + bound(inflation * float(one.covariance[1, 1]), turn))
         if not self.paired:  # what is seen may be the next lane's, a lane width away, whatever its own width seems
             offset += max(pose.width_m, self._unit)
+            heading += MOST_HEADING_RAD  # or that of a road that crosses the car's
         return offset, heading
 
 

@@ -451,8 +451,12 @@ def test_of_an_unpaired_lane_the_bound_is_at_least_half_the_lane() -> None:
     drive, _ = beginning()
     alone = [drive.follow(said(0.0, (LEFT,)), sights(0.0, (LEFT,))) for _ in range(20)]
     assert all(bound(estimate) >= 0.5 * LANE_M for estimate in alone if estimate.valid)
+    headings = [estimate.pose.heading_bound_rad for estimate in alone if estimate.pose is not None]
+    assert min(headings) > math.radians(60.0)  # it may be a road that crosses the car's
     paired = [drive.follow(said(0.0), sights(0.0)) for _ in range(20)]
     assert bound(paired[-1]) < 0.25 * LANE_M
+    assert paired[-1].pose is not None
+    assert paired[-1].pose.heading_bound_rad < math.radians(15.0)
 
 
 def test_a_lane_that_is_followed_is_not_doubted_and_its_bound_stays_small() -> None:
@@ -1298,6 +1302,14 @@ def test_an_estimator_that_says_what_cannot_be_is_sent_back_where_dead_reckoning
         assert told.pose.offset_m == pytest.approx(0.0, abs=0.01)
     told = drive.follow(said(0.0), sights(0.0))
     assert told.status is LaneStatus.TRACKING
+
+
+def test_a_lane_that_dead_reckoning_has_left_is_lost() -> None:
+    drive = driving()
+    belief = drive.tracking._belief
+    assert belief is not None
+    belief.state[lane_path.OFFSET] = 1.2 * LANE_M
+    assert drive.follow(said(1.2 * LANE_M, NONE)).status is LaneStatus.LOST
 
 
 def test_an_estimator_that_goes_on_with_another_thing_as_its_line_is_sent_back_as_the_doubt_ends() -> None:
