@@ -806,10 +806,11 @@ class LaneTracking:
 
         The road ahead stays what it was seen to be: in twelve drives, after each of 138 contradictions, the squared
         error of dead reckoning over its covariance was 0.1 to 0.7 for the next four lane widths, and without that road
-        it was off by up to five times as much. That the road is another one is a story, too.
+        it was off by up to five times as much. That the road is another one is a story, too, and that it gets wider.
         """
         self._story, on_any_road = self._reckon(belief)
-        self._hypotheses.start(((self._story, 0.0), (on_any_road, -self.config.exists)), learnt=True)
+        others = on_any_road, self._story.of_any_width()
+        self._hypotheses.start(((self._story, 0.0), *((other, -self.config.exists) for other in others)), learnt=True)
 
     def _reckon(self, belief: LaneBelief) -> tuple[LaneBelief, LaneBelief]:
         """The lane is in doubt from now on: dead reckoning alone moves it, on the road as it was seen and on any."""

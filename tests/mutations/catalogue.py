@@ -713,6 +713,7 @@ BOUNDS = (
         ("not-a-number-and-coasting", "if known is None or not _is_finite(followed.pose):", "if known is None:"),
         ("looks-elsewhere-and-stays", "elif not own and self._is_elsewhere(apart, best):", "elif False:"),
         ("dead-and-followed", "elif likelier and self._is_dead(followed, apart, said, best):", "elif False:"),
+        ("in-doubt-no-lane-gets-wider", "others = on_any_road, self._story.of_any_width()", "others = (on_any_road,)"),
         ("mute-lines-are-followed", "elif (own or best.assigned) and self._news_m >", "elif False and self._news_m >"),
         ("what-taught-is-forgotten", "self._hypotheses.note(lines, self.road)", "pass"),
         ("reckoned-and-impossible", "story is not None and self._possible(story.pose)", "True"),

@@ -877,7 +877,7 @@ def test_a_doubt_keeps_the_road_that_was_seen_and_knows_that_it_may_be_another()
     known = belief.covariance[ahead, ahead]
     drive.follow(said(0.15))
     assert drive.doubted
-    likely, other = drive.tracking._hypotheses.all
+    likely, other, _ = drive.tracking._hypotheses.all  # the third gets wider
     assert likely.belief.covariance[ahead, ahead] < 1.2 * known
     assert other.belief.covariance[ahead, ahead] > 2.0 * known
     assert likely.log_odds - other.log_odds == pytest.approx(-math.log(EXCEEDED))
@@ -887,6 +887,22 @@ def test_a_doubt_keeps_the_road_that_was_seen_and_knows_that_it_may_be_another()
         plain = blind.follow(said(0.0, NONE))
     assert drive.doubted
     assert bound(doubtful) < 1.5 * bound(plain)
+
+
+@pytest.mark.parametrize("width", [1.2, 1.25])
+def test_a_doubt_ends_where_both_lines_show_a_lane_that_got_wider(width: float) -> None:
+    drive = driving()
+    belief, right = drive.tracking._belief, LEFT - width
+    assert belief is not None
+    drive.tracking._doubt(belief)
+    lines, middle = sights(0.0, (LEFT, right)), 0.5 * (LEFT + right)
+    wide = said(-middle * LANE_M, BOTH, width_m=width * LANE_M)
+    left, right_line = (replace(wide.left, points_m=line.points_m) for line in lines)
+    for _ in range(12):
+        told = drive.follow(replace(wide, left=left, right=right_line), lines)
+    assert not drive.doubted
+    assert told.pose is not None
+    assert told.pose.width_m == pytest.approx(width * LANE_M, rel=0.02)
 
 
 def test_in_doubt_the_odometry_is_as_sure_as_it_was_right_while_the_lane_was_followed() -> None:
