@@ -101,9 +101,10 @@ class Rivals:
             if min(abs(role - LEFT), abs(role - RIGHT)) > self._config.same and self._is_line(length)
         ]
         unseen = np.flatnonzero(self._looks * self._missed >= math.log(EXCEEDED))
-        expected = [rival.role for rival in self._rivals] + self._places[unseen].tolist()
-        in_view = [self._is_line(length) for length in (in_view_m(expected) / unit).tolist()] if expected else []
-        for rival, would_show in zip(self._rivals, in_view, strict=False):
+        lateral = [rival.role for rival in self._rivals] + self._places[unseen].tolist()
+        shows = [self._is_line(length) for length in (in_view_m(lateral) / unit).tolist()] if lateral else []
+        known, others = shows[: len(self._rivals)], shows[len(self._rivals) :]
+        for rival, would_show in zip(self._rivals, known, strict=True):
             nearest = min(found, key=lambda role: abs(role - rival.role), default=math.inf)
             if abs(nearest - rival.role) < self._config.same:
                 rival.role, rival.late, rival.other = nearest, max(rival.late - news, 0.0), rival.other or both
@@ -113,7 +114,7 @@ class Rivals:
         before = np.interp(found, self._places, self._looks).tolist()
         self._rivals += [_Rival(role, looks, other=both) for role, looks in zip(found, before, strict=True)]
         self._rivals = [rival for rival in self._rivals if self._is_there(belief, rival)]
-        self._looks[unseen[in_view[len(expected) - len(unseen) :]]] += news
+        self._looks[unseen[others]] += news
 
     def _is_there(self, belief: LaneBelief, rival: _Rival) -> bool:
         """Whether a line may be one of the lane's own, or is another thing, still there, that would make a lane."""

@@ -225,14 +225,14 @@ def test_hypotheses_for_which_there_is_no_room_are_no_certainty_of_the_others() 
     assert hypotheses.certainty == 1.0
 
 
-def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_one_at_most() -> None:
+def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_one() -> None:
     lines = [line_of(STRAIGHT, lanes) for lanes in np.linspace(-1.5, 1.5, 9)]
     hypotheses = started(*lines)
     for _ in range(3):
         hypotheses.move(ROAD_MODEL, 0.3 * LANE_M, 0.0, 0.05, True)
         hypotheses.update(lines, LineKinds())
         assert 1 <= len(hypotheses.all) <= hypotheses.config.most
-        assert 0.9 < math.fsum(hypotheses.posterior()) <= 1.0 + 1e-9
+        assert math.fsum(hypotheses.posterior()) == pytest.approx(1.0)
         odds = [one.log_odds for one in hypotheses.all]
         assert odds == sorted(odds, reverse=True)
 

@@ -845,7 +845,7 @@ def test_a_speck_in_place_of_a_line_teaches_nothing_and_keeps_no_lane_alive() ->
 
 def test_a_line_that_is_followed_and_bears_nothing_out_begins_a_doubt() -> None:
     drive = driving(config=replace(CONFIG, coast_s=20.0, coast_lanes=50.0))
-    piece = line_of(Road(), LEFT, painted=0.1, count=2)  # a speck, and another one
+    piece = line_of(Road(), LEFT, painted=0.1, count=2)  # two points, little paint: hardly a line
     plain = said(0.0, (LEFT,))
     followed, way = replace(plain, left=replace(plain.left, points_m=piece.points_m)), 0.0
     while not drive.doubted and way < 10.0:
