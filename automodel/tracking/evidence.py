@@ -37,6 +37,14 @@ NO_NEWS = 1e-12  # share of a line that counts as none
 CERTAIN = 1e-8  # share of its variance by which what is known for certain stays invertible
 
 
+def most_misfit(points: int, exceeded: float) -> float:
+    """What a true line's points cost [twice nats] at most, but for a share of such lines."""
+    costs = np.linspace(0.0, 100.0 * points, 1 << 16)
+    share = np.diff(np.sqrt(-np.expm1(-costs / 3.0)), prepend=0.0)  # of points that cost so much: Student's
+    of_all = np.fft.irfft(np.fft.rfft(share, 2 * len(share)) ** points)[: len(share)]
+    return float(np.interp(1.0 - exceeded, np.cumsum(of_all), costs))
+
+
 class Prior(NamedTuple):
     """A belief as lines are weighed against it; the last coordinate is the camera's nod, its pitch in this frame alone.
 

@@ -24,7 +24,7 @@ from automodel.curves import Curve
 from automodel.estimation.checked_odometry import CheckedOdometry
 from automodel.estimation.road import TAPER
 from automodel.geometry import GroundCamera
-from automodel.perception.line_scan import ScanConfig, SightedLine
+from automodel.perception.line_scan import LineScan, ScanConfig, SightedLine
 from automodel.signals import (
     EXCEEDED,
     Crossing,
@@ -37,6 +37,7 @@ from automodel.signals import (
     MotionSource,
 )
 from automodel.tracking.belief import Assigned, Evidence, LaneBelief, LearntRoad, RoadModel, warm_up
+from automodel.tracking.evidence import most_misfit
 from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 from automodel.tracking.hypotheses import STILL_LANES, Hypotheses, HypothesesConfig, Hypothesis, LineKinds
 from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, K, bound, chi_square, sigmas
@@ -51,7 +52,7 @@ LEARNT_POINTS = 5  # of a line that the belief learns from; up to twice as many,
 RIDGE_PX = 0.33  # to which the middle of a line is measured: assumed
 TOLD = 4.0  # [nats] of what car.toml says of a line: it is wrong once in 50 times
 SLIGHT = 0.5  # of the sigma of a camera's pitch: less is not worth measuring anew
-MOST_HEADING_RAD = math.radians(60.0)  # of a car that drives in its lane: more is across
+MOST_HEADING_RAD = math.atan(LineScan.SLOPE)  # of a car that drives in its lane: more is across
 FAR_OFF = sigmas(EXCEEDED * EXCEEDED)  # of it, which happen to one camera in a million: such lines are not parallel
 DASH_ODDS = {"any": 0.0, "dashed": TOLD, "solid": -TOLD}
 
@@ -78,7 +79,7 @@ class TrackingConfig:
     coast_s: float
     coast_lanes: float
     bend: float = 0.1
-    fits: float = 49.4
+    fits: float = most_misfit(2 * LEARNT_POINTS - 1, EXCEEDED)
     unsure: float = 0.01
     gate: float = chi_square(EXCEEDED * EXCEEDED)
     differs: float = chi_square(unsure)
@@ -231,8 +232,7 @@ class LaneTracking:
             self._profile.move(driven / self._unit, self._lines_seen)
         self.reckons = moved.known and motion.source is not MotionSource.IMAGES
         if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
-            since_s = (frame.t_ns - self._learnt_ns) * 1e-9  # its lines bore out the motion
-            self._doubt(self._belief.without_road().moved(0.0, 0.0, since_s, False))
+            self._doubt(self._on_any_way(self._belief))  # its lines bore out the motion until then
         return moved
 
     def turn_camera(self) -> LaneBelief | None:
@@ -354,7 +354,7 @@ class LaneTracking:
         if not self._possible(followed.pose):
             self._said = 0.0
             known = self._known()
-            return self._by_lines(lines) if known is None else known
+            return known or self._by_lines(lines) or self._lately_known()
         if self._reckoned is None or self._on_any_road is None:
             outvoted, self._outvoted = self._outvoted, False
             if outvoted and self._strays(followed):
@@ -408,7 +408,7 @@ class LaneTracking:
             if apart <= self.config.differs and not self._vaguer(measured, best.belief):
                 return None
             return best.belief
-        elif not own and self._is_elsewhere(apart, best):
+        elif not own and self._is_elsewhere(measured, best):
             return best.belief
         elif likelier and self._is_dead(followed, apart, said, best):
             self._said = 0.0
@@ -425,6 +425,27 @@ class LaneTracking:
         if known is None or not told or self._confusable(known) or not self._possible(known.pose):
             return None
         return known
+
+    def _lately_known(self) -> LaneBelief | None:
+        """Where the lane is, in doubt, whatever the motion since its lines were last seen; None if it may be anywhere.
+
+        A motion that is suspected is no reason to forget a lane that was seen a moment ago.
+        """
+        if self._belief is None:
+            return None
+        known = self._on_any_way(self._belief)
+        if self._confusable(known) or not self._possible(known.pose):
+            return None
+        self._doubt(known)
+        return known
+
+    def _on_any_way(self, belief: LaneBelief) -> LaneBelief:
+        """A belief whose motion since it last learnt may have been any, but the same all the time.
+
+        Its sigma grows with the time t, while that of a walk, which `LaneBelief.moved` takes, grows with its root.
+        """
+        since_s = (self._t_ns - self._learnt_ns) * 1e-9
+        return belief.without_road().moved(0.0, 0.0, since_s * since_s, False)
 
     def _by_lines(self, lines: tuple[SightedLine, ...]) -> LaneBelief | None:
         """The lane by the lines in view alone, if they tell it, whatever an estimator or dead reckoning says."""
@@ -470,15 +491,16 @@ class LaneTracking:
         best = look.best
         return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
 
-    def _is_elsewhere(self, apart: float, best: Hypothesis) -> bool:
-        """Whether an estimator that sees nothing looks in another place than lines and dead reckoning have the lane.
+    def _is_elsewhere(self, measured: LaneBelief, best: Hypothesis) -> bool:
+        """Whether an estimator that sees nothing knows less of the lane than lines and dead reckoning do, or otherwise.
 
         It is put there, and the doubt goes on: what it sees then ends it.
         """
         differs, reckoned = self.config.differs, self._on_any_road
         if reckoned is None or not (self._certain and self._tells(best) and self._possible(best.belief.pose)):
             return False
-        return apart > differs and self._apart(best.belief, reckoned) < differs
+        elsewhere = self._apart(measured, best.belief) > differs or self._vaguer(measured, best.belief)
+        return elsewhere and self._apart(best.belief, reckoned) < differs
 
     def _is_dead(self, followed: Followed, apart: float, said: float, best: Hypothesis) -> bool:
         """Whether what the estimator says, by these odds, is another story than the best, and so unlikely that it dies.
@@ -559,7 +581,7 @@ class LaneTracking:
         LOST, and forgotten, where neither knows the lane.
         """
         if not self._possible(followed.pose):
-            known = self._known()
+            known = self._known() or self._lately_known()
             if known is None or not _is_finite(followed.pose):
                 self.forget()
                 return self.lost_estimate(frame)

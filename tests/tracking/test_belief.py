@@ -16,6 +16,7 @@ from automodel.geometry.lane_path import ROAD, WIDTH
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import MotionSource
 from automodel.tracking.belief import STATION, STATIONS, Assigned, Evidence, LaneBelief, LearntRoad, RoadModel
+from automodel.tracking.evidence import most_misfit
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.lane_tracking import TrackingConfig
 from automodel.tracking.stories import LEFT, RIGHT
@@ -593,3 +594,9 @@ def test_clutter_is_the_sum_of_a_smooth_thing_of_one_with_corners_and_of_a_refle
         assert anything.of_line(line) == pytest.approx(float(thing), rel=1e-12)
         expected = np.logaddexp(thing, likelihood(ray, line, 0.0) + math.log(0.3))
         assert anything.of_line(replace(line, reflection=0.3)) == pytest.approx(float(expected), rel=1e-9)
+
+
+def test_few_true_lines_cost_more_than_the_most_that_a_line_costs() -> None:
+    t = np.random.default_rng(1).standard_t(2.0, (200_000, 9))
+    costs = 3.0 * np.log1p(0.5 * t * t).sum(axis=1)
+    assert np.mean(costs > most_misfit(9, 1e-3)) == pytest.approx(1e-3, abs=3.0 * math.sqrt(1e-3 / len(t)))

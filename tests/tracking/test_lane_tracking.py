@@ -15,7 +15,7 @@ import pytest
 from automodel.config import CarConfig
 from automodel.curves import GraphCurve
 from automodel.estimation.checked_odometry import DISSENT, CheckedOdometry
-from automodel.estimation.road import MAX_GAP_S, TAPER
+from automodel.estimation.road import LOST_TURN_RAD, MAX_GAP_S, TAPER
 from automodel.geometry import GroundCamera, lane_path
 from automodel.geometry.lane_path import ROAD
 from automodel.perception.line_scan import SightedLine
@@ -749,6 +749,20 @@ def test_in_doubt_an_estimator_that_sees_nothing_is_put_where_one_line_and_dead_
         assert drive.anew.heading_rad == pytest.approx(sent_rad, abs=0.02)
 
 
+@pytest.mark.parametrize(("sigma", "sent"), [(0.1, True), (0.01, False)])
+def test_in_doubt_an_estimator_that_sees_nothing_and_knows_little_is_told_what_one_line_tells(
+    sigma: float, sent: bool
+) -> None:
+    """A line that passes where it looks for one, but for the error of a bend that it draws on, is never found."""
+    drive, blind = driving(), said(0.005, NONE)
+    blind = replace(blind, pose=replace(blind.pose, covariance=np.diag(np.square((sigma * LANE_M, sigma, 0.005)))))
+    drive.tracking._contradict(drive.tracking._measured(said(0.0).pose))
+    for _ in range(3):
+        drive.follow(blind, sights(0.0, (LEFT,)))
+    assert (drive.anew is not None) == sent
+    assert drive.doubted
+
+
 @pytest.mark.parametrize(("seen", "off_m"), [(NONE, 0.012), (BOTH, 0.03)])
 def test_an_estimator_that_only_extrapolates_is_put_where_the_lane_is_believed(
     seen: Sequence[float], off_m: float
@@ -1352,4 +1366,16 @@ def test_lines_in_view_tell_the_lane_where_an_estimator_says_what_cannot_be_and_
         assert told.valid
         assert told.pose is not None
         assert told.pose.offset_m == pytest.approx(0.0, abs=0.01)
-    assert drive.follow(impossible).status is LaneStatus.LOST  # nothing tells it
+    unseen = [drive.follow(impossible)]
+    assert drive.doubted
+    assert drive.anew is not None
+    assert unseen[0].pose is not None
+    assert told.pose is not None
+    turned_rad = LOST_TURN_RAD * 1e-9 * STEP_NS  # since then, by whatever motion
+    assert unseen[0].pose.heading_bound_rad > math.hypot(turned_rad, told.pose.heading_bound_rad)
+    unseen += [drive.follow(impossible) for _ in range(10)]
+    bounds = [one.pose.offset_bound_m for one in unseen if one.pose is not None]
+    assert len(bounds) > 1  # a lane that was seen a moment ago is not forgotten
+    assert bounds == sorted(bounds)
+    assert bounds[0] < bounds[-1] < LANE_M
+    assert unseen[-1].status is LaneStatus.LOST  # the car may have left it
