@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from automodel.estimation.road import LOST_PACE, LOST_TURN_RAD, MAX_GAP_S
+from automodel.estimation.road import LOST_PACE, LOST_TURN_RAD, MAX_GAP_S, MOST_SIGMAS
 from automodel.geometry import GroundCamera
 from automodel.signals import Frame, Motion, MotionSource
 from automodel.types import Bools, Float32Array, FloatArray, Image
@@ -74,7 +74,6 @@ class ImageMotion:
     """Fills in the motion of frames that come without one."""
 
     QUALITY = 0.02  # of a corner, relative to the best one
-    MOST_SIGMAS = 10.0  # of a car of which nothing is known: no car has a motion that is larger
     MARGIN_PX = 4  # above the ground: a corner depends on 3 x 3 gradients of 3 x 3 pixels, and on the corners beside it
 
     def __init__(self, camera: GroundCamera, lane_width_m: float, config: ImageMotionConfig | None = None) -> None:
@@ -144,7 +143,7 @@ class ImageMotion:
         told = np.array((motion.speed_mps, motion.yaw_rate_radps))
         if last is None or not 0.0 < dt_s <= MAX_GAP_S or not self._fits(last) or not self._fits(frame):
             return None
-        if not (np.abs(told) <= self.MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))).all():  # nor NaN
+        if not (np.abs(told) <= MOST_SIGMAS * np.sqrt(np.diag(self._nothing()))).all():  # nor NaN
             return False
         expected = told * dt_s
         start, end, textured = self._follow(self._small(last.image), self._small(frame.image), expected)

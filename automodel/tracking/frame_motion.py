@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from automodel.estimation.road import MAX_GAP_S
+from automodel.estimation.road import LOST_PACE, LOST_TURN_RAD, MAX_GAP_S, MOST_SIGMAS
 from automodel.geometry import SE2
 from automodel.signals import Motion
-
-MAX_LANES = 6.0  # lane widths driven between two frames: 300 m/s on a full-size lane at 15 Hz; more is a broken sensor
-MAX_TURN_RAD = 1.5  # turned between two frames: a car that spins has lost its lane anyway
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +36,7 @@ class FrameMotions:
     """From frame to frame: `step` gives the motion since the last one, None for the first and after a gap."""
 
     def __init__(self, lane_width_m: float) -> None:
-        self._most_m = MAX_LANES * lane_width_m
+        self._most_mps, self._most_radps = MOST_SIGMAS * LOST_PACE * lane_width_m, MOST_SIGMAS * LOST_TURN_RAD
         self.reset()
 
     def reset(self) -> None:
@@ -52,8 +49,11 @@ class FrameMotions:
         if last is None or not 0 < t_ns - last <= MAX_GAP_S * 1e9:
             return None
         dt_s = (t_ns - last) * 1e-9
-        distance, turn = motion.speed_mps * dt_s, motion.yaw_rate_radps * dt_s
-        known = motion.known and trusted and abs(distance) < self._most_m and abs(turn) < MAX_TURN_RAD  # not NaN
+        speed, yaw_rate = motion.speed_mps, motion.yaw_rate_radps
+        known = motion.known and trusted and abs(speed) < self._most_mps and abs(yaw_rate) < self._most_radps  # not NaN
         return FrameMotion(
-            distance_m=distance if known else 0.0, turn_rad=turn if known else 0.0, dt_s=dt_s, known=known
+            distance_m=speed * dt_s if known else 0.0,
+            turn_rad=yaw_rate * dt_s if known else 0.0,
+            dt_s=dt_s,
+            known=known,
         )

@@ -12,6 +12,7 @@ from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import LaneSearchConfig, LineIntegralSearch
 from automodel.perception.rows.row_ground_lookup import GENTLE_LANES
 from automodel.tracking.belief import STATION, LaneBelief, RoadModel
+from automodel.tracking.integrity import ANGLE_RAD
 from automodel.types import FloatArray, Image
 
 
@@ -52,6 +53,7 @@ class GentleStart:
             marking_m=marking_m,
             reference_x_m=self._reference_x_m,
             radius_lanes=self._radius,
+            taper=ANGLE_RAD * self._unit / float(self._camera.centre_m[2]),
         )
         self._search = LineIntegralSearch(self._camera, searched)
 

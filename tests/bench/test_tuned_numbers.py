@@ -59,8 +59,8 @@ def test_every_exemption_is_of_something() -> None:
 
 
 def test_patterns_choose() -> None:
-    assert {number.path for number in tuned_numbers(["frame_motion", "clothoid*width_walk"])} == {
-        path for path in ALL if "frame_motion" in path or ("clothoid" in path and path.endswith("width_walk"))
+    assert {number.path for number in tuned_numbers(["lane_motion", "clothoid*width_walk"])} == {
+        path for path in ALL if "lane_motion" in path or ("clothoid" in path and path.endswith("width_walk"))
     }
     assert not tuned_numbers(["no such number"])
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from automodel.estimation.road import MAX_GAP_S
+from automodel.estimation.road import LOST_PACE, LOST_TURN_RAD, MAX_GAP_S, MOST_SIGMAS
 from automodel.signals import Motion, MotionSource
-from automodel.tracking.frame_motion import MAX_LANES, MAX_TURN_RAD, FrameMotion, FrameMotions
+from automodel.tracking.frame_motion import FrameMotion, FrameMotions
 
 LANE_M = 0.4
 STEP_NS = 50_000_000
@@ -58,9 +58,9 @@ def test_after_a_reset_the_next_frame_is_the_first() -> None:
     "motion",
     [
         moving(1.0, 0.2, MotionSource.NONE),
-        moving(1.01 * MAX_LANES * LANE_M / 0.05, 0.0),
-        moving(-1.01 * MAX_LANES * LANE_M / 0.05, 0.0),
-        moving(1.0, 1.01 * MAX_TURN_RAD / 0.05),
+        moving(1.01 * MOST_SIGMAS * LOST_PACE * LANE_M, 0.0),
+        moving(-1.01 * MOST_SIGMAS * LOST_PACE * LANE_M, 0.0),
+        moving(1.0, 1.01 * MOST_SIGMAS * LOST_TURN_RAD),
         moving(math.nan, 0.0),
         moving(1.0, math.nan),
         moving(math.inf, 0.0),

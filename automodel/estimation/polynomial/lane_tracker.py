@@ -16,7 +16,7 @@ from automodel.estimation.polynomial.lane_fit import (
     LaneSolution,
     LineSamples,
 )
-from automodel.estimation.road import TAPER, TAPER_LANES, WALK
+from automodel.estimation.road import ANY_BEND, TAPER, TAPER_LANES, WALK
 from automodel.geometry import SE2
 from automodel.signals import Observation
 from automodel.types import Bools, FloatArray
@@ -45,7 +45,7 @@ class LaneTracker:
     ROUNDS = 3  # iterations of the fit in a frame
     # Sigmas that the curvature [1 / lane width] gains over a lane width: near the car, where it was seen before, and
     # far ahead.
-    KAPPA_NEAR, KAPPA_FAR = 0.3, 1.5
+    KAPPA_NEAR, KAPPA_FAR = ANY_BEND, 1.5
 
     def __init__(self, config: LaneFitConfig, near_x_m: float) -> None:
         self.fit = LaneFit(config)

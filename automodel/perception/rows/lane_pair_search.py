@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from automodel.geometry import GroundCamera
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
-from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, RowRidgeFilter
+from automodel.perception.rows.row_ridges import LEVEL, MARGIN, PER_MARKING, WIDEST, RowRidgeFilter
 from automodel.types import Float32Array, FloatArray, Floats, Image, Ints
 
 
@@ -27,6 +27,7 @@ from automodel.types import Float32Array, FloatArray, Floats, Image, Ints
 class LaneSearchConfig:
     """The searched lanes; lengths in lane widths.
 
+    `taper` [1 / lane width]: apparent change of the lane's width with distance when the car pitches, one sigma.
     `narrowest`: the least width; the largest is its inverse. `sigma`: of the prior's relative width, and of its offset;
     twice as large it loses a line of the lane in two of ten labelled highway images (`bench tusimple`).
     """
@@ -35,6 +36,7 @@ class LaneSearchConfig:
     marking_m: float
     reference_x_m: float
     radius_lanes: float  # of the tightest bend
+    taper: float
     narrowest: float = 0.7
     sigma: float = 0.1
 
@@ -159,12 +161,9 @@ class LineIntegralSearch:
 class LanePairLsq:
     """Fits a lane by iteratively reweighted least squares, with a prior, in images of one camera."""
 
-    REACH = 9  # samples to each side of a line in which its ridge is searched
-    GATES = np.geomspace(1.6, 0.5, 4)  # markings: largest distance of a ridge from the line, in each iteration
+    REACH = math.ceil(WIDEST)  # samples to each side of a line in which its ridge is searched
+    GATES = np.geomspace(REACH / PER_MARKING, 0.5, 4)  # markings: a ridge's largest distance from the line, in turns
     MIN_HEIGHT, FULL_HEIGHT = 3.0, 12.0  # noises: a ridge's height at weight 0, and at full weight
-    SIGMA, SIGMA_PX = 0.15, 0.5  # of a ridge's place: markings and pixels
-    TAPER = 0.02  # 1 / lane width: apparent change of the lane's width with distance when the car pitches, one sigma
-    HITS = 7  # minimum rows that show the lines
     _SAMPLES = 2 * (REACH + MARGIN) + 1
 
     def __init__(
@@ -186,9 +185,10 @@ class LanePairLsq:
         self._design = np.column_stack((np.ones_like(dx), dx, 0.5 * dx * dx, self._side, self._side * dx))
         at = np.stack((self._lookup.ahead_m, np.zeros(len(self._lookup.rows))), axis=-1)
         beside = np.linalg.norm(camera.ground_to_px(at + np.array((0.0, 0.1))) - camera.ground_to_px(at), axis=1)
-        self._sigma = np.tile(np.hypot(self.SIGMA * self._marking, self.SIGMA_PX * 0.1 / beside), 2)
+        # A ridge is measured to a sample, and samples to the pixel whose middle is nearest.
+        self._sigma = np.tile(np.hypot(self._step, math.sqrt(1.0 / 12.0) * 0.1 / beside), 2)
         unit, kappa = self._unit, 1.0 / (config.radius_lanes * self._unit)
-        sigmas = np.array((unit, 0.2, 0.5 * kappa, 0.3 * unit, 2.0 * self.TAPER))
+        sigmas = np.array((unit, 0.2, 0.5 * kappa, 0.3 * unit, 2.0 * config.taper))
         self._prior = np.diag(sigmas**-2.0)
 
     def step(self, image: Image, brightness: Brightness, rough: RoughPair, noise: Floats) -> FittedLane | None:
@@ -210,7 +210,7 @@ class LanePairLsq:
             x = covariance @ (weighted @ y + prior)
         seen = weight > 0.1
         rows = [int(np.count_nonzero(seen & (self._side == side))) for side in (0.5, -0.5)]
-        if sum(rows) < self.HITS or min(rows) == 0:
+        if sum(rows) <= len(x) or min(rows) == 0:
             return None
         dx = self._reference_x_m - self._near  # from where the image starts
         there = np.array(

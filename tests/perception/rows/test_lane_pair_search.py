@@ -11,7 +11,7 @@ from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.lane_pair_search import FittedLane, LaneSearchConfig, LineIntegralSearch
 from tests.support.highway_pictures import DASHES, DOTS, LANE_M, SOLID, Line, camera_model, draw, lane, mounted
 
-HIGHWAY = LaneSearchConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0)
+HIGHWAY = LaneSearchConfig(lane_width_m=LANE_M, marking_m=0.12, reference_x_m=1.4, radius_lanes=50.0, taper=0.02)
 
 
 class Counting(Brightness):
