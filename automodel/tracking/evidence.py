@@ -38,11 +38,11 @@ CERTAIN = 1e-8  # share of its variance by which what is known for certain stays
 
 
 def most_misfit(points: int, exceeded: float) -> float:
-    """What a true line's points cost [twice nats] at most, but for a share of such lines."""
-    costs = np.linspace(0.0, 100.0 * points, 1 << 16)
-    share = np.diff(np.sqrt(-np.expm1(-costs / 3.0)), prepend=0.0)  # of points that cost so much: Student's
+    """What a true line's points cost [twice nats] at most, but for a share of such lines, which exceed it."""
+    costs = np.linspace(0.0, 100.0 * points, 1 << 12)
+    share = np.diff(np.sqrt(-np.expm1(-costs / 3.0)), prepend=0.0)  # of points that cost up to so much: Student's
     of_all = np.fft.irfft(np.fft.rfft(share, 2 * len(share)) ** points)[: len(share)]
-    return float(np.interp(1.0 - exceeded, np.cumsum(of_all), costs))
+    return float(np.interp(1.0 - exceeded, np.cumsum(of_all), costs - 0.5 * points * costs[1]))  # middles of the bins
 
 
 class Prior(NamedTuple):

@@ -47,7 +47,7 @@ class TrackedLine:
     distance driven since the first update.
     """
 
-    STEP_LANES = NODE / 5  # spacing of the spline's samples, and of remembered points
+    STEP_LANES = NODE / 5  # spacing of the spline's samples, five to a node, and of remembered points
 
     def __init__(self, config: ThetaRlsConfig) -> None:
         self.unit = config.lane_width_m

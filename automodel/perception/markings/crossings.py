@@ -77,7 +77,8 @@ class CrossingSearch:
     STEP_MARKINGS = 0.4
     COVER = 0.42  # minimum bright share of the lane's width: a stop line has 1, a zebra 1/2
     BUSY = 0.2  # share from which on lines along the lane are not used
-    MOST = 0.6  # minimum share of the lane's width in view, and of the columns whose near edge lies on one line
+    SEEN = 0.6  # minimum share of the lane's width in view
+    AGREE = 0.6  # minimum share of the columns whose near edge lies on one line
     MAX_SKEW_RAD = math.radians(40.0)
 
     def __init__(self, view: View, lane_width_m: float, marking_width_m: float) -> None:
@@ -88,11 +89,11 @@ class CrossingSearch:
         self._limits = _Limits(
             columns=self.COLUMNS,
             need=need,
-            seen=self.MOST * self.COLUMNS,
+            seen=self.SEEN * self.COLUMNS,
             cover=self.COVER,
             busy=self.BUSY,
             reach=int(math.tan(self.MAX_SKEW_RAD) * lane_width_m / self._step) + 2 * need,
-            agree=self.MOST,
+            agree=self.AGREE,
             least_m=0.4 * lane_width_m,
             off_m=0.75 * marking_width_m,
             skew_rad=self.MAX_SKEW_RAD,
