@@ -12,5 +12,5 @@ WALK = 0.02  # sigma that offset, and heading [rad], gain over a lane width of d
 LOST_STEP, LOST_TURN_RAD = 0.5, 1.0  # what they gain over a second of unknown motion
 MAX_GAP_S = 0.5  # a longer gap between frames: a car at 1 m/s has driven more than a scale lane's width
 LOST_PACE = 3.0  # 1/s: speed of a car of which nothing is known
-MOST_SIGMAS = 10.0  # of such a car: none has a motion that is larger
+MOST_SIGMAS = 10.0  # of such a car: none drives more than 30 lane widths in a second, or turns by more than 10 rad
 OUTLIER = 0.06  # of a line's points: distance from it at which Tukey's biweight becomes 0
