@@ -12,7 +12,7 @@ import numpy as np
 
 from automodel.config import LaneConfig
 from automodel.geometry import GroundCamera
-from automodel.perception.markings.ridge import ridge_sums
+from automodel.perception.markings.ridge import FAINT, ridge_sums
 from automodel.perception.markings.ridge_noise import FALSE_SAMPLES, least_ridge, rounding_noise
 from automodel.perception.rows.brightness import Brightness
 from automodel.perception.rows.row_ground_lookup import RowGroundLookup
@@ -20,7 +20,6 @@ from automodel.types import Bools, Float32Array, FloatArray, Floats, Image, Ints
 
 PER_MARKING = 8  # samples
 SCALES = (PER_MARKING // 2, PER_MARKING, 2 * PER_MARKING)  # of the filters
-FAINT = 0.5  # of the highest ridge of a row: what is lower does not count
 STREAK_RAD = 0.15  # from the direction to the camera: a ridge's place in two neighbouring rows is wrong by a sample
 LOW = 0.7  # scales: the narrowest ridge of a scale; the widest is twice as wide
 

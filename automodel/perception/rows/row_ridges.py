@@ -37,7 +37,7 @@ WIDEST = 1.4 * PER_MARKING  # samples of a line
 LEVEL = WINDOW * MEDIAN  # least noise of a filter's sum: a grey level (rounding, compression) in all of a window alike
 
 _NARROWEST, _WIDEST_BAR = 0.65 * PER_MARKING, 2.2 * PER_MARKING
-_BODY = math.ceil(0.5 * _WIDEST_BAR)  # samples: half of what counts as the marking itself
+_BODY = math.ceil(_WIDEST_BAR / 2)  # samples: half of what counts as the marking itself
 _MAX_BESIDE, _MIN_BESIDE = 2.0 * PER_MARKING, 0.5 * PER_MARKING  # brightness beside a line, and beside a bar
 
 
