@@ -162,7 +162,7 @@ class LanePairLsq:
     """Fits a lane by iteratively reweighted least squares, with a prior, in images of one camera."""
 
     REACH = math.ceil(WIDEST)  # samples to each side of a line in which its ridge is searched
-    GATES = np.geomspace(REACH / PER_MARKING, 0.5, 4)  # markings: a ridge's largest distance from the line, in turns
+    GATES = REACH / PER_MARKING / 2 ** np.arange(3)  # markings: a ridge's largest distance from the line, in turns
     MIN_HEIGHT, FULL_HEIGHT = 3.0, 12.0  # noises: a ridge's height at weight 0, and at full weight
     _SAMPLES = 2 * (REACH + MARGIN) + 1
 
