@@ -44,7 +44,9 @@ class LaneSearchConfig:
 class FittedLane(NamedTuple):
     """An arc of a lane at the reference point's foot, with covariance (4, 4).
 
-    `mean` (4,): offset [m], the lane's heading [rad], curvature [1/m] and width [m].
+    `mean` (4,): offset [m], the lane's heading [rad], curvature [1/m] and width [m]; this as it is seen a lane width
+    beyond where the image starts, where a camera that pitches makes it another than beside the car: parallel lines that
+    are put there lie on what is seen.
     """
 
     mean: FloatArray
@@ -213,7 +215,7 @@ class LanePairLsq:
         if sum(rows) <= len(x) or min(rows) == 0:
             return None
         dx = self._reference_x_m - self._near  # from where the image starts
-        there = np.array(
+        there = np.array(  # the width: see `FittedLane`
             ((-1.0, -dx, -0.5 * dx * dx, 0, 0), (0, 1.0, dx, 0, 0), (0, 0, 1.0, 0, 0), (0, 0, 0, 1.0, self._unit))
         )
         return FittedLane(there @ x, there @ covariance @ there.T)
