@@ -232,8 +232,9 @@ PERCEPTION = (
           hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
     Fault(name="perception-lost-short", kind=Kind.INTERMITTENT, must=Must.HOLD, duration_s=(0.1, 0.25),
           text="no lane for 0.1 to 0.25 s", hooks=lambda random, end_ns: Hooks(lane=hooks.lost)),
+    # A car at rest is well where it is known which lane it stands in, as it is by the smaller of these bounds.
     Fault(name="perception-uncertain", kind=Kind.WRONG, must=Must.STOP, duration_s=(3.0, 3.5), within_s=UNCERTAIN_S,
-          text="the offset's bound grows beyond the free space beside the car",
+          host_notices=False, text="the offset's bound grows beyond the free space beside the car",
           hooks=lambda random, end_ns: Hooks(lane=hooks.uncertain(random.uniform(0.12, 0.5)))),
     Fault(name="perception-uncertain-short", kind=Kind.INTERMITTENT, must=Must.NOTHING, duration_s=(0.2, 1.2),
           text="the offset's bound is beyond the free space beside the car for 0.2 to 1.2 s",

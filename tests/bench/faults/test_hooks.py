@@ -397,6 +397,19 @@ def test_what_a_camera_turned_counterclockwise_sees_is_turned_clockwise(angle_de
     assert middle == pytest.approx(50.0, abs=0.1)
 
 
+def test_a_frame_whose_time_a_fault_set_back_is_not_before_the_fault() -> None:
+    def lost_later(frame: Frame, motion: Motion) -> LaneEstimate:
+        return estimate(frame.t_ns) if frame.index == 0 else LaneEstimate(t_ns=frame.t_ns, status=LaneStatus.LOST)
+
+    staller, image = Staller(None, PLAN, VirtualClock(0)), np.zeros((4, 6), dtype=np.uint8)
+    pipeline = FaultyPipeline(lost_later, None, None, PLAN, staller, VehicleConfig())
+    for index, before_ns in enumerate((10, 500)):
+        t_ns = PLAN.start_ns - before_ns
+        still = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
+        pipeline.step(Frame(t_ns=t_ns, index=index, image=image), still)
+    assert pipeline.knows
+
+
 class TwoEyed(FakePipeline):
     """A pipeline of two cameras."""
 
