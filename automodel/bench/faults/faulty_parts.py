@@ -142,7 +142,8 @@ class FaultyPipeline:
         staller: Staller,
         vehicle: VehicleConfig,
     ) -> None:
-        self.knows, self._latest_ns = True, -1
+        self.knows = True
+        self._before, self._last_ns = True, -1  # whether the fault is still to come, the last frame's time
         self.offsets_m: list[tuple[int, float]] = []
         self.cameras = cameras_of(seen)
         self._vehicle = vehicle
@@ -153,9 +154,10 @@ class FaultyPipeline:
         """The lane, perhaps spoilt."""
         self._staller(At.PIPELINE)
         estimate = self._estimate(frame, motion)
-        goes_on = frame.t_ns > self._latest_ns  # a fault may set the time back to before it started
-        self._latest_ns = max(self._latest_ns, frame.t_ns)
-        if goes_on and frame.t_ns < self._plan.start_ns:
+        # A fault may set the time back to before it started.
+        self._before = self._before and self._last_ns < frame.t_ns < self._plan.start_ns
+        self._last_ns = frame.t_ns
+        if self._before:
             pose = estimate.pose
             limit_m = math.inf if pose is None else self._vehicle.free_space_m(pose.width_m)
             self.knows = pose is not None and (math.isinf(pose.offset_bound_m) or pose.offset_bound_m <= limit_m)

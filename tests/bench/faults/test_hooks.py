@@ -403,7 +403,7 @@ def test_a_frame_whose_time_a_fault_set_back_is_not_before_the_fault() -> None:
 
     staller, image = Staller(None, PLAN, VirtualClock(0)), np.zeros((4, 6), dtype=np.uint8)
     pipeline = FaultyPipeline(lost_later, None, None, PLAN, staller, VehicleConfig())
-    for index, before_ns in enumerate((10, 500)):
+    for index, before_ns in enumerate((10, 500, 5)):
         t_ns = PLAN.start_ns - before_ns
         still = Motion(t_ns=t_ns, speed_mps=0.0, yaw_rate_radps=0.0)
         pipeline.step(Frame(t_ns=t_ns, index=index, image=image), still)
