@@ -38,6 +38,7 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "perception.stereo.matching._ON_PX": "numerical tolerance",
     "perception.stereo.matching._STEP": "numerical tolerance",
     "perception.stereo.stage_views": "a drawing",
+    "perception.markings.faint_lines._BINS": "resolution of a histogram",
     "perception.rows.brightness": "channels, and the weights of grey",
     "estimation.image_motion.ImageMotion.MARGIN_PX": "how far OpenCV's corner detector reads beyond a corner",
     "estimation.clothoid.solvers.MOST_STEPS": "the end of an iteration that does not converge",

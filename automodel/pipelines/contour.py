@@ -25,6 +25,7 @@ from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.line_scan import LineScan, SightedLine
 from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
+from automodel.perception.markings.faint_lines import FaintLines
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows.brightness import CHANNELS, Brightness
@@ -107,6 +108,9 @@ class Contour:
         view = road_view(self._camera, ahead_m, half_m, marking_m / self.MARKING_PX)
         self._birdseye = BirdsEye(self._camera, view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, self._car.lane.markings)
+        self._faint_lines = FaintLines(
+            self._camera, view, self._white_areas, marking_m, options.radius_lanes * unit, LineScan.SLOPE
+        )
         self._paint_check = TemporalPaintCheck(self._camera, view, self._white_areas.mask, unit, marking_m)
         self._reflections = Reflections(self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings)
         self._scan = LineScan(view, unit, marking_m)
@@ -241,7 +245,7 @@ class Contour:
         else:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
-        areas = self._white_areas.step(view)
+        areas = self._faint_lines.step(view, self._white_areas.step(view))
         lines = self._reflections.step(view, areas.lines, self._paint_check.step(areas))
         return self._reflections.told(self._scan.step(lines, areas.bright))
 

@@ -23,6 +23,7 @@ from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
 from automodel.perception.markings.binary_views import MarkingViews, TemporalPaintCheck, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
+from automodel.perception.markings.faint_lines import FaintLines
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
@@ -85,6 +86,14 @@ class Windows:
         )
         self._birdseye = BirdsEye(self._camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
+        self._faint_lines = FaintLines(
+            self._camera,
+            self.view,
+            self._white_areas,
+            marking_m,
+            self._car.pipeline.contour.radius_lanes * lane.width_m,
+            LineScan.SLOPE,
+        )
         self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
         self._reflections = Reflections(
             self._camera, self.view, self._white_areas.mask, marking_m, lane.markings, SlidingWindows.COUNT
@@ -129,7 +138,8 @@ class Windows:
         self._paint_check.remember(areas)
         self.stages.lap("white_areas")
         if self._tracking.lost:
-            lines = self._reflections.step(view, areas.lines, lines)  # without reflections
+            areas = self._faint_lines.step(view, areas)
+            lines = self._reflections.step(view, areas.lines, areas.lines)  # without reflections
             # Lines in view, of which those that point to the camera may be reflections, too.
             sighted = self._reflections.told(self._scan.step(lines, areas.bright))
             start = self._tracking.start(frame.t_ns, sighted)  # the lane's pair
@@ -152,6 +162,7 @@ class Windows:
             followed = self._followed(scan.crossing, seen, *self._tracker.update(seen))  # lane fit
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
+            areas = self._faint_lines.step(view, areas)
             lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
             anew = self._tracking.judge(self._reflections.told(self._scan.step(lines, areas.bright)), followed)
             if anew is not None:

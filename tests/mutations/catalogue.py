@@ -552,6 +552,32 @@ BOUNDS = (
         ("worn-paint-is-specks", "self._pieces(lines, (near & paint) | lines)", "self._pieces(lines, lines)"),
     ),
     *_of(
+        "automodel/perception/markings/faint_lines.py",
+        "tests/perception/markings/test_faint_lines.py",
+        ("noise-is-a-line", "level = max(height * sigma, least * summed)", "level = max(0.7 * height * sigma, least)"),
+        ("a-speck-is-a-faint-line", "self._run.reach, self._clip)", "self._run.reach, 10.0 * self._clip)"),
+        ("a-lamp-gets-a-tail", "faint &= ~np", "faint |= 0 * np"),
+        ("beside-a-bright-line-all-counts", "level = max(height * sigma, least * summed)", "level = height * sigma"),
+    ),
+    *_of(
+        "automodel/pipelines/windows.py",
+        "tests/pipelines/test_faint_lines.py",
+        (
+            "no-faint-line-starts-a-lane",
+            "if self._tracking.lost:\n            areas = self._faint_lines.step(view, areas)",
+            "if self._tracking.lost:",
+        ),
+    ),
+    *_of(
+        "automodel/pipelines/contour.py",
+        "tests/pipelines/test_faint_lines.py",
+        (
+            "no-faint-line-is-looked-at",
+            "self._faint_lines.step(view, self._white_areas.step(view))",
+            "self._white_areas.step(view)",
+        ),
+    ),
+    *_of(
         "automodel/perception/markings/unet.py",
         "tests/perception/markings/test_unet.py",
         ("a-damaged-network-drives", "!= SHIPPED[config.size]", "== data"),

@@ -129,12 +129,14 @@ class FeaturePoints:
 class MarkingViews(NamedTuple):
     """A grey bird's-eye view (h, w) filtered: all bright areas and those as wide as a line, 0 or 255, and the contrast.
 
-    `contrast` is how far a pixel is above its surroundings [grey levels], else 0.
+    `contrast` is how far a pixel is above its surroundings [grey levels], else 0. `least`: what is less so is no
+    marking beside what is brighter, or by the configuration, however sure it is.
     """
 
     bright: Image
     lines: Image
     contrast: Image
+    least: float = 0.0
 
 
 class Run(NamedTuple):
@@ -172,8 +174,8 @@ class WhiteAreas:
         self.contrast, self._markings = contrast, markings
         marking_px = marking_width_m / birdseye.view.m_per_px
         self._box = 2 * int(2.5 * marking_px) + 1
-        self._smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1, 3
-        self._run = Run(
+        self.smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1
+        self.run = Run(
             reach=round(1.6 * marking_px),
             narrow=2 * int(0.5 * self.NARROW * marking_px) + 1,
             wide=2 * int(0.5 * self.WIDE * marking_px) + 1,
@@ -192,21 +194,22 @@ class WhiteAreas:
 
     def step(self, view: Image) -> MarkingViews:
         """The filtered views of a grey view (h, w)."""
-        view = np.asarray(cv2.blur(view, self._smooth), dtype=np.uint8)
+        view = np.asarray(cv2.blur(view, (self.smooth, 3)), dtype=np.uint8)
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
         contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
-        level = self._level(contrast)
-        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self._run, self.mask)
+        least, level = self._levels(contrast)
+        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self.run, self.mask)
         bright = cv2.bitwise_and(cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1], self.mask)
-        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, contrast)
+        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, contrast, least)
 
-    def _level(self, contrast: Image) -> float:
-        """The contrast [grey levels] from which on a pixel is bright."""
+    def _levels(self, contrast: Image) -> tuple[float, float]:
+        """The contrast [grey levels] that a marking has at least, and that from which on a single pixel is bright."""
         # The third quartile of symmetric noise is the median of its absolute values; the rest of `contrast` is cut off
         # at 0 where one polarity counts.
         quartile = 0.5 if self._markings == "both" else 0.75
         brightest, noise = _brightest_and_noise(contrast.ravel(), self._sampled, quartile)
-        return max(self.SHARE * brightest, self.contrast or self._quartiles * noise)
+        least = max(self.SHARE * brightest, self.contrast)
+        return least, max(least, 0.0 if self.contrast else self._quartiles * noise)
 
     def _contrast(self, view: Image, around: Image) -> Image:
         """How far each pixel is above its surroundings, or below them for dark markings; else 0."""

@@ -59,7 +59,7 @@ def test_lines_of_the_right_width_are_kept_whole() -> None:
     for line in (line_at(0.0), line_at(0.0, slope=0.3), line_at(0.5, slope=-0.6)):
         drawn = share(VIEW, line)
         filter_ = white_areas()
-        bright, lines, _ = filter_.step(grey(VIEW, line))
+        bright, lines, *_ = filter_.step(grey(VIEW, line))
         inner = (drawn == 1.0) & (filter_.mask > 0)
         assert set(np.unique(lines)) <= {0, 255}
         assert (lines[inner] == 255).mean() > 0.97
@@ -73,7 +73,7 @@ def test_wide_things_and_specks_are_removed() -> None:
     specks = [disc(0.5 + 0.2 * k, 0.1 * k - 0.1, 0.004) for k in range(4)]
     blob = disc(0.9, 0.25, 2.0 * MARKING_M)
     for shape in (wide, blob):
-        bright, lines, _ = filter_.step(grey(VIEW, line_at(0.0), shape))
+        bright, lines, *_ = filter_.step(grey(VIEW, line_at(0.0), shape))
         on = (share(VIEW, shape) > 0.0) & (filter_.mask > 0)
         assert (lines[on] > 0).mean() < 0.3  # a disc's top and bottom are as short as a line
         assert (bright[on] > 0).mean() > 0.5
@@ -87,7 +87,7 @@ def test_wide_things_and_specks_are_removed() -> None:
 def test_crossing_bars_are_bright_but_no_lines() -> None:
     filter_ = white_areas()
     stop = bar(0.8, 0.04)
-    bright, lines, _ = filter_.step(grey(VIEW, line_at(0.2), line_at(-0.2), stop))
+    bright, lines, *_ = filter_.step(grey(VIEW, line_at(0.2), line_at(-0.2), stop))
     on = (share(VIEW, stop) == 1.0) & (filter_.mask > 0)
     between = on & (share(VIEW, line_at(0.0, 0.2)) > 0)
     assert (bright[between] > 0).mean() > 0.9
@@ -100,7 +100,7 @@ def test_light_that_changes_over_the_floor_has_no_say() -> None:
     drawn = share(VIEW, line_at(0.2), line_at(-0.2))
     for light in (columns, columns[::-1], np.linspace(0.25, 1.0, VIEW.height_px)[:, None]):
         picture = np.round((60.0 + 190.0 * drawn) * light).astype(np.uint8)
-        bright, lines, _ = filter_.step(picture)
+        bright, lines, *_ = filter_.step(picture)
         inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
         assert (lines[inner] > 0).mean() > 0.9
         assert not bright[drawn == 0.0].any()
@@ -114,7 +114,7 @@ def test_nothing_is_seen_on_a_bare_floor() -> None:
         np.full((VIEW.height_px, VIEW.width_px), 255, np.uint8),
         np.clip(rng.normal(60.0, 2.0, (VIEW.height_px, VIEW.width_px)), 0, 255).astype(np.uint8),
     ):
-        bright, lines, _ = filter_.step(picture)
+        bright, lines, *_ = filter_.step(picture)
         assert not bright.any()
         assert not lines.any()
 
@@ -145,7 +145,7 @@ def test_dark_markings_are_the_negative() -> None:
     picture = grey(VIEW, line_at(0.2), line_at(-0.2, slope=0.1))
     light = white_areas().step(picture)
     dark = white_areas(markings="dark").step(255 - picture)
-    for one, other in zip(light, dark, strict=True):
+    for one, other in zip(light[:3], dark[:3], strict=True):
         assert (one != other).mean() < 0.002
         assert one.any()
     assert not white_areas(markings="dark").step(picture).lines[share(VIEW, line_at(0.2)) == 1.0].any()
