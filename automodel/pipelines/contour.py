@@ -24,13 +24,13 @@ from automodel.estimation.road import BEHIND
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.geometry.line_projection import LineProjection
 from automodel.perception.line_scan import LineScan, SightedLine
-from automodel.perception.markings.binary_views import TemporalPaintCheck, WhiteAreas, road_view
+from automodel.perception.markings.binary_views import WhiteAreas, road_view
 from automodel.perception.markings.faint_lines import FaintLines
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.rows.brightness import CHANNELS, Brightness
 from automodel.perception.rows.row_search import NodeMeasurements, RowSearch
-from automodel.pipelines.stages import SEEN, StageClock, carry
+from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Frame, LaneEstimate, LaneLine, LanePose, Motion
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleStart
@@ -111,7 +111,6 @@ class Contour:
         self._faint_lines = FaintLines(
             self._camera, view, self._white_areas, marking_m, options.radius_lanes * unit, LineScan.SLOPE
         )
-        self._paint_check = TemporalPaintCheck(self._camera, view, self._white_areas.mask, unit, marking_m)
         self._reflections = Reflections(self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings)
         self._scan = LineScan(view, unit, marking_m)
 
@@ -212,7 +211,7 @@ class Contour:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
-        carry(self._paint_check, self._reflections, moved)
+        self._reflections.turned(moved.turn_rad if moved is not None and moved.known else None)
         if self._tracking.lost or moved is None:
             self._tracker.forget()
             return
@@ -246,7 +245,7 @@ class Contour:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._faint_lines.step(view, self._white_areas.step(view))
-        lines = self._reflections.step(view, areas.lines, self._paint_check.step(areas))
+        lines = self._reflections.step(view, areas.lines)
         return self._reflections.told(self._scan.step(lines, areas.bright))
 
     def _track(self, image: Image, rounds: int) -> Tracked:

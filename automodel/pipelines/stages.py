@@ -1,4 +1,4 @@
-"""What pipelines share: how many points make a line seen, what moves with the car, and the durations of their stages.
+"""What pipelines share: how many points make a line seen, and the durations of their stages.
 
 The durations are taken by an injected stopwatch: a pipeline itself reads no clock.
 """
@@ -6,10 +6,6 @@ The durations are taken by an injected stopwatch: a pipeline itself reads no clo
 from __future__ import annotations
 
 from collections.abc import Callable
-
-from automodel.perception.markings.binary_views import TemporalPaintCheck
-from automodel.perception.markings.reflections import Reflections
-from automodel.tracking.frame_motion import FrameMotion
 
 SEEN = 2  # points of a frame that make a line seen
 
@@ -34,16 +30,3 @@ class StageClock:
             now_ns = self.stopwatch()
             self.durations_ns[stage] = self.durations_ns.get(stage, 0) + now_ns - self._last_ns
             self._last_ns = now_ns
-
-
-def carry(check: TemporalPaintCheck, reflections: Reflections, moved: FrameMotion | None) -> None:
-    """Move what a check over time remembers with the car; where the motion is not known it is forgotten.
-
-    A turn blurs what is told from reflections.
-    """
-    if moved is not None and moved.known:
-        check.move(moved.before_from_after, moved.distance_m)
-        reflections.turned(moved.turn_rad)
-    else:
-        check.forget()
-        reflections.turned(None)

@@ -21,13 +21,13 @@ from automodel.estimation.polynomial.lane_fit import LaneFitConfig, LaneSolution
 from automodel.estimation.polynomial.lane_tracker import LaneTracker, Support
 from automodel.geometry import BirdsEye, GroundCamera
 from automodel.perception.line_scan import LineScan
-from automodel.perception.markings.binary_views import MarkingViews, TemporalPaintCheck, WhiteAreas, road_view
+from automodel.perception.markings.binary_views import MarkingViews, WhiteAreas, road_view
 from automodel.perception.markings.crossings import CrossingScan, CrossingSearch
 from automodel.perception.markings.faint_lines import FaintLines
 from automodel.perception.markings.marking_width import MarkingWidth
 from automodel.perception.markings.reflections import Reflections
 from automodel.perception.windows.sliding_windows import HistogramStart, SlidingWindows
-from automodel.pipelines.stages import SEEN, StageClock, carry
+from automodel.pipelines.stages import SEEN, StageClock
 from automodel.signals import Crossing, Frame, LaneEstimate, LaneLine, LanePose, Motion, Observation
 from automodel.tracking.belief import LaneBelief
 from automodel.tracking.gentle_start import GentleLane, GentleStart
@@ -94,7 +94,6 @@ class Windows:
             self._car.pipeline.contour.radius_lanes * lane.width_m,
             LineScan.SLOPE,
         )
-        self._paint_check = TemporalPaintCheck(self._camera, self.view, self._white_areas.mask, lane.width_m, marking_m)
         self._reflections = Reflections(
             self._camera, self.view, self._white_areas.mask, marking_m, lane.markings, SlidingWindows.COUNT
         )
@@ -135,11 +134,10 @@ class Windows:
         self.stages.lap("birdseye")
         areas = self._white_areas.step(view)  # binarisation, white-areas filter
         lines = areas.lines
-        self._paint_check.remember(areas)
         self.stages.lap("white_areas")
         if self._tracking.lost:
             areas = self._faint_lines.step(view, areas)
-            lines = self._reflections.step(view, areas.lines, areas.lines)  # without reflections
+            lines = self._reflections.step(view, areas.lines)  # without reflections
             # Lines in view, of which those that point to the camera may be reflections, too.
             sighted = self._reflections.told(self._scan.step(lines, areas.bright))
             start = self._tracking.start(frame.t_ns, sighted)  # the lane's pair
@@ -163,7 +161,7 @@ class Windows:
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             areas = self._faint_lines.step(view, areas)
-            lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
+            lines = self._reflections.step(view, areas.lines)
             anew = self._tracking.judge(self._reflections.told(self._scan.step(lines, areas.bright)), followed)
             if anew is not None:
                 followed = self._followed(None, *self._restart(anew, view, areas, lines))
@@ -177,7 +175,7 @@ class Windows:
     def _predict(self, frame: Frame, motion: Motion) -> None:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
-        carry(self._paint_check, self._reflections, moved)
+        self._reflections.turned(moved.turn_rad if moved is not None and moved.known else None)
         if moved is None:
             self._forget()
             return
@@ -238,7 +236,7 @@ class Windows:
         left, right = self._windows.expected(lane, +1) + beside_m[0], self._windows.expected(lane, -1) + beside_m[1]
         seen = self._windows.observe(lines, left, right, widening)
         if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
-            lines = self._reflections.step(view, areas.lines, self._paint_check.painted(areas))
+            lines = self._reflections.step(view, areas.lines)
             seen = self._windows.observe(lines, left, right, widening)
         if not scan.covered.any():
             return seen

@@ -47,19 +47,15 @@ def go_dark(pipeline: Pipeline, drive: list[Seen], frames: int, speed_mps: float
     return reported
 
 
-def test_what_moved_with_the_car_is_no_paint(seen: list[Seen], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where all lines are looked at, those that the check over time removes are left out; it follows the car."""
+def test_a_reflection_is_neither_looked_at_nor_followed(seen: list[Seen], monkeypatch: pytest.MonkeyPatch) -> None:
     pipeline, looked = Windows(CAR), []
     replayed(pipeline, seen)
-    check = pipeline._paint_check
-    assert check._driven_m == pytest.approx(1.0, abs=0.1)
-    assert len(check._past) > 3
-    monkeypatch.setattr(check, "painted", lambda areas: np.zeros_like(areas.lines))
+    monkeypatch.setattr(pipeline._reflections, "step", lambda view, lines: np.zeros_like(lines))
     monkeypatch.setattr(pipeline._tracking, "looks_around", lambda followed: True)
     monkeypatch.setattr(pipeline._tracking, "judge", lambda lines, followed: looked.append(len(lines)))
-    replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)
+    assert replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)[0].status is not LaneStatus.COASTING
     assert looked == [0]
-    monkeypatch.setattr(pipeline._reflections, "any_points_to_camera", lambda *lines: True)  # nor are they followed
+    monkeypatch.setattr(pipeline._reflections, "any_points_to_camera", lambda *lines: True)
     assert replayed(pipeline, seen[-1:], from_ns=2 * PERIOD_NS)[0].status is LaneStatus.COASTING
 
 

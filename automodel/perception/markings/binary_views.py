@@ -1,13 +1,12 @@
-"""Binary images of line markings: from a network's mask, from a grey bird's-eye view, and their check over time.
+"""Binary images of line markings: from a network's mask, and from a grey bird's-eye view.
 
 `centerline` (Cudrano et al. 2020) uses `adaptive_threshold` and `FeaturePoints`; `windows` (Balbuena Palma et al. 2020)
-uses `WhiteAreas`; `contour` looks around with `WhiteAreas` and `TemporalPaintCheck`.
+uses `WhiteAreas`, and `contour` where it looks around.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -16,9 +15,9 @@ import numpy as np
 
 from automodel.compiled import compiled
 from automodel.config import CameraConfig, Intrinsics
-from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.ridge_noise import FALSE_ALARMS
-from automodel.types import Bools, Image, Ints
+from automodel.types import Image, Ints
 
 ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
@@ -127,15 +126,14 @@ class FeaturePoints:
 
 
 class MarkingViews(NamedTuple):
-    """A grey bird's-eye view (h, w) filtered: all bright areas and those as wide as a line, 0 or 255, and the contrast.
+    """A grey bird's-eye view (h, w) filtered: all bright areas and those as wide as a line, 0 or 255.
 
-    `contrast` is how far a pixel is above its surroundings [grey levels], else 0. `least`: what is less so is no
-    marking beside what is brighter, or by the configuration, however sure it is.
+    `least`: what is less above its surroundings [grey levels] is no marking beside what is brighter, or by the
+    configuration, however sure it is.
     """
 
     bright: Image
     lines: Image
-    contrast: Image
     least: float = 0.0
 
 
@@ -200,7 +198,7 @@ class WhiteAreas:
         least, level = self._levels(contrast)
         lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self.run, self.mask)
         bright = cv2.bitwise_and(cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1], self.mask)
-        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, contrast, least)
+        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, least)
 
     def _levels(self, contrast: Image) -> tuple[float, float]:
         """The contrast [grey levels] that a marking has at least, and that from which on a single pixel is bright."""
@@ -258,85 +256,3 @@ def narrow_lines(view: Image, bright: Ints, sides: float, run: Run, visible: Ima
             lines[row, first - start : end - start] = visible[row, first - start : end - start]
         k += end == first
     return lines
-
-
-@dataclass(slots=True)
-class _PastView:
-    """An earlier view's contrast, the largest within the tolerance; the car's pose and the distance driven then."""
-
-    contrast: Image
-    start_from_then: SE2
-    driven_m: float
-
-
-class TemporalPaintCheck:
-    """Removes reflections: compares a filtered view with the contrast a lane width of distance earlier.
-
-    Lamps and windows mirrored in a shiny floor look like pieces of lines from above, but move with the car. The
-    odometry gives each place in the earlier view. Where that showed less than half of the present contrast, there is no
-    paint. Only ground counts where a nodding camera and the odometry's error move a place by less than a marking; other
-    places pass, and so does everything until the car has driven far enough.
-    """
-
-    EVERY_LANES = 0.1  # distance between two remembered views
-    BARE = 0.5  # share of the present contrast; light that changes by more between the views removes lines
-    NOD_RAD, TURN_RAD = 0.003, 0.01  # one sigma of the pitch of a driving car, and of the odometry's turn over a lane
-
-    def __init__(
-        self, camera: GroundCamera, view: View, visible: Image, lane_width_m: float, marking_width_m: float
-    ) -> None:
-        self.view, self._unseen = view, cv2.bitwise_not(visible)
-        self._unseen[~self._reliable(camera, marking_width_m)] = 255
-        self._distance_m, self._every_m = lane_width_m, self.EVERY_LANES * lane_width_m
-        across = 2 * round(marking_width_m / view.m_per_px) + 1
-        along = 2 * round(marking_width_m / view.m_per_row) + 1
-        self._kernel = np.ones((along, across), np.uint8)
-        self._past: deque[_PastView] = deque()
-        self.forget()
-
-    def _reliable(self, camera: GroundCamera, marking_m: float) -> Bools:
-        """Where (h, w) in the view a marking keeps its place."""
-        rows, columns = np.arange(self.view.height_px), np.arange(self.view.width_px)
-        y = self.view.to_body(np.column_stack((columns, np.zeros(len(columns)))))[:, 1]
-        ahead = self.view.to_body(np.column_stack((np.zeros(len(rows)), rows)))[:, :1] - camera.centre_m[0]
-        moved = np.hypot(np.abs(y) * ahead * (self.NOD_RAD / camera.centre_m[2]), self.TURN_RAD * ahead)
-        return np.asarray(moved < marking_m)
-
-    def forget(self) -> None:
-        """Forget all views."""
-        self._past.clear()
-        self._start_from_now, self._driven_m = SE2(), 0.0
-
-    def move(self, before_from_after: SE2, distance_m: float) -> None:
-        """Move the car."""
-        self._start_from_now = self._start_from_now @ before_from_after
-        self._driven_m += abs(distance_m)
-        while len(self._past) > 1 and self._driven_m - self._past[1].driven_m >= self._distance_m:
-            self._past.popleft()
-
-    def step(self, views: MarkingViews) -> Image:
-        """The part (h, w) of the lines that may be paint. The contrast is kept if the car has driven on enough."""
-        painted = self.painted(views)
-        self.remember(views)
-        return painted
-
-    def remember(self, views: MarkingViews) -> None:
-        """Keep the contrast if the car has driven on enough."""
-        if not self._past or self._driven_m - self._past[-1].driven_m >= self._every_m:
-            contrast = cv2.bitwise_or(cv2.dilate(views.contrast, self._kernel), self._unseen)
-            self._past.append(_PastView(np.asarray(contrast, np.uint8), self._start_from_now, self._driven_m))
-
-    def painted(self, views: MarkingViews) -> Image:
-        """The part (h, w) of the lines that may be paint."""
-        if not self._past or self._driven_m - self._past[0].driven_m < self._distance_m:
-            return views.lines
-        past = self._past[0]
-        now = np.array([[0.0, 0.0], [100.0, 0.0], [0.0, 100.0]])
-        then_from_now = past.start_from_then.inverse() @ self._start_from_now
-        then = self.view.to_px(then_from_now.apply(self.view.to_body(now)))
-        affine = cv2.getAffineTransform(now.astype(np.float32), then.astype(np.float32))
-        size = (self.view.width_px, self.view.height_px)
-        flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-        contrast = cv2.warpAffine(past.contrast, affine, size, flags=flags, borderValue=[255])
-        bare = cv2.compare(contrast, cv2.convertScaleAbs(views.contrast, alpha=self.BARE), cv2.CMP_LT)
-        return np.asarray(cv2.subtract(views.lines, bare), dtype=np.uint8)

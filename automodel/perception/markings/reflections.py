@@ -156,15 +156,12 @@ class Reflections:
         odds = known + 0.5 * (away_rad / self.config.pointing_rad) ** 2
         return bool(told.any() and odds[told].sum() < paint)
 
-    def step(self, view: Image, areas: Image, lines: Image) -> Image:
-        """`lines` less the reflections, by the grey view; `areas` are all that are as wide as a line, in each (h, w).
-
-        A piece of `areas` is whole, while the check over time leaves shreds of a streak that moves along itself.
-        """
+    def step(self, view: Image, lines: Image) -> Image:
+        """`lines` (h, w), which are as wide as markings are, less the reflections, by the grey view (h, w)."""
         # Rows that miss a pixel in noise, up to two in a row, are of the same piece.
-        count, labels = cv2.connectedComponents(cv2.dilate(areas, np.ones((3, 1), np.uint8)), connectivity=8)
+        count, labels = cv2.connectedComponents(cv2.dilate(lines, np.ones((3, 1), np.uint8)), connectivity=8)
         self._labels, self._paint_odds = np.asarray(labels, np.intp), np.full(count * self._pieces, np.nan)
-        found = cv2.findNonZero(areas)
+        found = cv2.findNonZero(lines)
         if found is None:
             return lines
         column, row = found.reshape(-1, 2).T

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import functools
-import math
 from dataclasses import replace
 
 import cv2
@@ -12,17 +10,15 @@ import numpy as np
 import pytest
 
 from automodel.config import CameraConfig, CarConfig, Extrinsics, Intrinsics
-from automodel.geometry import SE2, BirdsEye, GroundCamera, View
+from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.markings.binary_views import (
     FeaturePoints,
-    MarkingViews,
-    TemporalPaintCheck,
     adaptive_threshold,
     resized_camera,
     share_above,
 )
 from tests.support.drawn_roads import MARKING_M, Road
-from tests.support.drawn_views import Shape, binary, disc, line_at, seen_from, share
+from tests.support.drawn_views import Shape, disc, share
 
 CAMERA = CarConfig().camera
 VIEW = View(x_near_m=0.36, x_far_m=1.96, half_width_m=0.64, m_per_px=0.008)
@@ -223,114 +219,3 @@ def test_what_counts_is_raised_to_128_and_nothing_else_is_changed_in_order() -> 
     assert (out[counts] == np.maximum(before[counts], 128)).all()
     assert (out[~counts] == np.minimum(before[~counts], 127)).all()
     assert not (adaptive_threshold(mask())).any()
-
-
-LANE_M = 0.4
-SMALL_VIEW = View(x_near_m=0.36, x_far_m=1.56, half_width_m=0.64, m_per_px=0.01)
-EYE = GroundCamera.from_config(CarConfig().camera)
-MASK = BirdsEye(EYE, SMALL_VIEW).mask
-EVERYWHERE = np.full_like(MASK, 255)
-STEP_M = 0.025
-PAINT = (line_at(0.2), line_at(-0.2))
-MIRRORED = disc(1.0, 0.02, 0.05)
-
-
-def seen_as(lines: np.ndarray, share: float = 1.0) -> MarkingViews:
-    """The views of lines, all of them bright, at a share of the full contrast."""
-    return MarkingViews(lines, lines, np.round(share * lines).astype(np.uint8))
-
-
-def drive(
-    check: TemporalPaintCheck, way_m: float, curvature_per_m: float = 0.0, mirrored: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
-    """The last view, as it was filtered and as it was checked."""
-    car, before_from_after = SE2(), SE2.arc(STEP_M, curvature_per_m * STEP_M)
-    lines = checked = EVERYWHERE
-    for _ in range(round(way_m / STEP_M)):
-        car = car @ before_from_after
-        check.move(before_from_after, STEP_M)
-        shapes = [seen_from(shape, car) for shape in PAINT]
-        lines = binary(SMALL_VIEW, *shapes, *([MIRRORED] if mirrored else []), samples=2) & MASK
-        checked = check.step(seen_as(lines))
-    return lines, checked
-
-
-@pytest.mark.parametrize("curvature_per_m", [0.0, 0.5, -0.5])
-def test_what_goes_with_the_car_is_removed_and_paint_stays(curvature_per_m: float) -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, MASK, LANE_M, MARKING_M)
-    lines, checked = drive(check, 0.8, curvature_per_m)
-    blob = binary(SMALL_VIEW, MIRRORED) > 0
-    paint = (lines > 0) & ~blob
-    assert (checked[blob] > 0).mean() < 0.1
-    assert (checked[paint] > 0).mean() > 0.98
-    assert not (checked & ~lines).any()  # nothing is added
-
-
-def test_before_enough_way_everything_passes() -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, MASK, LANE_M, MARKING_M)
-    lines, checked = drive(check, 0.25)
-    np.testing.assert_array_equal(checked, lines)
-
-
-def test_standing_still_removes_nothing() -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, MASK, LANE_M, MARKING_M)
-    lines = binary(SMALL_VIEW, *PAINT, MIRRORED)
-    for _ in range(50):
-        check.move(SE2(), 0.0)
-        np.testing.assert_array_equal(check.step(seen_as(lines)), lines)
-
-
-def test_forgetting_begins_anew() -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, MASK, LANE_M, MARKING_M)
-    drive(check, 0.8)
-    check.forget()
-    lines = binary(SMALL_VIEW, *PAINT, MIRRORED)
-    np.testing.assert_array_equal(check.step(seen_as(lines)), lines)
-    lines, checked = drive(check, 0.25)
-    np.testing.assert_array_equal(checked, lines)
-
-
-def test_what_was_out_of_sight_passes() -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, MASK, LANE_M, MARKING_M)
-    drive(check, 0.8, mirrored=False)
-    # the car sees 0.4 m further than it did a lane width earlier: a mark there may be new
-    far = binary(SMALL_VIEW, disc(1.5, 0.0, 0.03))
-    assert far.any()
-    np.testing.assert_array_equal(check.step(seen_as(far)) > 0, far > 0)
-    near = binary(SMALL_VIEW, disc(0.8, 0.0, 0.03)) & MASK
-    assert not check.step(seen_as(near)).any()  # the same mark on ground that was bare
-
-
-def test_a_turn_on_the_spot_turns_the_views() -> None:
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, EVERYWHERE, LANE_M, MARKING_M)
-    check.step(seen_as(binary(SMALL_VIEW, *PAINT)))
-    motion = SE2(0.0, 0.0, math.radians(12.0))
-    check.move(motion, 1.1 * LANE_M)  # wheels that slip: the distance counts, the place stays
-    here = binary(SMALL_VIEW, *(seen_from(shape, motion) for shape in PAINT))
-    wrong = binary(SMALL_VIEW, *(seen_from(shape, motion.inverse()) for shape in PAINT))
-    assert (copy.deepcopy(check).step(seen_as(wrong))[wrong > 0] > 0).mean() < 0.7
-    assert (check.step(seen_as(here))[here > 0] > 0).mean() > 0.98
-
-
-@pytest.mark.parametrize("before", [0.3, 0.7])
-def test_a_line_that_was_fainter_stays(before: float) -> None:
-    """Only ground that showed less than half of the present contrast was bare."""
-    check = TemporalPaintCheck(EYE, SMALL_VIEW, EVERYWHERE, LANE_M, MARKING_M)
-    lines = binary(SMALL_VIEW, *PAINT)
-    check.step(seen_as(lines, before))
-    check.move(SE2(), 1.1 * LANE_M)
-    assert (check.step(seen_as(lines))[lines > 0] > 0).mean() == (1.0 if before > TemporalPaintCheck.BARE else 0.0)
-
-
-def test_ground_that_was_too_far_away_removes_nothing() -> None:
-    """A camera as low as a hand sees a marking a metre ahead on less than two pixels, and nods too much."""
-    low = GroundCamera.from_config(
-        replace(CarConfig().camera, extrinsics=replace(CarConfig().camera.extrinsics, z_m=0.01))
-    )
-    for eye, kept in ((EYE, False), (low, True)):
-        check = TemporalPaintCheck(eye, SMALL_VIEW, EVERYWHERE, LANE_M, MARKING_M)
-        check.step(seen_as(np.zeros_like(MASK)))
-        check.move(SE2(), 1.1 * LANE_M)
-        lines = binary(SMALL_VIEW, *PAINT)
-        far = lines[: SMALL_VIEW.height_px // 2] > 0
-        assert (check.step(seen_as(lines))[: SMALL_VIEW.height_px // 2][far] > 0).all() == kept

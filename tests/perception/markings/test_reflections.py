@@ -71,7 +71,7 @@ def filtered_of(seen: np.ndarray, *, dark: bool = False, turn_rad: float | None)
     reflections.turned(turn_rad)
     view = birdseye.warp(seen)
     lines = white_areas.step(view).lines
-    return lines, reflections.step(view, lines, lines)
+    return lines, reflections.step(view, lines)
 
 
 def kept(lines: np.ndarray, left: np.ndarray) -> float:
@@ -175,7 +175,7 @@ def test_what_few_rows_show_of_a_line_across_has_no_direction_and_stays() -> Non
     reflections = Reflections(eye, coarse, mask, MARKING_M, "light", PIECES)
     reflections.turned(0.0)
     assert np.count_nonzero(shreds) > 50
-    np.testing.assert_array_equal(reflections.step(view, shreds, shreds), shreds)
+    np.testing.assert_array_equal(reflections.step(view, shreds), shreds)
 
 
 def line_at_width(line: Shape, scale: float) -> np.ndarray:
@@ -242,7 +242,7 @@ def test_a_line_is_a_reflection_as_likely_as_its_profiles_say_or_as_another_thin
         birdseye = BirdsEye(GroundCamera.from_config(CAR), VIEW)
         view = birdseye.warp(image)
         lines = WhiteAreas(birdseye, MARKING_M, 0.0, "light").step(view).lines
-        reflections.step(view, lines, lines)
+        reflections.step(view, lines)
         (one,) = reflections.told((of_line(points),))
         assert one.points_m is points
         told.append(one.reflection)
