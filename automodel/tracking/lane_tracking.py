@@ -211,11 +211,12 @@ class LaneTracking:
         if moved is None or given is None:
             self.forget()
             return None
-        if self._hypotheses.all or self._belief is not None:  # a lane, or what may become one
+        before = self._belief
+        if self._hypotheses.all or before is not None:  # a lane, or what may become one
             step = moved.distance_m, moved.turn_rad, moved.dt_s, moved.known
             self._hypotheses.move(self.road, *step)
-            if self._belief is not None:
-                self._belief = self._belief.moved(*step)
+            if before is not None:
+                self._belief = before.moved(*step)
             if self._reckoned is not None and self._on_any_road is not None:
                 self._reckoned, self._on_any_road = self._reckoned.moved(*step), self._on_any_road.moved(*step)
             driven = abs(moved.distance_m) if moved.known else self.road.lost_pace * self._unit * moved.dt_s
@@ -231,8 +232,12 @@ class LaneTracking:
                 self._learnt_road.lose()
             self._profile.move(driven / self._unit, self._lines_seen)
         self.reckons = moved.known and motion.source is not MotionSource.IMAGES
-        if self._belief is not None and self._odometry.wrong:  # it has moved the lane away from its lines
-            self._doubt(self._on_any_way(self._belief))  # its lines bore out the motion until then
+        if before is not None and self._odometry.wrong:  # it has moved the lane away from its lines
+            known = self._on_any_way(before)  # its lines bore out the motion until then
+            if self._confusable(known):  # it may be another one: the car's is looked for anew
+                self.forget()
+            else:
+                self._doubt(known)
         return moved
 
     def turn_camera(self) -> LaneBelief | None:

@@ -696,6 +696,7 @@ BOUNDS = (
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
+        ("a-wrong-odometry-keeps-any-lane", "if self._confusable(known):  # it may be another one", "if False:  #"),
         ("every-nod-turns-the-camera", "max(K * sigma, SLIGHT * ANGLE_RAD)", "0.0"),
         ("roads-are-cameras", "odds < 0.0", "False"),
         ("turned-without-end", "or abs(self.pitch_rad + pitch) > FAR_OFF * ANGLE_RAD", ""),
