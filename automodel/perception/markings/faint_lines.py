@@ -8,7 +8,6 @@ that length asks for: a line between two of them stays within the marking, too. 
 from __future__ import annotations
 
 import math
-from statistics import NormalDist
 
 import cv2
 import numpy as np
@@ -17,11 +16,11 @@ from numpy.typing import NDArray
 from automodel.compiled import compiled
 from automodel.geometry import GroundCamera, View
 from automodel.perception.markings.binary_views import MarkingViews, Run, WhiteAreas
+from automodel.perception.markings.reflections import QUARTILE
 from automodel.perception.markings.ridge_noise import MEDIAN, least_ridge
 from automodel.signals import EXCEEDED
 from automodel.types import FloatArray, Image, IntArray
 
-_QUARTILE = NormalDist().inv_cdf(0.75)  # the median of the absolute values of a normal distribution
 _BINS = 16  # of a histogram, to a standard deviation
 
 
@@ -116,7 +115,7 @@ def _above_sides(
                 if r % 3 == 0 and quiet[r, c] != 0:
                     counts[abs(left[r, c] + right[r, c])] += 1
                     total += 1
-    noise = _median(counts, total) / (_QUARTILE * math.sqrt(6.0))
+    noise = _median(counts, total) / (QUARTILE * math.sqrt(6.0))
     most = np.int16(math.ceil(clip * noise))
     for r in range(rows):
         for c in range(columns):
@@ -187,7 +186,7 @@ def _find(
                     both = abs(here_left[c] + here_right[c])
                     counts[min(int(both / bin_width), len(counts) - 1)] += 1
                     total += 1
-    shown = _median(counts, total) * bin_width / (_QUARTILE * math.sqrt(6.0))
+    shown = _median(counts, total) * bin_width / (QUARTILE * math.sqrt(6.0))
     for r in range(rows):
         summed = min(r + half, rows - 1) - max(r - half, 0) + 1
         sigma = max(shown * math.sqrt(summed / count), noise * math.sqrt(summed * min(alike[r], summed)))
