@@ -176,7 +176,7 @@ class Windows:
         """Move the lane by the odometry since the last frame; a gap, or time that goes back, drops it."""
         moved = self._tracking.predict(frame, motion)
         self._reflections.turned(moved.turn_rad if moved is not None and moved.known else None)
-        if moved is None:
+        if self._tracking.lost or moved is None:
             self._forget()
             return
         self._tracker.move(moved.after_from_before, moved.distance_m, moved.known)

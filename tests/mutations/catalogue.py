@@ -554,7 +554,11 @@ BOUNDS = (
     *_of(
         "automodel/perception/markings/faint_lines.py",
         "tests/perception/markings/test_faint_lines.py",
-        ("noise-is-a-line", "level = max(height * sigma, least * summed)", "level = max(0.7 * height * sigma, least)"),
+        (
+            "noise-is-a-line",
+            "level = max(height * sigma, least * summed)",
+            "level = max(0.7 * height * sigma, least * summed)",
+        ),
         ("a-speck-is-a-faint-line", "self._run.reach, self._clip)", "self._run.reach, 10.0 * self._clip)"),
         ("a-lamp-gets-a-tail", "faint &= ~np", "faint |= 0 * np"),
         ("beside-a-bright-line-all-counts", "level = max(height * sigma, least * summed)", "level = height * sigma"),

@@ -13,6 +13,7 @@ from automodel.interfaces import Pipeline
 from automodel.pipelines.windows import Windows
 from automodel.signals import Frame, LaneEstimate, LaneStatus, Motion, MotionSource
 from automodel.sim.track_files import load_track
+from automodel.tracking.frame_motion import FrameMotion
 from tests.support.rendered_drives import CAR, RenderedDrive, Seen, camera, check_sound, with_camera
 
 SIZE = (CAR.camera.height_px, CAR.camera.width_px)
@@ -57,6 +58,26 @@ def test_a_reflection_is_neither_looked_at_nor_followed(seen: list[Seen], monkey
     assert looked == [0]
     monkeypatch.setattr(pipeline._reflections, "any_points_to_camera", lambda *lines: True)
     assert replayed(pipeline, seen[-1:], from_ns=2 * PERIOD_NS)[0].status is LaneStatus.COASTING
+
+
+def test_a_lane_that_the_odometry_lost_leaves_no_points_behind(
+    seen: list[Seen], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipeline = Windows(CAR)
+    replayed(pipeline, seen)
+    assert len(pipeline._tracker._memory)
+    predict = pipeline._tracking.predict
+
+    def lost(frame: Frame, motion: Motion) -> FrameMotion | None:
+        moved = predict(frame, motion)
+        pipeline._tracking.forget()
+        return moved
+
+    monkeypatch.setattr(pipeline._tracking, "predict", lost)
+    monkeypatch.setattr(pipeline._tracking, "start", lambda t_ns, lines: None)
+    monkeypatch.setattr(pipeline._gentle, "step", lambda image: None)
+    assert replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)[0].status is LaneStatus.LOST
+    assert not len(pipeline._tracker._memory)
 
 
 def bits(estimate: LaneEstimate) -> tuple[object, ...]:
