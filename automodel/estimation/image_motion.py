@@ -156,6 +156,8 @@ class ImageMotion:
         near = [np.count_nonzero(self._near(by, end)) for by in (by_it, by_most)]
         if near[0] >= max(config.agree * near[1], config.least):
             return True
+        if self._near(by_most, start).all():  # so does what is on the lens, or is drawn over the image
+            return None
         with np.errstate(invalid="ignore"):
             differ = np.hypot(*(by_it - by_most).T) > 2.0 * config.sigma_px  # far ahead both are the same
         with_it, with_most = (differ & self._about(start, by, end) for by in (by_it, by_most))

@@ -285,6 +285,16 @@ class LaneBelief:
             covariance[first:, first:] += (self.road.radius_lanes * unit) ** -2.0
         return replace(self, covariance=covariance)
 
+    def displaced(self, left_m: float, turn_rad: float, covariance: FloatArray) -> LaneBelief:
+        """What is believed of the lane if it lies elsewhere: by so much to the left beside the body frame's origin [m],
+        and turned to the left about that, with the covariance (2, 2) of both.
+        """
+        by = np.array(((-1.0, -self.reference_x_m), (0.0, 1.0)))
+        state, spread = self.state.copy(), self.covariance.copy()
+        state[:2] += by @ (left_m, turn_rad)
+        spread[:2, :2] += by @ covariance @ by.T
+        return replace(self, state=state, covariance=spread)
+
     def of_any_width(self) -> LaneBelief:
         """What is believed of a lane whose width may be any: a line that was seen stays where it is."""
         unit = self.road.lane_width_m

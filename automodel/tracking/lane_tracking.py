@@ -44,6 +44,7 @@ from automodel.tracking.integrity import ANGLE_RAD, CameraErrors, Innovations, K
 from automodel.tracking.lane_motion import Part
 from automodel.tracking.rivals import Rivals
 from automodel.tracking.road_profile import LEFT_LANE, RIGHT_LANE, SAME, SLOTS, RoadProfile
+from automodel.tracking.still_paint import StillPaint
 from automodel.tracking.stories import LEFT, LEFT_FAR, RIGHT, RIGHT_FAR
 from automodel.types import Bools, FloatArray
 
@@ -63,7 +64,8 @@ class TrackingConfig:
 
     `bend`: sigma of the curvature [1 / lane width] beside the car.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
-    freedom); `differs`: once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
+    freedom); `contradicts`: as seldom as a bound may be exceeded, what lines move by against the odometry; `differs`:
+    once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
     happens once in a thousand true lines of nine points, the most (as of Student's errors). `unsure`: what all others
     may have together beside the hypothesis that a lane starts with, in doubt, or that lines teach; a doubt ends with
     all but what a bound may leave out.
@@ -82,6 +84,7 @@ class TrackingConfig:
     fits: float = most_misfit(2 * LEARNT_POINTS - 1, EXCEEDED)
     unsure: float = 0.01
     gate: float = chi_square(EXCEEDED * EXCEEDED)
+    contradicts: float = chi_square(EXCEEDED)
     differs: float = chi_square(unsure)
     exists: float = -math.log(EXCEEDED)
     start: float = 0.25
@@ -134,6 +137,8 @@ class LaneTracking:
         self._see_with(camera)
         self._motions, self._given = FrameMotions(self._unit), FrameMotions(self._unit)
         self._innovations = Innovations()
+        self._paint = StillPaint(self._unit)
+        self._unmoved: LaneBelief | None = None  # the lane by odometry, since its lines began to contradict that
         self._hypotheses = Hypotheses(self.config.hypotheses)
         self._rivals = Rivals(self.config.hypotheses, road.width_sigma)
         warm_up()
@@ -166,6 +171,7 @@ class LaneTracking:
         self._said = 0.0  # log-odds [nats] of what the estimator says, since the doubt began
         self._hypotheses.start(())
         self._innovations.reset()
+        self._forget_paint()
         self._learnt_road.lose()
         self.in_doubt = False
         self.reckons = False  # whether the last frame's motion is the odometry's
@@ -212,6 +218,9 @@ class LaneTracking:
             self.forget()
             return None
         before = self._belief
+        self._paint.move(given)
+        if self._unmoved is not None:
+            self._unmoved = self._unmoved.moved(given.distance_m, given.turn_rad, given.dt_s, given.known)
         if self._hypotheses.all or before is not None:  # a lane, or what may become one
             step = moved.distance_m, moved.turn_rad, moved.dt_s, moved.known
             self._hypotheses.move(self.road, *step)
@@ -271,6 +280,7 @@ class LaneTracking:
         except ValueError:  # it would see no ground
             return None
         self._belief = belief.pitched()
+        self._paint.reset()  # it was seen by the camera as it was taken to be
         return self._belief
 
     def _see_with(self, camera: GroundCamera) -> None:
@@ -295,6 +305,7 @@ class LaneTracking:
         if self._belief is None or self.in_doubt:
             raise ValueError("a lane that is lost or in doubt has no neighbour")
         self._belief = self._belief.beside_it(side)
+        self._forget_paint()
         self._profile.change_lane(side)
         self._innovations.reset()
         self._rivals.reset()
@@ -595,6 +606,8 @@ class LaneTracking:
         pose, count = followed.pose, followed.left.seen + followed.right.seen
         self._lines_seen = count
         self._beside = self._beside and abs(pose.offset_m) > 0.5 * pose.width_m
+        if self._news_m > self.config.glance * self._unit / 3.0:
+            self._see_paint(followed)
         if self._belief is None:
             self._belief, self._learnt_ns = self._measured(pose), frame.t_ns
         elif not self.in_doubt:
@@ -624,6 +637,26 @@ class LaneTracking:
                 self._learn(belief, followed, True)
         if not self.in_doubt and self._confusable(belief):
             self._doubt(belief)
+
+    def _see_paint(self, followed: Followed) -> None:
+        """Where the lines have moved otherwise than the odometry says, the lane may still be where that has it.
+
+        Either may be wrong. That is so until the lines are back there, or the odometry cannot tell the lane any more.
+        """
+        contradicts = self.config.contradicts
+        lines = [line.points_m if line.seen else line.points_m[:0] for line, _ in _sides(followed)]
+        slip = self._paint.look(lines, self.road, contradicts)
+        if slip is not None and slip.square > contradicts:
+            back = -slip.left_m, -slip.turn_rad, slip.covariance
+            self._unmoved = self._measured(followed.pose).displaced(*back)
+        elif slip is not None and slip.square < self.config.differs:
+            self._unmoved = None
+        if self._unmoved is not None and self._confusable(self._unmoved):
+            self._unmoved = None
+
+    def _forget_paint(self) -> None:
+        self._paint.reset()
+        self._unmoved = None
 
     def _explained(self, own: list[Assigned]) -> tuple[Evidence, list[Assigned]]:
         """What speaks best for an estimator's lines, and which of them are explained: by the road, or by a new bend."""
@@ -699,6 +732,7 @@ class LaneTracking:
             if self._profile.lanes[lane] > self.config.another:
                 self._profile.keep(self._profile.known)
                 self._believe(belief.beside_it(side))
+                self._forget_paint()
                 self._beside = True
                 return self._belief
         return None
@@ -985,6 +1019,7 @@ class LaneTracking:
         else:
             may_be += self._rivals.lanes(self._belief)
             may_be += [self._belief.beside_it(side) for side in (+1, -1) if self._may_be_another]
+        may_be += [] if self._unmoved is None else [self._unmoved]
         offset = heading = 0.0
         for one in may_be:
             aside = abs(one.offset_m) + abs(one.heading_rad) * self._near_m

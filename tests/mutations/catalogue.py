@@ -686,6 +686,7 @@ BOUNDS = (
         ("noise-is-texture", "(weak > config.texture * variance)", "(weak > 0.0)"),
         ("glare-is-ground", "dark < config.glare * np.median", "dark < 1e9 * np.median"),
         ("far-ahead-all-motions-agree", "> 2.0 * config.sigma_px  # far", "> -1.0  # far"),
+        ("a-dirty-lens-stands-still", "if self._near(by_most, start).all():", "if False:"),
     ),
     *_of(
         "automodel/tracking/lane_tracking.py",
@@ -800,6 +801,19 @@ BOUNDS = (
         ("standing-cars-blur", "math.hypot(self.config.blur_px, turn_px)", "math.inf"),
         ("profiles-of-lines-untold", "odds = float(np.nansum(self._paint_odds[piece]))", "odds = 0.0"),
         ("a-row-has-a-direction", "max(self._marking_rows, self._marking_px)", "self._marking_rows"),
+    ),
+    *_of(
+        "automodel/tracking/still_paint.py",
+        "tests/tracking/test_still_paint.py",
+        ("a-nod-is-a-turn", "errors.nod * (nods", "0.0 * (nods"),
+        ("contradicted-and-forgotten", "not stays and 2.0 *", "2.0 *"),
+        ("nothing-in-view-forgets", "if len(points) and now_from_then", "if not len(points) or now_from_then"),
+        ("a-right-odometry-is-exact", "turn=road.turn_rad**2 * way", "turn=0.0"),
+    ),
+    *_of(
+        "automodel/tracking/lane_tracking.py",
+        "tests/pipelines/test_sliding_images.py",
+        ("lines-that-slide-are-the-lane", "may_be += [] if self._unmoved is None else [self._unmoved]", "pass"),
     ),
     *_of(
         "automodel/tracking/rivals.py",

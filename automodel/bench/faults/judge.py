@@ -24,6 +24,7 @@ REARM_S = 0.5
 LONGEST_S = 4.0  # until a car that must be stopped is stopped
 _QUIET_S = 0.25  # the car is watched so long after the time at which arming would work
 GO_ON_S = 0.3  # so long after the fault a car that may drive on must be driving
+STAY_S = 1.0  # so long after the fault a car that drives must still stay in its lane
 # so long after neutral a car that is stopped must have straight wheels: held, rolled out, and the board's servo frame
 STRAIGHT_S = SafetyConfig().hold_s + ROLL_OUT_S + 0.1
 
@@ -109,7 +110,7 @@ def _afterwards(
     if fault.from_start:
         return round(random.uniform(0.1e9, end_ns - 0.5e9)), False, end_ns
     if fault.must is not Must.STOP:
-        return None, False, end_ns + round(0.35e9)
+        return None, False, end_ns + round((STAY_S if fault.must is Must.STAY else GO_ON_S + 0.05) * 1e9)
     if not fault.ends:
         return (None if fault.timed_from_motion else early_ns), False, max(start_ns + round(1.2e9), end_ns)
     if how == "nobody":
@@ -189,7 +190,8 @@ def judge(fault: Fault, plan: Plan, seen: Observed, without: Observed | None = N
     )
     if (fault.timed_from_motion or fault.shown_by) and not _drives_at(seen, start_ns):
         neutral_ns = start_ns  # it was stopped before, by a consequence of the fault
-    stays = fault.must in (Must.STOP, Must.STAY) and not plan.drives_again
+    stopped = not _drives_at(seen, plan.until_ns)  # else it is the run's end that stops it, wherever it is
+    stays = fault.must in (Must.STOP, Must.STAY) and not plan.drives_again and stopped
     left_m = max(seen.left_m, seen.rolled_m) if stays else seen.left_m
     found = _in_common(fault, plan, seen)
     if fault.must is Must.STOP:

@@ -228,6 +228,7 @@ def test_a_car_that_must_stay_may_leave_its_lane_by_so_much() -> None:
     (text,) = judge(stay, PLAN, seen(made, rolled_m=0.06)).violations
     assert text == "it left its lane by 0.060 m"
     assert judge(stay, PLAN, seen(pins())).reaction_s is None
+    assert judge(stay, PLAN, seen(pins(), rolled_m=0.06)).violations == ()  # the run's end stops it
 
 
 def test_a_car_that_must_not_be_armed_may_never_move() -> None:
