@@ -147,10 +147,10 @@ def whitened(covariance: FloatArray) -> FloatArray:
 
 
 @compiled
-def _tilt(prior: Prior, x: float, y: float, heading: float) -> float:
-    """How far a sigma of pitch moves a point across a lane of that heading [m]."""
-    ahead, up = x - prior.eye_m[0], prior.eye_m[1]
-    return prior.pitch_rad / up * (y * ahead * math.cos(heading) - (ahead * ahead + up * up) * math.sin(heading))
+def tilt(eye_m: tuple[float, float], x: float, y: float, heading: float) -> float:
+    """How far a camera's pitch moves a point across a line of that heading [m / rad]."""
+    ahead, up = x - eye_m[0], eye_m[1]
+    return (y * ahead * math.cos(heading) - (ahead * ahead + up * up) * math.sin(heading)) / up
 
 
 @compiled
@@ -172,7 +172,7 @@ def _residuals(
         s, left = foot_on(path, x, y)
         arc = min(max(int(s / path[1, 0]), 0), len(path) - 1)
         heading = path[arc, 3] + path[arc, 4] * (s - path[arc, 0])
-        rest[i] = left - role * state[WIDTH] - (state[PITCH] + nod) * _tilt(prior, x, y, heading)
+        rest[i] = left - role * state[WIDTH] - (state[PITCH] + nod) * prior.pitch_rad * tilt(prior.eye_m, x, y, heading)
 
 
 @compiled
@@ -226,9 +226,9 @@ def _rows(
         x, y = points[k, 0], points[k, 1]
         s, left = foot_on(path, x, y)
         heading = path_row(row[:size], path, prior.start_m, prior.spacing_m, prior.reference_x_m, s)[2]
-        tilt = _tilt(prior, x, y, heading)
-        row[WIDTH], row[PITCH], row[size] = role, tilt, tilt
-        rest[k] = left - role * state[WIDTH] - state[PITCH] * tilt + dot(row[:size], away)
+        across = prior.pitch_rad * tilt(prior.eye_m, x, y, heading)
+        row[WIDTH], row[PITCH], row[size] = role, across, across
+        rest[k] = left - role * state[WIDTH] - state[PITCH] * across + dot(row[:size], away)
         white[k] = 0.0
         for i in range(full):  # the root is triangular, and the curvature beyond the point moves it by nothing
             if row[i] != 0.0:

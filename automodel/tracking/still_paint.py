@@ -25,7 +25,7 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.geometry.se2 import SE2
 from automodel.tracking.belief import RoadModel
-from automodel.tracking.evidence import backward, factor, forward
+from automodel.tracking.evidence import backward, factor, forward, tilt
 from automodel.tracking.frame_motion import FrameMotion
 from automodel.types import FloatArray, Ints
 
@@ -132,13 +132,6 @@ class StillPaint:
 
 
 @compiled
-def _tilt(errors: Errors, x: float, y: float, heading: float) -> float:
-    """How far a pitch of one radian moves a point across a line of that heading [m]."""
-    ahead, up = x - errors.eye_m[0], errors.eye_m[1]
-    return (y * ahead * math.cos(heading) - (ahead * ahead + up * up) * math.sin(heading)) / up
-
-
-@compiled
 def _beside(line: FloatArray, x: float, y: float) -> tuple[bool, float, float]:
     """How far a polyline (n, 2) runs to the left of a point, and its heading there; False where it does not."""
     found, least, left, heading = False, math.inf, 0.0, 0.0
@@ -183,8 +176,8 @@ def _compared(
             across, along = math.cos(heading), math.sin(heading)
             away[count], of[count] = left, line
             rows[count, 0], rows[count, 1] = across, x * across + y * along
-            nods[count, 0] = _tilt(errors, old[k, 0], old[k, 1], heading - turn)
-            nods[count, 1] = -_tilt(errors, x, y, heading)
+            nods[count, 0] = tilt(errors.eye_m, old[k, 0], old[k, 1], heading - turn)
+            nods[count, 1] = -tilt(errors.eye_m, x, y, heading)
             then_x, now_x = old[k, 0] - errors.eye_m[0], x - errors.eye_m[0]
             far = 0.5 * (then_x * then_x + old[k, 1] * old[k, 1] + now_x * now_x + y * y)
             noise[count] = errors.point + errors.pixel * far

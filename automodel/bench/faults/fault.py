@@ -120,7 +120,7 @@ class Must(enum.Enum):
     HOLD = "hold"  # neutral within the bound if the fault lasts longer; drives on by itself when it is over
     NOTHING = "nothing"  # drive on
     REFUSE = "refuse"  # never be armed, whoever asks: it is wrong from the start
-    STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill
+    STAY = "stay"  # drive on, hold or stop: but stay in the lane, up to standstill, or for a second after the fault
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
