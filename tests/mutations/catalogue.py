@@ -702,6 +702,11 @@ BOUNDS = (
         "tests/tracking/test_lane_tracking.py",
         ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
         ("a-wrong-odometry-keeps-any-lane", "if self._confusable(known):  # it may be another one", "if False:  #"),
+        (
+            "a-lane-change-is-a-slip",
+            "        self._forget_paint()\n        self._profile.change_lane(side)",
+            "        self._profile.change_lane(side)",
+        ),
         ("every-nod-turns-the-camera", "max(K * sigma, SLIGHT * ANGLE_RAD)", "0.0"),
         ("roads-are-cameras", "odds < 0.0", "False"),
         ("turned-without-end", "or abs(self.pitch_rad + pitch) > FAR_OFF * ANGLE_RAD", ""),

@@ -204,6 +204,13 @@ def test_what_another_thing_was_beside_one_lane_is_any_line_beside_the_next() ->
     assert known.others(belief, sights(0.0, (inside,)))
 
 
+def test_the_lines_of_a_lane_that_is_changed_to_have_not_moved() -> None:
+    drive = driving(0.35 * LANE_M, frames=30)
+    drive.tracking.change_lane(+1)
+    for _ in range(10):
+        assert bound(drive.follow(said(-0.65 * LANE_M))) < 0.15 * LANE_M
+
+
 def test_a_heading_by_one_line_may_be_that_of_a_lane_that_gets_wider() -> None:
     drive = driving(frames=30)
     assert drive.follow(said(0.0), sights(0.0)).pose.heading_bound_rad < K * 0.5 * TAPER  # type: ignore[union-attr]
