@@ -7,6 +7,7 @@ from pathlib import Path
 
 from automodel.bench.faults.catalogue import CAN, FAULTS
 from automodel.bench.faults.fault import BOUND_S, Fault, Must
+from automodel.bench.faults.judge import STAY_S
 from automodel.bench.faults.real_catalogue import REAL_FAULTS, RealFault
 from automodel.output_files import output_text
 
@@ -22,8 +23,8 @@ stands. What the car must do:
   never leaves its lane;
 - **nothing**: it drives on as if there was no fault, and never leaves its lane;
 - **refuse**: it is wrong before the car is armed: it is never armed, whoever asks;
-- **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or leaves it by no more than the
-  limit; without a limit it is no violation, but a figure.
+- **stay**: it drives on, is held or stopped, but stays in its lane up to standstill, or while it drives on for
+  {STAY_S:g} s after the fault, or leaves it by no more than the limit; without one it is no violation, but a figure.
 
 Of two cameras the left one fails, but in the faults of `pair-`: those are of a pair, and only for a pipeline that
 needs one (`--pipeline stereo`). The limit counts from the fault to the pin: {BOUND_S * 1e3:.0f} ms but where the text

@@ -16,6 +16,7 @@ from typing import Protocol
 
 from automodel.bench.faults.fault import BOUND_S, Kind, Must
 from automodel.output_files import output_text
+from automodel.runtime.safety import STALL_S
 from firmware_link.emulator.board import EmulatedArduino
 
 STEP_CLOCK = signal.SIGUSR1  # the program's camera then sets the wall clock back
@@ -90,7 +91,7 @@ def _signalled(*numbers: signal.Signals) -> Strike:
 
 def _stopped(car: DrivingCar, random: Random) -> None:
     car.kill(signal.SIGSTOP)
-    car.later(random.uniform(0.2, 0.5), lambda: car.kill(signal.SIGCONT))
+    car.later(STALL_S + random.uniform(0.05, 0.15), lambda: car.kill(signal.SIGCONT))
 
 
 def _overloaded(car: DrivingCar, random: Random) -> None:
@@ -113,7 +114,7 @@ REAL_FAULTS = (
     RealFault(name="real-killed", kind=Kind.OFF, must=Must.STOP, text="the program is killed (SIGKILL)",
               strike=_signalled(signal.SIGKILL)),
     RealFault(name="real-stopped", kind=Kind.STUCK, must=Must.STOP,
-              text="the program is stopped for 0.2 to 0.5 s (SIGSTOP), as by a machine that swaps, and goes on",
+              text="the program is stopped for 0.35 to 0.45 s (SIGSTOP), as by a machine that swaps, and goes on",
               strike=_stopped),
     RealFault(name="real-signal", kind=Kind.OFF, must=Must.STOP, ended=True, text="SIGINT or SIGTERM: it ends in order",
               strike=_signalled(signal.SIGINT, signal.SIGTERM)),
