@@ -65,10 +65,10 @@ class TrackingConfig:
     `bend`: sigma of the curvature [1 / lane width] beside the car.
     `gate`: squared innovation of offset and heading that happens once in a million frames (chi-square, two degrees of
     freedom); `contradicts`: as seldom as a bound may be exceeded, what lines move by against the odometry; `differs`:
-    once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that
-    happens once in a thousand true lines of nine points, the most (as of Student's errors). `unsure`: what all others
-    may have together beside the hypothesis that a lane starts with, in doubt, or that lines teach; a doubt ends with
-    all but what a bound may leave out.
+    once in a hundred, with the width too once in forty. `fits`: misfit of a line's points that happens once in a
+    thousand true lines of nine points, the most (as of Student's errors). `unsure`: what all others may have together
+    beside the hypothesis that a lane starts with, in doubt, or that lines teach; a doubt ends with all but what a bound
+    may leave out.
     `exists`: log-odds [nats] that it, or what a look at all lines finds, must have against clutter: those of a bound.
     `start`: sigma of a car's offset [lane widths], heading [rad] and bend [1 / lane width] where nothing is known.
     `look`: lane widths from one look at the whole view to the next where both lines are followed; infinite for a

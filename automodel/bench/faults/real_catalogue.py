@@ -22,6 +22,7 @@ from firmware_link.emulator.board import EmulatedArduino
 STEP_CLOCK = signal.SIGUSR1  # the program's camera then sets the wall clock back
 OVERLOAD_S = 1.5
 BUSY = 2  # processes a core, each of which would take all of it
+PAUSE_S = (STALL_S + 0.05, STALL_S + 0.15)  # after a shorter one a slow car goes on by itself
 _SPIN = "import time\nend = time.monotonic() + {}\nwhile time.monotonic() < end: pass"
 
 
@@ -91,7 +92,7 @@ def _signalled(*numbers: signal.Signals) -> Strike:
 
 def _stopped(car: DrivingCar, random: Random) -> None:
     car.kill(signal.SIGSTOP)
-    car.later(STALL_S + random.uniform(0.05, 0.15), lambda: car.kill(signal.SIGCONT))
+    car.later(random.uniform(*PAUSE_S), lambda: car.kill(signal.SIGCONT))
 
 
 def _overloaded(car: DrivingCar, random: Random) -> None:
@@ -114,7 +115,8 @@ REAL_FAULTS = (
     RealFault(name="real-killed", kind=Kind.OFF, must=Must.STOP, text="the program is killed (SIGKILL)",
               strike=_signalled(signal.SIGKILL)),
     RealFault(name="real-stopped", kind=Kind.STUCK, must=Must.STOP,
-              text="the program is stopped for 0.35 to 0.45 s (SIGSTOP), as by a machine that swaps, and goes on",
+              text=f"the program is stopped for {PAUSE_S[0]:g} to {PAUSE_S[1]:g} s (SIGSTOP), as by a machine that"
+                   " swaps, and goes on",
               strike=_stopped),
     RealFault(name="real-signal", kind=Kind.OFF, must=Must.STOP, ended=True, text="SIGINT or SIGTERM: it ends in order",
               strike=_signalled(signal.SIGINT, signal.SIGTERM)),
