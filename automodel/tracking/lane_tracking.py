@@ -319,8 +319,7 @@ class LaneTracking:
         """
         if not self._hypotheses.all:
             self._hypotheses.start(((self._anywhere(), 0.0),))
-        (left, right), told = self._profile.dashed, self._kinds
-        self._hypotheses.update(lines, LineKinds(left + told.left, right + told.right))
+        self._hypotheses.update(lines, self._learnt_kinds)
         self._hypotheses.condition(_inside)
         best = self._hypotheses.best
         if abs(best.belief.offset_m) > 0.5 * best.belief.width_m:
@@ -349,6 +348,12 @@ class LaneTracking:
         self._pair_m, self._belief = 0.0, None
         self._reckon(self._anywhere())
         self._hypotheses.start(((self._anywhere(), 0.0),))
+
+    @property
+    def _learnt_kinds(self) -> LineKinds:
+        """The kinds of the lane's lines by car.toml, and by what was seen of them before the doubt."""
+        (left, right), told = self._profile.dashed, self._kinds
+        return LineKinds(left + told.left, right + told.right)
 
     def _anywhere(self) -> LaneBelief:
         config, unit = self.config, self._unit
@@ -390,11 +395,12 @@ class LaneTracking:
         if not self._confusable(lane):  # what was another thing before the doubt is none of its lines now
             seen, lines = self._rivals.others(lane, seen), self._rivals.others(lane, lines)
         self._hypotheses.displace(lambda belief: self._confusable(belief, 1.0))
-        share = self._hypotheses.update(seen, self._kinds)
+        kinds = self._learnt_kinds
+        share = self._hypotheses.update(seen, kinds)
         best, measured = self._hypotheses.best, self._measured(followed.pose)
         alone = Hypotheses(self.config.hypotheses)
         alone.start(((measured, 0.0),))
-        alone.update(seen, self._kinds, picked=False)
+        alone.update(seen, kinds, picked=False)
         self._said += share * alone.all[0].log_odds
         said = self._said - 0.5 * min(self._apart(measured, self._on_any_road), self.config.gate)
         explains = best.assigned or not alone.all[0].assigned
@@ -469,7 +475,7 @@ class LaneTracking:
             if self._belief is None:
                 return None
             self._doubt(self._belief)
-        self._hypotheses.update(lines, self._kinds)
+        self._hypotheses.update(lines, self._learnt_kinds)
         best = self._hypotheses.best
         if not (self._certain and self._tells(best) and self._possible(best.belief.pose)):
             return None
@@ -503,7 +509,7 @@ class LaneTracking:
         look = Hypotheses(self.config.hypotheses)
         others = self._on_any_road, self._anywhere()
         look.start(((self._reckoned, 0.0), *((other, -self.config.exists) for other in others)))
-        look.update(seen, self._kinds)
+        look.update(seen, self._learnt_kinds)
         best = look.best
         return best.log_odds > -math.log(EXCEEDED) and self._apart(belief, best.belief) < self.config.gate
 
@@ -883,7 +889,10 @@ class LaneTracking:
 
     def _believe(self, belief: LaneBelief, assigned: Sequence[Assigned] = ()) -> None:
         """The doubt is over, by these lines; it may be the next lane where dead reckoning cannot tell the two."""
-        if self._reckoned is not None and self._may_be_next(belief, self._reckoned):
+        beside = (0.0, 0.0) if self._reckoned is None else self._beside_reckoned(belief, self._reckoned)
+        if self._reckoned is not None:
+            self._profile.land(*beside)
+        if max(beside) > EXCEEDED:
             self._pair_m = 0.0
         elif {role for _, role in assigned} >= {LEFT, RIGHT}:
             self._pair_m += min(self._news_m, self.config.glance * self._unit)
@@ -898,15 +907,17 @@ class LaneTracking:
         self._hypotheses.start((), learnt=True)
         self._innovations.reset()
 
-    def _may_be_next(self, belief: LaneBelief, reckoned: LaneBelief) -> bool:
-        """Whether a lane may be the one beside that of dead reckoning, oftener than a bound may be exceeded.
+    def _beside_reckoned(self, belief: LaneBelief, reckoned: LaneBelief) -> tuple[float, float]:
+        """By how much likelier dead reckoning has a lane as the one to the left, and to the right, of its own.
 
         A road that bends unseen moves the lane aside and turns it: one that lies as it did is hardly the next. Where
-        neither fits, dead reckoning is wrong.
+        it fits none of them, dead reckoning is wrong, and tells nothing.
         """
         here = self._apart(belief, reckoned)
-        beside = min(self._apart(belief.beside_it(side), reckoned) for side in (+1, -1))
-        return here > self.config.gate or beside - here < -2.0 * math.log(EXCEEDED)
+        if here > self.config.gate:
+            return 1.0, 1.0
+        left, right = (math.exp(0.5 * (here - self._apart(belief.beside_it(side), reckoned))) for side in (-1, +1))
+        return left, right
 
     def _apart(self, one: LaneBelief, other: LaneBelief) -> float:
         """Squared difference of offset and heading over its covariance: chi-square with two degrees of freedom."""

@@ -60,14 +60,19 @@ class RoadProfile:
 
     @property
     def dashed(self) -> tuple[float, float]:
-        """Log-odds [nats] that the known lane's left and right line are dashed, not solid."""
-        left, right = (math.log(self.known[i, DASHED] / self.known[i, SOLID]) for i in (1, 2))
+        """Log-odds [nats] that the left and right line of the lane that is followed are dashed, not solid."""
+        now = np.einsum("l,lsk->sk", self.lanes, self._of_lane)
+        left, right = (math.log(now[slot, DASHED] / now[slot, SOLID]) for slot in (1, 2))
         return left, right
 
     def move(self, lanes: float, lines_seen: int) -> None:
         """The car has driven so many lane widths, with so many of its lane's lines in view."""
         self._driven_lanes += lanes
         self._born += self.config.slip * (1.0 - self.config.found) ** lines_seen * lanes
+
+    def land(self, left: float, right: float) -> None:
+        """Behind a blind way a lane is so much likelier the left, and the right one, by dead reckoning."""
+        self._born *= (left, right)
 
     def fade(self, share: float) -> None:
         """The lane is a new one with a probability: what was known of its lines counts for less."""
@@ -82,7 +87,7 @@ class RoadProfile:
         self.known = known
         self.lanes = np.array((1.0, 0.0, 0.0))
         self._of_lane = np.stack([_shifted(known, shift, self._anything) for shift in _SHIFTS])
-        self._born = 0.0
+        self._born = np.zeros(2)  # the left and the right lane's share since the last look
 
     def see(
         self, lines: Mapping[float, Sequence[SightedLine]], in_view_m: Mapping[float, float], unit_m: float
@@ -108,15 +113,15 @@ class RoadProfile:
 
     def _drift(self, lanes: float) -> None:
         kept = math.exp(-lanes / self.config.change)
-        born, self._born = 0.5 * min(self._born, 0.5) * self.lanes[SAME], 0.0
+        born, self._born = 0.5 * np.minimum(self._born, 0.5) * self.lanes[SAME], np.zeros(2)
         self._of_lane = kept * self._of_lane + (1.0 - kept) * self._anything
         self.known = kept * self.known + (1.0 - kept) * self._anything
-        for lane in (LEFT_LANE, RIGHT_LANE):
-            share = born / max(self.lanes[lane] + born, 1e-12)
+        for lane, new in zip((LEFT_LANE, RIGHT_LANE), born.tolist(), strict=True):
+            share = new / max(self.lanes[lane] + new, 1e-12)
             newborn = _shifted(self._of_lane[SAME], _SHIFTS[lane], self._anything)
             self._of_lane[lane] = (1.0 - share) * self._of_lane[lane] + share * newborn
-            self.lanes[lane] += born
-        self.lanes[SAME] -= 2.0 * born
+            self.lanes[lane] += new
+        self.lanes[SAME] -= born.sum()
 
     def _likely(self, lines: Sequence[SightedLine], unit_m: float) -> FloatArray:
         """How likely it is to see these lines, or none, where there is none, a dashed and a solid one (3,)."""

@@ -700,7 +700,18 @@ BOUNDS = (
     *_of(
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
-        ("reckoned-wrong-and-sure", "return here > self.config.gate or beside", "return beside"),
+        (
+            "reckoned-wrong-and-sure",
+            "if here > self.config.gate:\n            return 1.0, 1.0",
+            "if False:\n            return 1.0, 1.0",
+        ),
+        (
+            "reckoned-on-the-other-side",
+            "for side in (-1, +1))\n        return left, right",
+            "for side in (+1, -1))\n        return left, right",
+        ),
+        ("dead-reckoning-tells-no-lane", "self._profile.land(*beside)", "pass"),
+        ("lines-of-a-doubt-of-any-kind", "return LineKinds(left + told.left, right + told.right)", "return told"),
         ("a-wrong-odometry-keeps-any-lane", "if self._confusable(known):  # it may be another one", "if False:  #"),
         (
             "a-lane-change-is-a-slip",
@@ -732,8 +743,12 @@ BOUNDS = (
         ),
         ("roads-never-get-narrower", "known.without_road(), known.of_any_width()", "(known.without_road(),)"),
         ("surer-than-its-lines", "d, width = d + 0.5 * line, width + 2.0 * line", "pass"),
-        ("reckoned-to-the-next-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", ""),
-        ("a-gap-may-be-a-lane", "or beside - here < -2.0 * math.log(EXCEEDED)", "or self._confusable(reckoned, 1.0)"),
+        ("reckoned-to-the-next-lane", "if max(beside) > EXCEEDED:", "if max(beside) >= 1.0:"),
+        (
+            "a-gap-may-be-a-lane",
+            "if max(beside) > EXCEEDED:",
+            "if self._reckoned is not None and self._confusable(self._reckoned, 1.0):",
+        ),
         ("doubted-and-never-paired", "elif {role for _, role in assigned} >= {LEFT, RIGHT}:", "elif False:"),
         ("wrong-since-now", "since_s = (self._t_ns - self._learnt_ns) * 1e-9", "since_s = 0.0"),
         ("forgotten-at-once", "or self._by_lines(lines) or self._lately_known()", "or self._by_lines(lines)"),
@@ -798,6 +813,12 @@ BOUNDS = (
         ("extrapolated-and-kept", "and not any(self._reaching(followed))", "and False"),
         ("without-odometry-believed", "not self.reckons or reaching ==", "reaching =="),
         ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
+    ),
+    *_of(
+        "automodel/tracking/road_profile.py",
+        "tests/tracking/test_road_profile.py",
+        ("dead-reckoning-weighs-nothing", "self._born *= (left, right)", "pass"),
+        ("kinds-of-the-lane-that-was", 'now = np.einsum("l,lsk->sk", self.lanes, self._of_lane)', "now = self.known"),
     ),
     *_of(
         "automodel/perception/markings/reflections.py",

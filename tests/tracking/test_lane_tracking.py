@@ -555,8 +555,33 @@ def test_a_lane_far_from_where_the_odometry_puts_it_and_the_next_one_may_be_any(
     drive = driving()
     belief = drive.tracking._belief
     assert belief is not None
-    assert not drive.tracking._may_be_next(belief, belief)
-    assert drive.tracking._may_be_next(belief.moved(0.0, math.radians(50.0), STEP_S, True), belief)
+    assert max(drive.tracking._beside_reckoned(belief, belief)) < EXCEEDED
+    assert drive.tracking._beside_reckoned(belief.moved(0.0, math.radians(50.0), STEP_S, True), belief) == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("side", [+1, -1])
+def test_a_lane_to_the_left_of_dead_reckonings_is_likelier_the_left_one(side: int) -> None:
+    drive = driving()
+    assert drive.tracking._belief is not None
+    reckoned = drive.tracking._belief.without_road().moved(6.0 * LANE_M, 0.0, 1.2, True)
+    aside = reckoned.displaced(0.5 * side * LANE_M, 0.0, np.zeros((2, 2)))
+    left, right = drive.tracking._beside_reckoned(aside, reckoned)
+    assert (left > 1e3 * right) if side > 0 else (right > 1e3 * left)
+
+
+def test_behind_a_gap_a_worn_line_is_that_of_the_lane_where_dead_reckoning_has_it() -> None:
+    """It looks dashed, as that of the oncoming lane."""
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    for _ in range(100):
+        drive.follow(said(0.0), country_road(0.0))
+    for _ in range(round(4.0 * LANE_M / (SPEED_MPS * STEP_S))):
+        drive.follow(said(0.0, NONE))
+    assert drive.doubted
+    (line,) = sights(0.0, (RIGHT,))
+    for _ in range(20):
+        told = drive.follow(said(0.0, (RIGHT,)), (replace(line, painted_m=DASHED * line.span_m),))
+    assert not drive.doubted
+    assert bound(told) < 0.5 * LANE_M
 
 
 def test_an_estimator_is_no_surer_than_the_lines_that_it_follows() -> None:
@@ -1275,6 +1300,22 @@ def test_who_follows_the_oncoming_lane_is_told_by_the_kinds_of_its_lines(mirrore
         assert tracking.follow(drive.frame, back).status is LaneStatus.ONE_LINE
         drive.predict()
     assert not drive.doubted
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_in_doubt_the_kinds_of_the_lines_tell_the_lane_from_the_next_one(own: bool) -> None:
+    """Behind a gap the car is on the left one of two lines: its own lane's, or its right line and one beyond."""
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    for _ in range(100):
+        drive.follow(said(0.0), country_road(0.0))
+    for _ in range(round(6.0 * LANE_M / (SPEED_MPS * STEP_S))):
+        drive.follow(said(0.0, NONE))
+    assert drive.doubted
+    painted = (DASHED, 1.0) if own else (1.0, DASHED)
+    pair = zip(sights(0.5 * LANE_M), painted, strict=True)
+    told = drive.follow(said(0.0, NONE), tuple(replace(line, painted_m=share * line.span_m) for line, share in pair))
+    assert told.pose is not None
+    assert told.pose.offset_m == pytest.approx(math.copysign(0.5 * LANE_M, 1.0 if own else -1.0), abs=0.05 * LANE_M)
 
 
 def test_a_line_that_becomes_solid_leaves_the_lane_as_it_is() -> None:

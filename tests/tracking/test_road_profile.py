@@ -157,6 +157,45 @@ def test_after_a_stretch_without_lines_another_lane_is_likelier() -> None:
     assert 10.0 * blind.lanes[SAME] < plain.lanes[SAME]
 
 
+def test_dead_reckoning_that_bears_out_the_lane_leaves_a_worn_line_to_be_one_of_another_kind() -> None:
+    """Behind a blind way its solid line looks dashed, as that of the oncoming lane: worn, or hidden by lamps."""
+    told, untold = known(), known()
+    for profile in (told, untold):
+        profile.move(4.0, 0)
+    told.land(1e-4, 1e-4)
+    for profile in (told, untold):
+        look(profile, (NONE, NONE, DASHED, NONE), hidden=(0, 3))
+    assert told.lanes[SAME] > 0.99
+    assert untold.lanes[SAME] < 0.8
+
+
+def test_dead_reckoning_that_puts_the_car_on_one_side_speaks_against_the_other_lane_alone() -> None:
+    profile = known()
+    profile.move(4.0, 0)
+    profile.land(1.0, 1e-4)
+    look(profile, (NONE, NONE, DASHED, NONE), hidden=(0, 3))
+    assert profile.lanes[LEFT_LANE] > 0.2
+    assert profile.lanes[RIGHT_LANE] < 1e-3
+
+
+def test_what_dead_reckoning_said_of_a_blind_way_says_nothing_of_the_next_one() -> None:
+    profile = known()
+    profile.move(4.0, 0)
+    profile.land(0.0, 0.0)
+    profile.move(4.0, 0)
+    look(profile, ONCOMING)
+    assert profile.lanes[LEFT_LANE] > 0.9
+
+
+def test_the_log_odds_of_dashes_are_those_of_the_lane_that_is_followed_now() -> None:
+    profile = known(COUNTRY)
+    profile.move(4.0, 0)
+    drive(profile, ONCOMING, 3)
+    left, right = profile.dashed
+    assert left < -1.0
+    assert right > 1.0
+
+
 @pytest.mark.parametrize(("side", "kinds"), [(+1, ONCOMING), (-1, (DASHED, SOLID, NONE, NONE))])
 def test_after_a_lane_change_the_lines_are_those_of_the_next_lane(side: int, kinds: Kinds) -> None:
     profile = known()
