@@ -237,6 +237,14 @@ class Hypotheses:
         shares = zip(self.all, self.posterior(), strict=True)
         return sum(share for one, share in shares if _beside_alike(self.all[0], one, self.config.same))
 
+    @property
+    def agree(self) -> bool:
+        """Whether all that a bound may not leave out take the same lines of the last frame for the lane's own."""
+        own = [{(id(line), role) for line, role in one.assigned if role in (LEFT, RIGHT)} for one in self.all]
+        shares = self.posterior()
+        others = sum(share for share, lines in zip(shares, own, strict=True) if lines != own[0])
+        return 1.0 - sum(shares) + others < EXCEEDED
+
     def posterior(self) -> list[float]:
         """Probabilities of the hypotheses, in their order; the rest is that of those for which there was no room."""
         best = max((one.log_odds for one in self.all), default=0.0)

@@ -178,6 +178,7 @@ class LaneTracking:
         self._marked: LaneBelief | None = None  # where its lines began to look as if they were not parallel
         self._marked_m = 0.0  # driven since then
         self._story: LaneBelief | None = None  # in doubt, what is likelier than what the estimator says
+        self._told_ns = -1  # when both lines told the lane last, in doubt
         self._outvoted = False  # whether the estimator's pose differs from what is believed
         self._blind_m = 0.0
         self._news_m = math.inf  # driven since the last frame that was a witness
@@ -408,6 +409,9 @@ class LaneTracking:
         blind = not own and not self._confusable(self._reckoned, 1.0)
         story = best.belief if likelier else self._reckoned if blind else None
         self._story = story if story is not None and self._possible(story.pose) else None
+        lane_in_view = best.news > self.config.exists and self._is_lane(best)
+        if lane_in_view and self._hypotheses.agree and self._at_once(best.belief, seen):
+            self._told_ns = self._t_ns
         apart = self._apart(measured, best.belief)
         agreed = apart < self.config.gate and self._certain
         clear = not self._confusable(self._reckoned)
@@ -648,13 +652,17 @@ class LaneTracking:
         """Where the lines have moved otherwise than the odometry says, the lane may still be where that has it.
 
         Either may be wrong. That is so until the lines are back there, or the odometry cannot tell the lane any more.
+        In doubt they are the likeliest story's: what the estimator takes for its lines may be anything then.
         """
-        contradicts = self.config.contradicts
+        contradicts, lane = self.config.contradicts, self._measured(followed.pose)
         lines = [line.points_m if line.seen else line.points_m[:0] for line, _ in _sides(followed)]
+        if self.in_doubt and self._hypotheses.all:
+            best = self._hypotheses.best
+            lane, none = best.belief, np.empty((0, 2))
+            lines = [np.concatenate((none, *(line.points_m for line in best.line(role)))) for role in (LEFT, RIGHT)]
         slip = self._paint.look(lines, self.road, contradicts)
         if slip is not None and slip.square > contradicts:
-            back = -slip.left_m, -slip.turn_rad, slip.covariance
-            self._unmoved = self._measured(followed.pose).displaced(*back)
+            self._unmoved = lane.displaced(-slip.left_m, -slip.turn_rad, slip.covariance)
         elif slip is not None and slip.square < self.config.differs:
             self._unmoved = None
         if self._unmoved is not None and self._confusable(self._unmoved):
@@ -1023,8 +1031,9 @@ class LaneTracking:
         taper_rad = 0.0 if followed.left.seen and followed.right.seen else 0.5 * TAPER
         assert self._belief is not None
         may_be = [self._belief]
-        if self.in_doubt:  # and dead reckoning, which no line can mislead
-            reckoned = [] if self._reckoned is None else [self._reckoned]
+        if self.in_doubt:  # and dead reckoning, which no line can mislead, unless this frame's tell the lane
+            told = self._told_ns == self._t_ns
+            reckoned = [] if self._reckoned is None or told else [self._reckoned]
             stories = zip(self._hypotheses.all, self._hypotheses.posterior(), strict=True)
             may_be = [*(one.belief for one, share in stories if share > EXCEEDED), *reckoned]
         else:

@@ -710,6 +710,11 @@ BOUNDS = (
             "for side in (-1, +1))\n        return left, right",
             "for side in (+1, -1))\n        return left, right",
         ),
+        ("dead-reckoning-kept-beside-lines", "is None or told else [self._reckoned]", "is None else [self._reckoned]"),
+        ("one-line-tells-the-lane", "if lane_in_view and self._hypotheses.agree", "if self._hypotheses.agree"),
+        ("lines-of-other-stories-tell", "lane_in_view and self._hypotheses.agree and", "lane_in_view and"),
+        ("what-told-the-lane-tells-it-for-good", "told = self._told_ns == self._t_ns", "told = self._told_ns > 0"),
+        ("zebras-slip", "if self.in_doubt and self._hypotheses.all:", "if False:"),
         ("dead-reckoning-tells-no-lane", "self._profile.land(*beside)", "pass"),
         ("lines-of-a-doubt-of-any-kind", "return LineKinds(left + told.left, right + told.right)", "return told"),
         ("a-wrong-odometry-keeps-any-lane", "if self._confusable(known):  # it may be another one", "if False:  #"),
@@ -813,6 +818,16 @@ BOUNDS = (
         ("extrapolated-and-kept", "and not any(self._reaching(followed))", "and False"),
         ("without-odometry-believed", "not self.reckons or reaching ==", "reaching =="),
         ("another-lane-is-followed-on", "if self._profile.lanes[lane] > self.config.another:", "if False:"),
+    ),
+    *_of(
+        "automodel/tracking/hypotheses.py",
+        "tests/tracking/test_hypotheses.py",
+        ("no-room-is-agreement", "return 1.0 - sum(shares) + others < EXCEEDED", "return others < EXCEEDED"),
+        (
+            "lines-of-other-lanes-disagree",
+            "for line, role in one.assigned if role in (LEFT, RIGHT)}",
+            "for line, role in one.assigned}",
+        ),
     ),
     *_of(
         "automodel/tracking/road_profile.py",

@@ -237,6 +237,23 @@ def test_no_more_hypotheses_live_than_the_limit_and_their_probabilities_sum_to_o
         assert odds == sorted(odds, reverse=True)
 
 
+@pytest.mark.parametrize(("odds", "other", "agree"), [(-2.0, LEFT, True), (-2.0, RIGHT, False), (-8.0, RIGHT, True)])
+def test_hypotheses_agree_that_take_the_same_lines_for_the_lanes_own(odds: float, other: float, agree: bool) -> None:
+    """Those that a bound may leave out do not matter, nor do the lines of other lanes."""
+    line, far = line_of(STRAIGHT, LEFT), line_of(STRAIGHT, LEFT_FAR)
+    hypotheses = Hypotheses()
+    hypotheses.all = (
+        Hypothesis(START, 0.0, (Assigned(line, LEFT), Assigned(far, LEFT_FAR))),
+        Hypothesis(START, odds, (Assigned(line, other),)),
+    )
+    assert hypotheses.agree is agree
+
+
+def test_hypotheses_for_which_there_was_no_room_may_say_otherwise() -> None:
+    hypotheses = as_likely(3, HypothesesConfig(most=2))
+    assert not hypotheses.agree
+
+
 def test_without_a_start_there_are_no_hypotheses() -> None:
     hypotheses = Hypotheses()
     hypotheses.move(ROAD_MODEL, 0.1, 0.0, 0.05, True)

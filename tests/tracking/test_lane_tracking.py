@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from automodel.geometry.lane_path import ROAD
 from automodel.perception.line_scan import SightedLine
 from automodel.signals import EXCEEDED, Frame, LaneEstimate, LaneLine, LanePose, LaneStatus, Motion, MotionSource
 from automodel.tracking import evidence, lane_motion, seen_places
-from automodel.tracking.belief import LaneBelief
+from automodel.tracking.belief import Assigned, LaneBelief
 from automodel.tracking.hypotheses import Hypotheses
 from automodel.tracking.integrity import K
 from automodel.tracking.lane_motion import Part
@@ -567,6 +568,71 @@ def test_a_lane_to_the_left_of_dead_reckonings_is_likelier_the_left_one(side: in
     aside = reckoned.displaced(0.5 * side * LANE_M, 0.0, np.zeros((2, 2)))
     left, right = drive.tracking._beside_reckoned(aside, reckoned)
     assert (left > 1e3 * right) if side > 0 else (right > 1e3 * left)
+
+
+class TwoStories(Hypotheses):
+    """Besides the likeliest story another one lives on, of a lane aside: of the same lines, or of other ones."""
+
+    def __init__(self, other_lines: bool) -> None:
+        super().__init__()
+        self._other = -1.0 if other_lines else 0.0
+
+    def update(self, *args: Any, **options: Any) -> float:
+        news = super().update(*args, **options)
+        best = self.all[0]
+        other = best.belief.displaced(0.2 * LANE_M, 0.0, np.zeros((2, 2)))
+        roles = tuple(Assigned(line, role + self._other) for line, role in best.assigned)
+        self.all = (best, replace(best, belief=other, log_odds=best.log_odds - 2.0, assigned=roles))
+        return news
+
+
+def with_two_stories(other_lines: bool) -> tuple[Drive, float]:
+    """A car beyond a gap, whose lane may be two; and the bound of dead reckoning."""
+    drive = driving(config=replace(CONFIG, coast_s=10.0, coast_lanes=20.0))
+    for _ in range(round(5.0 * LANE_M / (SPEED_MPS * STEP_S))):
+        blind = bound(drive.follow(said(0.0, NONE)))
+    two = TwoStories(other_lines)
+    two.start([(one.belief, one.log_odds) for one in drive.tracking._hypotheses.all], learnt=True)
+    drive.tracking._hypotheses = two
+    return drive, blind
+
+
+@pytest.mark.parametrize(
+    ("roles", "other_lines", "tell"), [(BOTH, False, True), (BOTH, True, False), ((RIGHT,), False, False)]
+)
+def test_in_doubt_both_lines_tell_the_lane_where_all_stories_take_them_for_its_own(
+    roles: Sequence[float], other_lines: bool, tell: bool
+) -> None:
+    """How far aside the car stands in it is not known yet, but better than dead reckoning knows."""
+    drive, blind = with_two_stories(other_lines)
+    told = drive.follow(said(0.0, NONE), sights(0.0, roles))
+    assert drive.doubted
+    assert (bound(told) < 0.5 * blind) is tell
+
+
+def test_what_tells_the_lane_in_one_frame_does_not_in_the_next_without_lines() -> None:
+    drive, blind = with_two_stories(other_lines=False)
+    drive.follow(said(0.0, NONE), sights(0.0))
+    assert bound(drive.follow(said(0.0, NONE))) > blind
+
+
+def test_in_doubt_what_the_estimator_takes_for_its_lines_contradicts_no_odometry() -> None:
+    """It follows the line, and then the end of a zebra's bar; the likeliest story has lines that stand still."""
+    drive, _ = with_two_stories(other_lines=False)
+    for frame in range(24):
+        aside_m = 0.3 * LANE_M if frame // 8 % 2 else 0.0
+        drive.follow(said(aside_m, (LEFT,)), sights(0.0, (RIGHT,)))
+        assert drive.doubted
+        assert drive.tracking._unmoved is None
+
+
+def test_in_doubt_lines_of_the_likeliest_story_that_move_contradict_the_odometry() -> None:
+    drive, _ = with_two_stories(other_lines=False)
+    contradicted = False
+    for frame in range(24):
+        drive.follow(said(0.0, NONE), sights(0.01 * LANE_M * frame))
+        contradicted |= drive.doubted and drive.tracking._unmoved is not None
+    assert contradicted
 
 
 def test_behind_a_gap_a_worn_line_is_that_of_the_lane_where_dead_reckoning_has_it() -> None:
