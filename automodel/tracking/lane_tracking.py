@@ -652,10 +652,17 @@ class LaneTracking:
         """Where the lines have moved otherwise than the odometry says, the lane may still be where that has it.
 
         Either may be wrong. That is so until the lines are back there, or the odometry cannot tell the lane any more.
-        In doubt they are the likeliest story's: what the estimator takes for its lines may be anything then.
+        In doubt they are the likeliest story's: what the estimator takes for its lines may be anything then. What it
+        takes for one where the lane is believed to have the other is none either.
         """
         contradicts, lane = self.config.contradicts, self._measured(followed.pose)
-        lines = [line.points_m if line.seen else line.points_m[:0] for line, _ in _sides(followed)]
+        believed = None if self._belief is None else Evidence(self._belief)
+        lines = [
+            line.points_m
+            if line.seen and (believed is None or believed.nearest_role(_sighted(line.points_m)) == role)
+            else line.points_m[:0]
+            for line, role in _sides(followed)
+        ]
         if self.in_doubt and self._hypotheses.all:
             best = self._hypotheses.best
             lane, none = best.belief, np.empty((0, 2))

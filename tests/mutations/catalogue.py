@@ -714,6 +714,11 @@ BOUNDS = (
         ("one-line-tells-the-lane", "if lane_in_view and self._hypotheses.agree", "if self._hypotheses.agree"),
         ("lines-of-other-stories-tell", "lane_in_view and self._hypotheses.agree and", "lane_in_view and"),
         ("what-told-the-lane-tells-it-for-good", "told = self._told_ns == self._t_ns", "told = self._told_ns > 0"),
+        (
+            "lines-of-other-roles-slip",
+            "if line.seen and (believed is None or believed.nearest_role(_sighted(line.points_m)) == role)",
+            "if line.seen",
+        ),
         ("zebras-slip", "if self.in_doubt and self._hypotheses.all:", "if False:"),
         ("dead-reckoning-tells-no-lane", "self._profile.land(*beside)", "pass"),
         ("lines-of-a-doubt-of-any-kind", "return LineKinds(left + told.left, right + told.right)", "return told"),

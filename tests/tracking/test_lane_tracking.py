@@ -626,6 +626,18 @@ def test_in_doubt_what_the_estimator_takes_for_its_lines_contradicts_no_odometry
         assert drive.tracking._unmoved is None
 
 
+@pytest.mark.parametrize(("aside", "contradicts"), [(1.0, False), (0.35, True)])
+def test_the_right_line_that_is_taken_for_the_left_one_is_no_slip(aside: float, contradicts: bool) -> None:
+    """Nor is the left one that is seen after it; a line that has moved by less than half a lane width is."""
+    drive, contradicted = driving(), False
+    for lanes in (aside, 0.0):
+        for _ in range(8):
+            drive.predict()
+            drive.tracking._see_paint(said(lanes * LANE_M, (LEFT,)))
+            contradicted |= drive.tracking._unmoved is not None
+    assert contradicted is contradicts
+
+
 def test_in_doubt_lines_of_the_likeliest_story_that_move_contradict_the_odometry() -> None:
     drive, _ = with_two_stories(other_lines=False)
     contradicted = False
