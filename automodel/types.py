@@ -13,6 +13,7 @@ Floats = NDArray[np.floating[Any]]  # single or double precision
 Complexes = NDArray[np.complexfloating[Any, Any]]
 Ints = NDArray[np.intp]  # indices
 IntArray = NDArray[np.int64]
+Int32Array = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 Image = NDArray[np.uint8]  # (h, w) grey, or (h, w, 3) BGR
 FloatImage = NDArray[np.float32]  # (h, w), or (h, w, 3)

@@ -30,7 +30,7 @@ NOT_TUNED = {  # modules and names whose numbers say what something is, not how 
     "perception.markings.onnx_check": "the format of an ONNX file",
     "perception.markings.onnx_cost._*": "the format of an ONNX file",
     "perception.markings.unet": "the networks that ship, limits of files, a test at construction",
-    "perception.markings.reflections.QUARTILE": "the normal distribution",
+    "perception.markings.ridge_noise.QUARTILE": "the normal distribution",
     "perception.markings.reflections.LEAST": "numerical tolerance",
     "perception.markings.reflections.MOST_NATS": "numerical tolerance",
     "perception.markings.ridge.RidgeFilter.LEVEL": "the scale of an image",

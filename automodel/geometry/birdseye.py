@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from automodel.compiled import compiled
 from automodel.geometry.ground import GroundCamera
-from automodel.types import FloatArray, Image
+from automodel.types import FloatArray, Image, Int32Array
 
 _BITS = 5  # of a place between two pixels
 
@@ -68,7 +68,8 @@ class View:
 class BirdsEye:
     """Warps images of one calibrated camera into a `View`.
 
-    `mask` (h, w) is 255 where the view's ground lies inside the image, else 0.
+    `mask` (h, w) is 255 where the view's ground lies inside the image, else 0. `rows_per_row` (h,) is how many rows of
+    the view show the same row of the image, far away; at least 1.
     """
 
     def __init__(self, camera: GroundCamera, view: View) -> None:
@@ -77,6 +78,8 @@ class BirdsEye:
         pixels = camera.ground_to_px(view.to_body(np.stack((columns, rows), axis=-1)))
         inside = camera.camera.inside(pixels)
         self.mask: Image = np.where(inside, 255, 0).astype(np.uint8)
+        self.rows_per_row = _rows_per_row(camera, view)
+        self._foot = (float(camera.centre_m[0]), float(camera.centre_m[1]))
         size = np.array(self._shape[::-1])
         source = np.clip(np.where(np.isnan(pixels), 0.0, pixels), 0.0, size - 1.0).astype(np.float32)
         self._repeated = np.maximum(2 - np.array(self._shape), 0)  # a single row or column has itself as neighbour
@@ -101,6 +104,25 @@ class BirdsEye:
         pixels.flags.writeable = False  # of the one kind that is compiled
         return _warped(pixels, self._stride, self._corner, self._right, self._down)
 
+    def along_rays(self, side: int, least_m: float, rows: float) -> Int32Array:
+        """For each pixel (h, w) that which lies on the same ray from the ground below the camera: farther away, or
+        nearer for a `side` of -1.
+
+        It is `least_m` [m] away, or `rows` rows of the image where those are longer. Indices of the flat view; -1
+        where there is none, or either is outside the image.
+        """
+        view = self.view
+        grid_rows, columns = np.mgrid[0 : view.height_px, 0 : view.width_px]
+        ground = view.to_body(np.stack((columns, grid_rows), axis=-1))
+        away = ground - self._foot
+        step_m = side * np.maximum(rows * self.rows_per_row * view.m_per_row, least_m)[:, None]
+        there = np.rint(view.to_px(ground + (step_m / np.hypot(*np.moveaxis(away, -1, 0)))[..., None] * away))
+        column, row = np.moveaxis(there.astype(np.intp), -1, 0)
+        inside = (row >= 0) & (row < view.height_px) & (column >= 0) & (column < view.width_px) & (self.mask > 0)
+        index = row * view.width_px + column
+        inside[inside] = self.mask.reshape(-1)[index[inside]] > 0
+        return np.where(inside, index, -1).astype(np.int32)
+
 
 @compiled
 def _warped(pixels: Image, stride: np.uint32, corner: NDArray[np.uint32], right: Image, down: Image) -> Image:
@@ -120,3 +142,12 @@ def _warped(pixels: Image, stride: np.uint32, corner: NDArray[np.uint32], right:
             rounded = (upper << _BITS) + (lower - upper) * np.int32(down[i, j]) + (1 << (2 * _BITS - 1))
             view[i, j] = rounded >> (2 * _BITS)
     return view
+
+
+def _rows_per_row(camera: GroundCamera, view: View) -> FloatArray:
+    """How many rows of a view (h,) show the same row of the image."""
+    rows = np.arange(view.height_px)
+    middle = view.to_body(np.column_stack((np.full(len(rows), 0.5 * view.width_px), rows)))
+    step = np.array((0.5 * view.m_per_row, 0.0))
+    moved_px = np.hypot(*(camera.ground_to_px(middle + step) - camera.ground_to_px(middle - step)).T)
+    return np.asarray(np.where(moved_px > 0.0, 1.0 / np.maximum(moved_px, 1.0 / len(rows)), 1.0).clip(1.0))

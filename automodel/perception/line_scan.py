@@ -137,14 +137,35 @@ class LineScan:
         self._around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height))
         self._warm_up()
 
-    def step(self, lines: Image, paint: Image | None = None) -> tuple[SightedLine, ...]:
+    def step(self, lines: Image, paint: Image | None = None, apart: Image | None = None) -> tuple[SightedLine, ...]:
         """The lines of a view, in no order; `paint` (h, w): all that may be paint, also what is worn or too wide.
 
-        Pixels that paint connects within a marking's width are of one piece: worn paint leaves specks.
+        Pixels that paint connects within a marking's width are of one piece: worn paint leaves specks. What of the
+        lines is also in `apart` (h, w) may be a streak that crosses the rest, and is then of no piece with it.
         """
         paint = lines if paint is None else paint
-        near: Image = np.asarray(cv2.dilate(lines, self._around), dtype=np.uint8)
-        return tuple(self._line(piece, paint) for piece in self._joined(self._pieces(lines, (near & paint) | lines)))
+        parts = [lines] if apart is None else self._parts(lines, apart)
+        pieces = [piece for part in parts for piece in self._pieces(part, self._connected(part, paint))]
+        return tuple(self._line(piece, paint) for piece in self._joined(pieces))
+
+    def _parts(self, lines: Image, apart: Image) -> list[Image]:
+        """The lines (h, w) less what of `apart` (h, w) has some beside it on its rows, within a marking's width; and
+        that. What goes on alone is of the same line.
+        """
+        rest = cv2.subtract(lines, apart)
+        beside = cv2.bitwise_and(cv2.dilate(rest, np.ones((1, self._around.shape[1]), np.uint8)), apart)
+        if not beside.any():
+            return [lines]
+        count, labels = cv2.connectedComponents(apart, connectivity=8)
+        crossing = np.zeros(count, np.uint8)
+        crossing[labels[beside > 0]] = 255
+        streaks = crossing[labels]
+        return [np.asarray(cv2.subtract(lines, streaks), dtype=np.uint8), streaks]
+
+    def _connected(self, lines: Image, paint: Image) -> Image:
+        """The lines (h, w), and the paint within a marking's width of them."""
+        near = cv2.bitwise_and(cv2.dilate(lines, self._around), paint)
+        return np.asarray(cv2.bitwise_or(near, lines), dtype=np.uint8)
 
     def of_stripes(self, stripes: Iterable[FloatArray]) -> tuple[SightedLine, ...]:
         """The lines of stripes (n, 2) [m] that were found otherwise: points in the body frame, near to far."""

@@ -109,7 +109,7 @@ class Contour:
         self._birdseye = BirdsEye(self._camera, view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, self._car.lane.markings)
         self._faint_lines = FaintLines(
-            self._camera, view, self._white_areas, marking_m, options.radius_lanes * unit, LineScan.SLOPE
+            self._birdseye, self._white_areas, marking_m, options.radius_lanes * unit, LineScan.SLOPE
         )
         self._reflections = Reflections(self._camera, view, self._white_areas.mask, marking_m, self._car.lane.markings)
         self._scan = LineScan(view, unit, marking_m)
@@ -245,8 +245,8 @@ class Contour:
             grey = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
         view = self._birdseye.warp(np.asarray(grey, dtype=np.uint8))
         areas = self._faint_lines.step(view, self._white_areas.step(view))
-        lines = self._reflections.step(view, areas.lines)
-        return self._reflections.told(self._scan.step(lines, areas.bright))
+        lines = self._reflections.step(view, areas.lines, areas.paint)
+        return self._reflections.told(self._scan.step(lines, areas.bright, self._reflections.doubtful))
 
     def _track(self, image: Image, rounds: int) -> Tracked:
         """Measure the pair and correct it, up to `rounds` times."""

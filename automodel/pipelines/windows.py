@@ -87,8 +87,7 @@ class Windows:
         self._birdseye = BirdsEye(self._camera, self.view)
         self._white_areas = WhiteAreas(self._birdseye, marking_m, options.contrast, lane.markings)
         self._faint_lines = FaintLines(
-            self._camera,
-            self.view,
+            self._birdseye,
             self._white_areas,
             marking_m,
             self._car.pipeline.contour.radius_lanes * lane.width_m,
@@ -137,9 +136,9 @@ class Windows:
         self.stages.lap("white_areas")
         if self._tracking.lost:
             areas = self._faint_lines.step(view, areas)
-            lines = self._reflections.step(view, areas.lines)  # without reflections
+            lines = self._reflections.step(view, areas.lines, areas.paint)  # without reflections
             # Lines in view, of which those that point to the camera may be reflections, too.
-            sighted = self._reflections.told(self._scan.step(lines, areas.bright))
+            sighted = self._reflections.told(self._scan.step(lines, areas.bright, self._reflections.doubtful))
             start = self._tracking.start(frame.t_ns, sighted)  # the lane's pair
             self.stages.lap("start")
             gentle = self._gentle.step(frame.image)  # line integrals, where all bends are wide
@@ -161,8 +160,10 @@ class Windows:
             self.stages.lap("lane_fit")
         if self._tracking.looks_around(followed):  # which of all lines in view are the lane's?
             areas = self._faint_lines.step(view, areas)
-            lines = self._reflections.step(view, areas.lines)
-            anew = self._tracking.judge(self._reflections.told(self._scan.step(lines, areas.bright)), followed)
+            lines = self._reflections.step(view, areas.lines, areas.paint)
+            anew = self._tracking.judge(
+                self._reflections.told(self._scan.step(lines, areas.bright, self._reflections.doubtful)), followed
+            )
             if anew is not None:
                 followed = self._followed(None, *self._restart(anew, view, areas, lines))
             self.stages.lap("doubt")
@@ -236,7 +237,7 @@ class Windows:
         left, right = self._windows.expected(lane, +1) + beside_m[0], self._windows.expected(lane, -1) + beside_m[1]
         seen = self._windows.observe(lines, left, right, widening)
         if self._reflections.any_points_to_camera(seen.left_m, seen.right_m):
-            lines = self._reflections.step(view, areas.lines)
+            lines = self._reflections.step(view, areas.lines, areas.paint)
             seen = self._windows.observe(lines, left, right, widening)
         if not scan.covered.any():
             return seen

@@ -549,7 +549,13 @@ BOUNDS = (
     *_of(
         "automodel/perception/line_scan.py",
         "tests/perception/test_line_scan.py",
-        ("worn-paint-is-specks", "self._pieces(lines, (near & paint) | lines)", "self._pieces(lines, lines)"),
+        ("a-streak-is-part-of-the-line-it-crosses", "if not beside.any():", "if True:"),
+        (
+            "a-bend-falls-to-pieces",
+            "cv2.bitwise_and(cv2.dilate(rest, np.ones((1, self._around.shape[1]), np.uint8)), apart)",
+            "apart",
+        ),
+        ("worn-paint-is-specks", "near = cv2.bitwise_and(cv2.dilate(lines, self._around), paint)", "near = lines"),
     ),
     *_of(
         "automodel/perception/markings/faint_lines.py",
@@ -582,6 +588,14 @@ BOUNDS = (
         ),
     ),
     *_of(
+        "automodel/perception/markings/binary_views.py",
+        "tests/perception/markings/test_white_areas.py",
+        ("paint-in-a-beam-is-unseen", "known[first:end] = shown[first:end]", "pass"),
+        ("a-crossing-line-is-a-streak", "out[j] = min(known[j], shown[j])", "pass"),
+        ("a-beams-rim-is-noise", "abs(2 * np.int64(pixels[rays.at[k]]) - beside)", "2 * contrasts[rays.at[k]]"),
+        ("rounding-is-no-noise", "ROUNDED = 2.0", "ROUNDED = 0.0"),
+    ),
+    *_of(
         "automodel/perception/markings/unet.py",
         "tests/perception/markings/test_unet.py",
         ("a-damaged-network-drives", "!= SHIPPED[config.size]", "== data"),
@@ -591,8 +605,8 @@ BOUNDS = (
         "tests/pipelines/test_reflections.py",
         (
             "no-reflection-is-followed",
-            "self._reflections.told(self._scan.step(lines, areas.bright)), followed",
-            "self._scan.step(lines, areas.bright), followed",
+            "self._reflections.told(self._scan.step(lines, areas.bright, self._reflections.doubtful)), followed",
+            "self._scan.step(lines, areas.bright, self._reflections.doubtful), followed",
         ),
     ),
     *_of(
@@ -600,8 +614,8 @@ BOUNDS = (
         "tests/pipelines/test_reflections.py",
         (
             "no-reflection-is-looked-at",
-            "self._reflections.told(self._scan.step(lines, areas.bright))",
-            "self._scan.step(lines, areas.bright)",
+            "self._reflections.told(self._scan.step(lines, areas.bright, self._reflections.doubtful))",
+            "self._scan.step(lines, areas.bright, self._reflections.doubtful)",
         ),
     ),
     *_of(
@@ -843,6 +857,7 @@ BOUNDS = (
     *_of(
         "automodel/perception/markings/reflections.py",
         "tests/perception/markings/test_reflections.py",
+        ("a-crossing-line-is-removed", "return lines | sure", "return lines"),
         ("turns-blur-nothing", "math.hypot(self.config.blur_px, turn_px)", "self.config.blur_px"),
         ("standing-cars-blur", "math.hypot(self.config.blur_px, turn_px)", "math.inf"),
         ("profiles-of-lines-untold", "odds = float(np.nansum(self._paint_odds[piece]))", "odds = 0.0"),

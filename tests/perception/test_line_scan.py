@@ -11,7 +11,7 @@ import pytest
 from automodel.geometry import View
 from automodel.perception.line_scan import LineScan, SightedLine, _areas
 from tests.support.drawn_roads import LANE_M, MARKING_M, STRAIGHT, Road, within, zebra
-from tests.support.drawn_views import Shape, bar, binary, disc
+from tests.support.drawn_views import Shape, bar, binary, disc, line_at
 
 VIEW = View(x_near_m=0.3, x_far_m=2.3, half_width_m=0.8, m_per_px=0.0075)
 DASH_M, GAP_M = 0.2, 0.2
@@ -195,6 +195,25 @@ def test_worn_paint_is_no_gap_and_gaps_between_dashes_are() -> None:
     assert dashed.painted_m / dashed.span_m == pytest.approx(DASH_M / (DASH_M + GAP_M), abs=0.1)
     (aside,) = scan.step(pieces, pieces | binary(VIEW, road.line(-0.5 * LANE_M), samples=4))
     assert aside.painted_m == dashed.painted_m  # another line's paint
+
+
+def test_a_streak_that_crosses_a_line_is_of_no_piece_with_it() -> None:
+    scan, line, streak = LineScan(VIEW, LANE_M, MARKING_M), line_at(-0.6, slope=0.6), line_at(0.3, slope=-0.1)
+    one, other = binary(VIEW, line), binary(VIEW, streak)
+    found = scan.step(one | other, apart=np.where(one > 0, 0, other).astype(np.uint8))
+    assert len(found) == 2
+    for shape in (line, streak):
+        assert any(shape(*each.points_m.T).all() for each in found)
+    assert not any(shape(*each.points_m.T).all() for each in scan.step(one | other) for shape in (line, streak))
+
+
+def test_what_goes_on_with_a_line_is_of_one_piece_with_it() -> None:
+    """A part of a bend points to the camera, as a streak does."""
+    scan, bend = LineScan(VIEW, LANE_M, MARKING_M), binary(VIEW, line_at(0.4, MARKING_M, -0.8, 0.7))
+    part = bend.copy()
+    part[:120] = part[132:] = 0
+    (whole,), (cut,) = scan.step(bend), scan.step(bend, apart=part)
+    np.testing.assert_array_equal(cut.points_m, whole.points_m)
 
 
 def test_a_line_with_short_gaps_is_worn() -> None:

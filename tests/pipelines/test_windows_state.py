@@ -51,7 +51,7 @@ def go_dark(pipeline: Pipeline, drive: list[Seen], frames: int, speed_mps: float
 def test_a_reflection_is_neither_looked_at_nor_followed(seen: list[Seen], monkeypatch: pytest.MonkeyPatch) -> None:
     pipeline, looked = Windows(CAR), []
     replayed(pipeline, seen)
-    monkeypatch.setattr(pipeline._reflections, "step", lambda view, lines: np.zeros_like(lines))
+    monkeypatch.setattr(pipeline._reflections, "step", lambda view, lines, paint: np.zeros_like(lines))
     monkeypatch.setattr(pipeline._tracking, "looks_around", lambda followed: True)
     monkeypatch.setattr(pipeline._tracking, "judge", lambda lines, followed: looked.append(len(lines)))
     replayed(pipeline, seen[-1:], from_ns=PERIOD_NS)

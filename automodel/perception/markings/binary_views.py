@@ -6,6 +6,7 @@ uses `WhiteAreas`, and `contour` where it looks around.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from statistics import NormalDist
 from typing import NamedTuple
@@ -16,11 +17,14 @@ import numpy as np
 from automodel.compiled import compiled
 from automodel.config import CameraConfig, Intrinsics
 from automodel.geometry import BirdsEye, GroundCamera, View
-from automodel.perception.markings.ridge_noise import FALSE_ALARMS
-from automodel.types import Image, Ints
+from automodel.perception.markings.ridge import ridge_image
+from automodel.perception.markings.ridge_noise import FALSE_ALARMS, MEDIAN, QUARTILE, least_ridge, median
+from automodel.types import Image, Int32Array, Ints
 
 ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, however unlikely
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
+ROUNDED = 2.0  # grey levels that whole numbers may show where there is less than one, which is rounded at both ends
+SAMPLED = 7  # every so many pixels tell the noise and what is brightest: thousands
 MAX_ROWS = 240  # of a bird's-eye view; a long view is coarser along the road than across
 
 
@@ -128,12 +132,14 @@ class FeaturePoints:
 class MarkingViews(NamedTuple):
     """A grey bird's-eye view (h, w) filtered: all bright areas and those as wide as a line, 0 or 255.
 
-    `least`: what is less above its surroundings [grey levels] is no marking beside what is brighter, or by the
-    configuration, however sure it is.
+    `paint`: of the lines, those that are no reflections, because they cross the rays from the camera. `least`: what is
+    less above its surroundings [grey levels] is no marking beside what is brighter, or by the configuration, however
+    sure it is.
     """
 
     bright: Image
     lines: Image
+    paint: Image
     least: float = 0.0
 
 
@@ -151,6 +157,14 @@ class Run(NamedTuple):
     dark: bool
 
 
+class Rays(NamedTuple):
+    """Indices (n,) of a flat view's pixels, and of those that lie ahead and behind on the same rays from the camera."""
+
+    at: Int32Array
+    ahead: Int32Array
+    behind: Int32Array
+
+
 class WhiteAreas:
     """The white-areas filter of Balbuena Palma et al. 2020, section IV-B: keeps what is about as wide as a marking.
 
@@ -159,6 +173,11 @@ class WhiteAreas:
     where that is 0, what noise exceeds at `FALSE_ALARMS` pixels. Of the bright areas, runs along a row
     between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `markings` are
     "light" or "dark" against the ground, or "both": then what is darker than its surroundings counts as bright too.
+
+    That does not tell paint in a lamp's beam from the beam, which is as bright and lifts the mean. Along the ground's
+    rays from the camera a beam hardly changes, and paint that crosses them is a ridge: such runs are lines, too. The
+    noise is that of second differences along the rays, for which a beam's rim is none. Both reach over two rows of the
+    image at least: what is seen by the same pixels does not differ.
     """
 
     NARROW, WIDE = 0.45, 2.4
@@ -183,31 +202,41 @@ class WhiteAreas:
         edge = np.ones((3, 2 * int(0.5 * marking_px) + 3), np.uint8)
         padded = cv2.copyMakeBorder(birdseye.mask, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=[0])
         self.mask: Image = np.array(cv2.erode(padded, edge)[1:-1, 1:-1], dtype=np.uint8)
-        thinned = np.zeros_like(self.mask)
-        thinned[::3] = self.mask[::3]
-        self._sampled = np.flatnonzero(thinned)
-        normal, rate = NormalDist(), min(FALSE_ALARMS / (3.0 * max(len(self._sampled), 1)), 0.25)
-        self._quartiles = normal.inv_cdf(1.0 - rate) / normal.inv_cdf(0.75)
+        reach_m = self.run.reach * birdseye.view.m_per_px
+        ahead, behind = (birdseye.along_rays(side, reach_m, 2.0) for side in (+1, -1))
+        there = (self.mask > 0) & (ahead >= 0) & (behind >= 0)
+        self._rays = Rays(at=np.flatnonzero(there).astype(np.int32), ahead=ahead[there], behind=behind[there])
+        self._sampled = Rays(*(each[::SAMPLED].copy() for each in self._rays))
+        places = max(int(np.count_nonzero(self.mask)), 1)
+        self._sigmas = NormalDist().inv_cdf(1.0 - min(FALSE_ALARMS / places, 0.25))
+        self._ridge_sigmas = MEDIAN * least_ridge(float(places))
         self.step(self.mask)  # what it calls is compiled now: no frame waits for it
 
     def step(self, view: Image) -> MarkingViews:
         """The filtered views of a grey view (h, w)."""
         view = np.asarray(cv2.blur(view, (self.smooth, 3)), dtype=np.uint8)
         around = cv2.blur(view, (self._box, self._box), borderType=cv2.BORDER_REPLICATE)
-        contrast = self._contrast(view, np.asarray(around, dtype=np.uint8))
-        least, level = self._levels(contrast)
-        lines = narrow_lines(view, np.flatnonzero(contrast > int(level)), self.SIDES * level, self.run, self.mask)
-        bright = cv2.bitwise_and(cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1], self.mask)
-        return MarkingViews(np.asarray(bright, dtype=np.uint8), lines, least)
+        contrast, ridges = self._contrast(view, np.asarray(around, dtype=np.uint8)), self._ridges(view)
+        brightest, noise = _brightest_and_noise(contrast, view, self._sampled)
+        least, noisy, noisy_ridge = max(self.SHARE * brightest, self.contrast), 0.0, 0.0
+        if not self.contrast:
+            noisy, noisy_ridge = (max(sigmas * noise, ROUNDED) for sigmas in (self._sigmas, self._ridge_sigmas))
+        level = max(least, noisy)
+        bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
+        across = cv2.bitwise_and(cv2.threshold(ridges, self.SIDES * level, 255, cv2.THRESH_BINARY)[1], bright)
+        lines = narrow_lines(np.flatnonzero(across > 0), self.run, self.mask)
+        paint = lines_along(view, self._rays, max(least, noisy_ridge), self.run, self.mask, lines)
+        bright = cv2.bitwise_or(cv2.bitwise_and(bright, self.mask), lines)
+        return MarkingViews(bright=np.asarray(bright, dtype=np.uint8), lines=lines, paint=paint, least=least)
 
-    def _levels(self, contrast: Image) -> tuple[float, float]:
-        """The contrast [grey levels] that a marking has at least, and that from which on a single pixel is bright."""
-        # The third quartile of symmetric noise is the median of its absolute values; the rest of `contrast` is cut off
-        # at 0 where one polarity counts.
-        quartile = 0.5 if self._markings == "both" else 0.75
-        brightest, noise = _brightest_and_noise(contrast.ravel(), self._sampled, quartile)
-        least = max(self.SHARE * brightest, self.contrast)
-        return least, max(least, 0.0 if self.contrast else self._quartiles * noise)
+    def _ridges(self, view: Image) -> Image:
+        """How far each pixel is above both its sides, or below both for dark markings; else 0."""
+        reach = self.run.reach
+        light = ridge_image(view, 1, 1, reach) if self.run.light else np.zeros_like(view)
+        if not self.run.dark:
+            return light
+        dark = ridge_image(np.asarray(cv2.bitwise_not(view), dtype=np.uint8), 1, 1, reach)
+        return np.asarray(cv2.max(light, dark), dtype=np.uint8)
 
     def _contrast(self, view: Image, around: Image) -> Image:
         """How far each pixel is above its surroundings, or below them for dark markings; else 0."""
@@ -218,41 +247,71 @@ class WhiteAreas:
 
 
 @compiled
-def _brightest_and_noise(values: Image, sampled: Ints, quartile: float) -> tuple[float, float]:
-    """Of the values of an image (n,) at `sampled` (k,): from which on they are the brightest 1 %, and a quantile."""
-    counts = np.zeros((4, 256), np.int64)  # four, because one that is counted up again and again is waited for
-    for k in range(len(sampled)):
-        counts[k % 4, values[sampled[k]]] += 1
-    shares = np.cumsum(counts.sum(axis=0)) / max(len(sampled), 1)
-    # A grey level stands for all values half a level around it.
-    return float(np.searchsorted(shares, 0.99)), np.interp(quartile, shares, np.arange(256.0) + 0.5)
+def _brightest_and_noise(contrast: Image, view: Image, rays: Rays) -> tuple[float, float]:
+    """From which contrast (h, w) on the brightest 1 % of a view's pixels (h, w) are, and the noise of one.
 
-
-@compiled
-def _is_ridge(view: Image, row: int, column: int, sides: float, run: Run) -> bool:
-    """Whether a pixel of a view (h, w) exceeds both its neighbours on its row by more than `sides`, or is as far below.
-
-    The rim of a bright patch exceeds one side only; the first and the last pixel of a row, none.
+    That is its standard deviation by the median of second differences along the rays.
     """
-    value, left = float(view[row, column]), float(view[row, max(column - run.reach, 0)])  # int() would be unsigned
-    right = float(view[row, min(column + run.reach, view.shape[1] - 1)])
-    return (run.light and value - max(left, right) > sides) or (run.dark and min(left, right) - value > sides)
+    contrasts, pixels = contrast.reshape(-1), view.reshape(-1)
+    counts, differences = np.zeros(256, np.int64), np.zeros(4 * 256, np.int64)
+    for k in range(len(rays.at)):
+        counts[contrasts[rays.at[k]]] += 1
+        beside = np.int64(pixels[rays.ahead[k]]) + np.int64(pixels[rays.behind[k]])
+        differences[abs(2 * np.int64(pixels[rays.at[k]]) - beside)] += 1
+    brightest = float(np.searchsorted(np.cumsum(counts) / max(counts.sum(), 1), 0.99))
+    return brightest, median(differences) / (QUARTILE * math.sqrt(6.0))
 
 
 @compiled
-def narrow_lines(view: Image, bright: Ints, sides: float, run: Run, visible: Image) -> Image:
+def lines_along(view: Image, rays: Rays, least: float, run: Run, visible: Image, lines: Image) -> Image:
+    """Runs of pixels of a view (h, w) that are above those ahead and behind by `least`: 0 or 255; added to its `lines`.
+
+    They are runs along the rows, as long as a line is wide. One that touches a line of its row is the same paint, which
+    tells the place better: the far side of what crosses the rays is blurred more than the near one.
+    """
+    pixels, shown, known, width = view.reshape(-1), visible.reshape(-1), lines.reshape(-1), view.shape[1]
+    found, step, first, end = np.zeros_like(view), np.int64(least) + 1, 0, 0
+    out = found.reshape(-1)
+    for k in range(len(rays.at) + 1):
+        at, is_ridge = 0, False
+        if k < len(rays.at):
+            at = np.int64(rays.at[k])
+            here, one, other = np.int64(pixels[at]), np.int64(pixels[rays.ahead[k]]), np.int64(pixels[rays.behind[k]])
+            is_ridge = (run.light and here - max(one, other) >= step) or (run.dark and min(one, other) - here >= step)
+        if is_ridge and at == end and at % width != 0:
+            end += 1
+            continue
+        if run.narrow <= end - first < run.wide:
+            start, stop = first - first % width, first - first % width + width  # of its row
+            alone = True
+            for j in range(first, end):
+                alone = alone and known[j] == 0
+            if alone:
+                known[first:end] = shown[first:end]
+            else:
+                while first > start and known[first - 1] != 0:
+                    first -= 1
+                while end < stop and known[end] != 0:
+                    end += 1
+            for j in range(first, end):
+                out[j] = min(known[j], shown[j])
+        first, end = at, at + int(is_ridge)
+    return found
+
+
+@compiled
+def narrow_lines(ridges: Ints, run: Run, visible: Image) -> Image:
     """Runs of pixels along the rows of a view (h, w) that are as long as a line is wide: 0 or 255, where `visible`.
 
-    The pixels are those of `bright` (n,), indices of the flat view, that are ridges by `sides`. Masked only at the end:
-    an area cut by the image's edge is replicated beyond it and counts as wide, not as narrow.
+    The pixels are `ridges` (n,), indices of the flat view, in their order. Masked only at the end: an area cut by the
+    image's edge is replicated beyond it and counts as wide, not as narrow.
     """
-    width, lines, k = view.shape[1], np.zeros_like(view), 0
-    while k < len(bright):
-        first = end = bright[k]
+    width, lines, k = visible.shape[1], np.zeros_like(visible), 0
+    while k < len(ridges):
+        first = end = ridges[k]
         row, start = first // width, first - first % width  # and where the row starts
-        while k < len(bright) and bright[k] == end and _is_ridge(view, row, end - start, sides, run):
+        while k < len(ridges) and ridges[k] == end and end < start + width:
             k, end = k + 1, end + 1
         if run.narrow <= end - first < run.wide:
             lines[row, first - start : end - start] = visible[row, first - start : end - start]
-        k += end == first
     return lines

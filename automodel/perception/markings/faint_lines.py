@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from automodel.compiled import compiled
-from automodel.geometry import GroundCamera, View
+from automodel.geometry import BirdsEye
 from automodel.perception.markings.binary_views import MarkingViews, Run, WhiteAreas
-from automodel.perception.markings.reflections import QUARTILE
-from automodel.perception.markings.ridge_noise import MEDIAN, least_ridge
+from automodel.perception.markings.ridge_noise import MEDIAN, QUARTILE, least_ridge, median
 from automodel.signals import EXCEEDED
-from automodel.types import FloatArray, Image, IntArray
+from automodel.types import FloatArray, Image
 
 _BINS = 16  # of a histogram, to a standard deviation
 
@@ -32,9 +31,8 @@ class FaintLines:
     little that a bright speck, no longer than two markings are wide, makes no line.
     """
 
-    def __init__(
-        self, camera: GroundCamera, view: View, areas: WhiteAreas, marking_m: float, radius_m: float, slope: float
-    ) -> None:
+    def __init__(self, birdseye: BirdsEye, areas: WhiteAreas, marking_m: float, radius_m: float, slope: float) -> None:
+        view = birdseye.view
         self._run, self._smooth, self._visible = areas.run, areas.smooth, areas.mask
         length_m = math.sqrt(4.0 * marking_m * radius_m)  # on which such a bend moves by half a marking
         apart = 2.0 * marking_m / length_m
@@ -42,7 +40,7 @@ class FaintLines:
         directions = apart * np.arange(-count, count + 1)
         self._skews = directions * view.m_per_row / view.m_per_px  # columns per row
         self._halves = (0.5 * length_m / np.hypot(1.0, directions) / view.m_per_row).astype(np.int64)
-        self._alike = _rows_per_row(camera, view)
+        self._alike = birdseye.rows_per_row
         # A false line in as many views as a bound may be exceeded in.
         self._height = MEDIAN * least_ridge(float(np.count_nonzero(self._visible)) / EXCEEDED)
         self._clip = min(self._height, self._height * math.sqrt(length_m * view.m_per_row) / (2.0 * marking_m))
@@ -86,15 +84,6 @@ class FaintLines:
         return found
 
 
-def _rows_per_row(camera: GroundCamera, view: View) -> FloatArray:
-    """How many rows of a view (h,) show the same row of the image, far away: they are one witness. At least 1."""
-    rows = np.arange(view.height_px)
-    middle = view.to_body(np.column_stack((np.full(len(rows), 0.5 * view.width_px), rows)))
-    step = np.array((0.5 * view.m_per_row, 0.0))
-    moved_px = np.hypot(*(camera.ground_to_px(middle + step) - camera.ground_to_px(middle - step)).T)
-    return np.asarray(np.where(moved_px > 0.0, 1.0 / np.maximum(moved_px, 1.0 / len(rows)), 1.0).clip(1.0))
-
-
 @compiled
 def _above_sides(
     view: Image, visible: Image, quiet: Image, reach: int, clip: float
@@ -106,7 +95,7 @@ def _above_sides(
     """
     rows, columns = view.shape
     left, right = np.zeros((rows, columns), np.int16), np.zeros((rows, columns), np.int16)
-    counts, total = np.zeros(4 * 256, np.int64), 0
+    counts = np.zeros(4 * 256, np.int64)
     for r in range(rows):
         for c in range(reach, columns - reach):
             if visible[r, c] != 0:
@@ -114,26 +103,13 @@ def _above_sides(
                 left[r, c], right[r, c] = here - np.int16(view[r, c - reach]), here - np.int16(view[r, c + reach])
                 if r % 3 == 0 and quiet[r, c] != 0:
                     counts[abs(left[r, c] + right[r, c])] += 1
-                    total += 1
-    noise = _median(counts, total) / (QUARTILE * math.sqrt(6.0))
+    noise = median(counts) / (QUARTILE * math.sqrt(6.0))
     most = np.int16(math.ceil(clip * noise))
     for r in range(rows):
         for c in range(columns):
             left[r, c] = min(max(left[r, c], -most), most)
             right[r, c] = min(max(right[r, c], -most), most)
     return left, right, noise
-
-
-@compiled
-def _median(counts: IntArray, total: int) -> float:
-    """The median of whole numbers from 0 on, each of which stands for all values half a unit around it."""
-    below = 0
-    for k in range(len(counts)):
-        if counts[k] > 0 and 2 * (below + counts[k]) >= total:
-            low = max(k - 0.5, 0.0)
-            return low + (k + 0.5 - low) * (0.5 * total - below) / counts[k]
-        below += counts[k]
-    return 0.0
 
 
 @compiled
@@ -166,7 +142,7 @@ def _find(
     left, right = np.zeros(size, np.int32), np.zeros(size, np.int32)
     over, most = np.empty((rows, columns), np.int32), np.zeros(rows, np.int32)
     bin_width = max(math.sqrt(6.0 * count) * noise / _BINS, 1.0)
-    counts, total = np.zeros(64 * _BINS, np.int64), 0
+    counts = np.zeros(64 * _BINS, np.int64)
     for r in range(-half, rows):
         if r + half < rows:
             there = slice(starts[r + half], starts[r + half] + columns)
@@ -185,8 +161,7 @@ def _find(
                 if quiet[r, c] != 0:
                     both = abs(here_left[c] + here_right[c])
                     counts[min(int(both / bin_width), len(counts) - 1)] += 1
-                    total += 1
-    shown = _median(counts, total) * bin_width / (QUARTILE * math.sqrt(6.0))
+    shown = median(counts) * bin_width / (QUARTILE * math.sqrt(6.0))
     for r in range(rows):
         summed = min(r + half, rows - 1) - max(r - half, 0) + 1
         sigma = max(shown * math.sqrt(summed / count), noise * math.sqrt(summed * min(alike[r], summed)))

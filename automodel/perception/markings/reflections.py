@@ -20,6 +20,7 @@ from automodel.compiled import compiled
 from automodel.geometry import GroundCamera, View
 from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.marking_width import MarkingWidth
+from automodel.perception.markings.ridge_noise import QUARTILE
 from automodel.types import Bools, Float32Array, FloatArray, Image, Ints
 
 PIECES = 9  # of a view's length, where it has no windows of its own
@@ -27,7 +28,6 @@ SAMPLES = 8  # along a piece: every other row
 LEAST = 1e-9  # of a shape's squares that the ground does not explain: a division by 0 is none
 RISE = 0.2  # share of a profile's height by which it rises beyond a valley, where another thing begins
 WHITE = 250  # grey level from which on a pixel may be cut off, and tells no height
-QUARTILE = 0.6745  # third one of a normal distribution [sigma], and so the median of absolute values
 MOST_NATS = 50.0  # log-odds of what is certain
 
 
@@ -70,6 +70,7 @@ class Reflections:
         # Three steps to that of a lens, and two beyond, for fast turns: with half as many, paint in between is lost.
         self._blurs_px: FloatArray = sharp_px * (self.config.blur_px / sharp_px) ** (np.arange(6) / 3.0)
         self._blur_px, self._marking_m = math.inf, marking_width_m
+        self.doubtful: Image = np.zeros_like(mask)  # of the last view, what is left that points to the camera
         self._labels: Ints = np.zeros((view.height_px, view.width_px), np.intp)
         self._paint_odds: FloatArray = np.full(pieces, np.nan)
         x = view.x_far_m - (np.arange(pieces) + 0.5) * self._rows_a_piece * view.m_per_row
@@ -156,21 +157,29 @@ class Reflections:
         odds = known + 0.5 * (away_rad / self.config.pointing_rad) ** 2
         return bool(told.any() and odds[told].sum() < paint)
 
-    def step(self, view: Image, lines: Image) -> Image:
-        """`lines` (h, w), which are as wide as markings are, less the reflections, by the grey view (h, w)."""
+    def step(self, view: Image, lines: Image, paint: Image | None = None) -> Image:
+        """`lines` (h, w), which are as wide as markings are, less the reflections, by the grey view (h, w).
+
+        What `paint` (h, w) holds of them is none; it tells nothing of what it touches.
+        """
+        sure = np.zeros_like(lines) if paint is None else np.asarray(cv2.bitwise_and(lines, paint), dtype=np.uint8)
+        lines = np.asarray(cv2.subtract(lines, sure), dtype=np.uint8)
         # Rows that miss a pixel in noise, up to two in a row, are of the same piece.
         count, labels = cv2.connectedComponents(cv2.dilate(lines, np.ones((3, 1), np.uint8)), connectivity=8)
         self._labels, self._paint_odds = np.asarray(labels, np.intp), np.full(count * self._pieces, np.nan)
+        self.doubtful = np.zeros_like(lines)
         found = cv2.findNonZero(lines)
         if found is None:
-            return lines
+            return sure
         column, row = found.reshape(-1, 2).T
         piece = labels[row, column] * self._pieces + (row / self._rows_a_piece).astype(np.intp)
-        away = of_streaks(self._odds(view, piece, row, column), self._pieces, self.config.change)[piece]
+        odds, pointing = self._odds(view, piece, row, column)
+        away, doubtful = of_streaks(odds, self._pieces, self.config.change)[piece], pointing[piece]
+        self.doubtful[row[doubtful], column[doubtful]] = 255
         if away.any():
-            lines = lines.copy()
-            lines[row[away], column[away]] = 0
-        return lines
+            for image in (lines, self.doubtful):
+                image[row[away], column[away]] = 0
+        return lines | sure
 
     def told(self, lines: Sequence[SightedLine]) -> tuple[SightedLine, ...]:
         """The lines of the last view, with how likely each is a reflection by the profiles of its pieces alone.
@@ -190,13 +199,17 @@ class Reflections:
         odds = float(np.nansum(self._paint_odds[piece]))
         return math.exp(-min(max(odds, -MOST_NATS), MOST_NATS))
 
-    def _odds(self, view: Image, piece: Ints, row: Ints, column: Ints) -> FloatArray:
-        """Log-odds (k,) [nats] that the pieces of the pixels (n,) are of paint; NaN where nothing is known."""
+    def _odds(self, view: Image, piece: Ints, row: Ints, column: Ints) -> tuple[FloatArray, Bools]:
+        """Log-odds (k,) [nats] that the pieces of the pixels (n,) are of paint; NaN where nothing is known.
+
+        And which of them point to the camera (k,).
+        """
         size = np.bincount(piece)
         odds = np.full(-(-len(size) // self._pieces) * self._pieces, np.nan)
+        pointing = np.zeros(len(odds), np.bool_)
         large = np.flatnonzero(size > self._marking_px * self._marking_rows)
         if not len(large):
-            return odds
+            return odds, pointing
         n = size[large]
         r, c, rr, rc = (np.bincount(piece, w)[large] / n for w in (row, column, row * row, row * column))
         spread = rr - r * r
@@ -209,12 +222,13 @@ class Reflections:
         odds[large[long]] = np.inf  # where they do not point to the camera
         maybe = np.flatnonzero((np.abs(away_rad) < self._most_rad) & long)
         if len(maybe):
+            pointing[large[maybe]] = True
             paint = self._paint(view, r[maybe], c[maybe], slope[maybe], half[maybe])
             self._paint_odds[large[maybe]] = paint
             odds[large[maybe]] = (
                 np.where(np.isnan(paint), np.inf, paint) + 0.5 * (away_rad[maybe] / self.config.pointing_rad) ** 2
             )
-        return odds
+        return odds, pointing
 
     def _paint(
         self, view: Image, row: FloatArray, column: FloatArray, slope: FloatArray, half: FloatArray

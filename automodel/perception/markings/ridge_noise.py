@@ -13,6 +13,10 @@ from functools import cache, partial
 
 import numpy as np
 
+from automodel.compiled import compiled
+from automodel.types import IntArray
+
+QUARTILE = 0.6745  # third one of a normal distribution [sigma], and so the median of absolute values
 FALSE_ALARMS = 1.0  # among all places that are searched at once; ten times as many lower thresholds by a quarter
 
 
@@ -74,3 +78,15 @@ def least_ridge_over_many(places: float, sides: float) -> float:
 
 def _rate(places: float) -> float:
     return min(FALSE_ALARMS / max(places, 1.0), 0.25)
+
+
+@compiled
+def median(counts: IntArray) -> float:
+    """The median of whole numbers from 0 on, so many of each, which stands for all values half a unit around it."""
+    below, total = 0, counts.sum()
+    for k in range(len(counts)):
+        if counts[k] > 0 and 2 * (below + counts[k]) >= total:
+            low = max(k - 0.5, 0.0)
+            return low + (k + 0.5 - low) * (0.5 * total - below) / counts[k]
+        below += counts[k]
+    return 0.0

