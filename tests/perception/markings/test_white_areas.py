@@ -68,7 +68,7 @@ def test_lines_of_the_right_width_are_kept_whole() -> None:
         assert set(np.unique(lines)) <= {0, 255}
         assert (lines[inner] == 255).mean() > 0.97
         assert (bright[inner] == 255).mean() > 0.97
-        assert not lines[~with_rim(drawn)].any()
+        assert not lines[drawn == 0.0].any()
 
 
 def test_wide_things_and_specks_are_removed() -> None:
@@ -79,15 +79,13 @@ def test_wide_things_and_specks_are_removed() -> None:
     for shape in (wide, blob):
         bright, lines, *_ = filter_.step(grey(VIEW, line_at(0.0), shape))
         on = (share(VIEW, shape) > 0.0) & (filter_.mask > 0)
-        assert (lines[on] > 0).mean() < 0.35  # a disc's top and bottom are as short as a line
+        assert (lines[on] > 0).mean() < 0.3  # a disc's top and bottom are as short as a line
         assert (bright[on] > 0).mean() > 0.5
         assert lines.any()
         if shape is wide:
             assert not lines[on].any()
     lines = filter_.step(grey(VIEW, line_at(0.0), *specks)).lines
-    left = np.where(share(VIEW, line_at(0.0)) == 0.0, lines, 0).astype(np.uint8)
-    heights = cv2.connectedComponentsWithStats(left)[2][1:, cv2.CC_STAT_HEIGHT]
-    assert max(heights, default=0) <= 4  # of a speck two pixels wide, in a view that is averaged over three rows
+    assert not lines[(share(VIEW, *specks) > 0.0) & (share(VIEW, line_at(0.0)) == 0.0)].any()
 
 
 def test_crossing_bars_are_bright_but_no_lines() -> None:
@@ -109,7 +107,7 @@ def test_light_that_changes_over_the_floor_has_no_say() -> None:
         bright, lines, *_ = filter_.step(picture)
         inner = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
         assert (lines[inner] > 0).mean() > 0.9
-        assert not bright[~with_rim(drawn)].any()
+        assert not bright[drawn == 0.0].any()
 
 
 def test_nothing_is_seen_on_a_bare_floor() -> None:
@@ -178,7 +176,7 @@ def test_a_line_that_the_pictures_edge_cuts_is_kept_inside_of_it(side: int) -> N
     lines = filter_.step(seen).lines
     drawn = share(VIEW, shape)
     assert not lines[filter_.mask == 0].any()
-    assert not lines[~with_rim(drawn)].any()
+    assert not lines[drawn == 0.0].any()
     whole = rows_in_sight(filter_, drawn) & (drawn == 1.0).any(axis=1)
     assert whole.sum() > 50
     assert (lines[whole][drawn[whole] == 1.0] > 0).mean() > 0.97
