@@ -594,6 +594,18 @@ BOUNDS = (
         ("a-crossing-line-is-a-streak", "out[j] = min(known[j], shown[j])", "pass"),
         ("a-beams-rim-is-noise", "abs(2 * np.int64(pixels[rays.at[k]]) - beside)", "2 * contrasts[rays.at[k]]"),
         ("rounding-is-no-noise", "ROUNDED = 2.0", "ROUNDED = 0.0"),
+        ("the-road-between-seams-is-paint", "AS_BRIGHT = 3", "AS_BRIGHT = 8"),
+        ("beside-a-white-wall-is-no-paint", "if ground and is_usual(view, row, middle, level, visible):", "if ground:"),
+        ("beside-a-slope-of-light-is-no-paint", "AS_BRIGHT = 3", "AS_BRIGHT = 1"),
+    ),
+    *_of(
+        "automodel/perception/markings/faint_lines.py",
+        "tests/perception/markings/test_faint_lines.py",
+        (
+            "the-road-between-faint-seams-is-paint",
+            "not is_ground(view, at, skew, half, apart, run, visible)",
+            "True",
+        ),
     ),
     *_of(
         "automodel/perception/markings/unet.py",

@@ -25,6 +25,10 @@ ABOVE = 34  # of 255: what exceeds the mean around it by more is a marking, howe
 AROUND_PX = 21  # side of the box around it, for a mask 512 px wide
 ROUNDED = 2.0  # grey levels that whole numbers may show where there is less than one, which is rounded at both ends
 SAMPLED = 7  # every so many pixels tell the noise and what is brightest: thousands
+STANDS_OUT = 0.6  # share of a threshold by which a marking exceeds its two sides, and differs from the ground beyond
+BEYOND = tuple(1.0 + 0.75 * k for k in range(7))  # marking widths from a line's edge to where the ground is looked at
+AS_BRIGHT = 3  # of these places on one side, from which on a line is ground: fewer may be a slope of the light
+SPARSE = 4  # every so many pixels of a row tell its median
 MAX_ROWS = 240  # of a bird's-eye view; a long view is coarser along the road than across
 
 
@@ -146,11 +150,12 @@ class MarkingViews(NamedTuple):
 class Run(NamedTuple):
     """Which runs of pixels along a row may be of a line: of `light` or `dark` markings, or of both.
 
-    `reach` [px]: to what is beside a marking. A run of `narrow` pixels and more is wide enough, one of `wide` and more
-    too wide; both are odd.
+    `reach` [px]: to what is beside a marking, `beyond` (n,) [px]: from its edge to the ground. A run of `narrow` pixels
+    and more is wide enough, one of `wide` and more too wide; both are odd.
     """
 
     reach: int
+    beyond: Int32Array
     narrow: int
     wide: int
     light: bool
@@ -174,6 +179,9 @@ class WhiteAreas:
     between `NARROW` and `WIDE` marking widths are lines (a slanted line is cut wider than it is). `markings` are
     "light" or "dark" against the ground, or "both": then what is darker than its surroundings counts as bright too.
 
+    The road between two dark seams is no line: `AS_BRIGHT` of the places `BEYOND` it on one side are as bright,
+    and so is half of its row.
+
     That does not tell paint in a lamp's beam from the beam, which is as bright and lifts the mean. Along the ground's
     rays from the camera a beam hardly changes, and paint that crosses them is a ridge: such runs are lines, too. The
     noise is that of second differences along the rays, for which a beam's rim is none. Both reach over two rows of the
@@ -182,7 +190,6 @@ class WhiteAreas:
 
     NARROW, WIDE = 0.45, 2.4
     SMOOTH = 0.75  # marking widths over which a row is averaged, as three rows are: faint paint stands out of noise
-    SIDES = 0.6  # share of the threshold by which a marking exceeds its two sides
     SHARE = 0.35  # minimum contrast of a marking, as a share of that of the brightest 1 % of the pixels
 
     def __init__(
@@ -194,6 +201,7 @@ class WhiteAreas:
         self.smooth = 2 * int(0.5 * self.SMOOTH * marking_px) + 1
         self.run = Run(
             reach=round(1.6 * marking_px),
+            beyond=np.rint(np.array(BEYOND) * marking_px).astype(np.int32),
             narrow=2 * int(0.5 * self.NARROW * marking_px) + 1,
             wide=2 * int(0.5 * self.WIDE * marking_px) + 1,
             light=markings != "dark",
@@ -223,8 +231,8 @@ class WhiteAreas:
             noisy, noisy_ridge = (max(sigmas * noise, ROUNDED) for sigmas in (self._sigmas, self._ridge_sigmas))
         level = max(least, noisy)
         bright = cv2.threshold(contrast, level, 255, cv2.THRESH_BINARY)[1]
-        across = cv2.bitwise_and(cv2.threshold(ridges, self.SIDES * level, 255, cv2.THRESH_BINARY)[1], bright)
-        lines = narrow_lines(np.flatnonzero(across > 0), self.run, self.mask)
+        across = cv2.bitwise_and(cv2.threshold(ridges, STANDS_OUT * level, 255, cv2.THRESH_BINARY)[1], bright)
+        lines = narrow_lines(np.flatnonzero(across > 0), view, level, self.run, self.mask)
         paint = lines_along(view, self._rays, max(least, noisy_ridge), self.run, self.mask, lines)
         bright = cv2.bitwise_or(cv2.bitwise_and(bright, self.mask), lines)
         return MarkingViews(bright=np.asarray(bright, dtype=np.uint8), lines=lines, paint=paint, least=least)
@@ -300,11 +308,46 @@ def lines_along(view: Image, rays: Rays, least: float, run: Run, visible: Image,
 
 
 @compiled
-def narrow_lines(ridges: Ints, run: Run, visible: Image) -> Image:
+def is_ground(
+    view: Image, at: tuple[int, int, int], skew: float, half: int, least: float, run: Run, visible: Image
+) -> bool:
+    """Whether the ground to one side of a run of pixels, `at` (row, first, end), is as bright, but for `least`.
+
+    What lies between two dark seams is above its sides, as paint is, but not above the ground beyond them. `half` rows
+    to both sides are averaged, `skew` columns aside for each.
+    """
+    row, first, end = at
+    rows, columns = view.shape
+    middle = (first + end - 1) // 2
+    for edge, side in ((first, -1), (end - 1, 1)):
+        alike = 0
+        for beyond in run.beyond:
+            aside, apart, count = edge + side * beyond - middle, 0, 0
+            for r in range(max(row - half, 0), min(row + half + 1, rows)):
+                here = middle + round(skew * (r - row))
+                there = here + aside
+                if min(here, there) >= 0 and max(here, there) < columns and visible[r, there] != 0:
+                    apart, count = apart + np.int64(view[r, here]) - np.int64(view[r, there]), count + 1
+            alike += count > half and abs(apart) <= least * count
+        if alike >= AS_BRIGHT:
+            return True
+    return False
+
+
+@compiled
+def is_usual(view: Image, row: int, column: int, level: float, visible: Image) -> bool:
+    """Whether a pixel is as bright as the ground of its row is by the median, but for `level`: a white wall is not."""
+    seen = view[row, ::SPARSE][visible[row, ::SPARSE] != 0]
+    return len(seen) == 0 or abs(np.median(seen) - view[row, column]) <= level
+
+
+@compiled
+def narrow_lines(ridges: Ints, view: Image, level: float, run: Run, visible: Image) -> Image:
     """Runs of pixels along the rows of a view (h, w) that are as long as a line is wide: 0 or 255, where `visible`.
 
-    The pixels are `ridges` (n,), indices of the flat view, in their order. Masked only at the end: an area cut by the
-    image's edge is replicated beyond it and counts as wide, not as narrow.
+    The pixels are `ridges` (n,), indices of the flat view, in their order; what is not above the ground by a share of
+    `level` is ground. Masked only at the end: an area cut by the image's edge is replicated beyond it and counts as
+    wide, not as narrow.
     """
     width, lines, k = visible.shape[1], np.zeros_like(visible), 0
     while k < len(ridges):
@@ -313,5 +356,9 @@ def narrow_lines(ridges: Ints, run: Run, visible: Image) -> Image:
         while k < len(ridges) and ridges[k] == end and end < start + width:
             k, end = k + 1, end + 1
         if run.narrow <= end - first < run.wide:
+            at, middle = (row, first - start, end - start), (first + end - 1) // 2 - start
+            ground = is_ground(view, at, 0.0, 0, STANDS_OUT * level, run, visible)
+            if ground and is_usual(view, row, middle, level, visible):
+                continue
             lines[row, first - start : end - start] = visible[row, first - start : end - start]
     return lines

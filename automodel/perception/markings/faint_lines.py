@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from automodel.compiled import compiled
 from automodel.geometry import BirdsEye
-from automodel.perception.markings.binary_views import MarkingViews, Run, WhiteAreas
+from automodel.perception.markings.binary_views import STANDS_OUT, MarkingViews, Run, WhiteAreas, is_ground
 from automodel.perception.markings.ridge_noise import MEDIAN, QUARTILE, least_ridge, median
 from automodel.signals import EXCEEDED
 from automodel.types import FloatArray, Image
@@ -80,7 +80,7 @@ class FaintLines:
         found, visible, height = np.zeros_like(view), self._visible, self._height
         left, right, noise = _above_sides(view, visible, quiet, self._run.reach, self._clip)
         for skew, half in zip(self._skews.tolist(), self._halves.tolist(), strict=True):
-            _find(found, left, right, visible, quiet, skew, half, self._alike, noise, height, least, self._run)
+            _find(found, view, left, right, visible, quiet, skew, half, self._alike, noise, height, least, self._run)
         return found
 
 
@@ -115,6 +115,7 @@ def _above_sides(
 @compiled
 def _find(
     found: Image,
+    view: Image,
     above_left: NDArray[np.int16],
     above_right: NDArray[np.int16],
     visible: Image,
@@ -131,7 +132,8 @@ def _find(
 
     What is added up for each pixel are `half` rows to both sides. The noise of these sums is what most `quiet` ones
     show, which includes the ground's texture, and at least that of as many pixels as there are witnesses: `alike` rows
-    (h,) are one. A line is above both its sides by `height` of that noise, and on average by `least`.
+    (h,) are one. A line is above both its sides by `height` of that noise, and on average by `least`; from the ground
+    beyond them it differs by the share `STANDS_OUT` of that.
     """
     rows, columns = found.shape
     count = 2 * half + 1
@@ -173,7 +175,8 @@ def _find(
             first = c
             while c < columns and over[r, c] > level:
                 c += 1
-            if run.narrow <= c - first < run.wide:
+            at, apart = (r, first, c), STANDS_OUT * level / summed
+            if run.narrow <= c - first < run.wide and not is_ground(view, at, skew, half, apart, run, visible):
                 for k in range(first, c):
                     found[r, k] = max(found[r, k], visible[r, k])
             c += c == first

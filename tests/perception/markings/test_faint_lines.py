@@ -150,3 +150,13 @@ def test_an_image_without_noise_has_none() -> None:
     alone, both = seen(look, np.full((VIEW.height_px, VIEW.width_px), 77, np.uint8))
     assert not both.lines.any()
     assert np.array_equal(alone.bright, both.bright)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.4, -0.9])
+@pytest.mark.parametrize("step", [12.0, 18.0])
+def test_the_road_between_faint_seams_is_no_line(slope: float, step: float) -> None:
+    """The road beyond them is as bright."""
+    look = looks()
+    seams = [(line_at(1.6 * side * MARKING_M - 0.9 * slope, 0.8 * MARKING_M, slope), -step) for side in (-1.0, 1.0)]
+    for seed in range(4):
+        assert np.count_nonzero(seen(look, noisy(seed, *seams))[1].lines) < 30  # of some 300

@@ -192,8 +192,8 @@ def test_a_lines_runs_are_those_that_two_openings_leave() -> None:
     ridges[:, [0, -1]] = 0  # an opening takes an image to go on beyond its edge
     wide_enough = cv2.morphologyEx(ridges, cv2.MORPH_OPEN, kernels[0])
     too_wide = cv2.morphologyEx(wide_enough, cv2.MORPH_OPEN, kernels[1])
-    run = Run(reach=14, narrow=3, wide=9, light=True, dark=False)
-    lines = narrow_lines(np.flatnonzero(ridges), run, visible)
+    run = Run(reach=14, beyond=np.array([30], np.int32), narrow=3, wide=9, light=True, dark=False)
+    lines = narrow_lines(np.flatnonzero(ridges), ridges, 1.0, run, visible)
     assert too_wide.any()
     np.testing.assert_array_equal(lines, np.where((too_wide == 0) & (visible > 0), wide_enough, 0))
 
@@ -239,3 +239,41 @@ def test_a_beams_rim_is_no_noise() -> None:
     assert inner.sum() > 50
     assert found[0] > 0.8
     assert found[1] > 0.5
+
+
+def seams(*places_m: float, slope: float = 0.1) -> np.ndarray:
+    """Dark lines (h, w) along the road, as wide as a marking."""
+    return share(VIEW, *(line_at(y, slope=slope) for y in places_m))
+
+
+@pytest.mark.parametrize("contrast", [0.0, 12.0])
+@pytest.mark.parametrize("places", [(-0.03, 0.03), (-0.1, -0.03, 0.03), (0.2, 0.26, 0.33), (-0.2, -0.13, -0.07)])
+def test_the_road_between_dark_seams_is_no_line(places: tuple[float, ...], contrast: float) -> None:
+    """It is above its sides, but the road beyond them is as bright."""
+    grain = np.random.default_rng(5).normal(0.0, 2.0, (VIEW.height_px, VIEW.width_px))
+    filter_ = white_areas(contrast=contrast)
+    lines = filter_.step(np.round(100.0 - 45.0 * seams(*places) + grain).astype(np.uint8)).lines
+    assert np.count_nonzero(lines) < 120  # each strip is some 900 pixels
+    dark = white_areas(contrast=contrast, markings="dark")
+    lines = dark.step(np.round(100.0 + 45.0 * seams(*places) + grain).astype(np.uint8)).lines
+    assert np.count_nonzero(lines) < 120
+
+
+@pytest.mark.parametrize("beside", [(), (-0.05,), (-0.05, 0.05), (0.06, 0.12)])
+def test_paint_beside_dark_seams_is_a_line(beside: tuple[float, ...]) -> None:
+    grain = np.random.default_rng(5).normal(0.0, 2.0, (VIEW.height_px, VIEW.width_px))
+    filter_, drawn = white_areas(contrast=0.0), share(VIEW, line_at(0.0, slope=0.1))
+    view = np.round(100.0 - 45.0 * seams(*beside) + 45.0 * drawn + grain).astype(np.uint8)
+    inside = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
+    assert inside.sum() > 300
+    assert (filter_.step(view).lines[inside] > 0).mean() > 0.9
+
+
+@pytest.mark.parametrize("side", [+1, -1])
+def test_paint_beside_a_white_wall_is_a_line(side: int) -> None:
+    """The wall is as bright as the paint, but it is not the ground."""
+    filter_, drawn = white_areas(contrast=0.0), share(VIEW, line_at(0.0))
+    view = np.round(60.0 + 150.0 * (drawn + share(VIEW, line_at(side * 0.17, 0.2)))).astype(np.uint8)
+    inside = (drawn == 1.0) & rows_in_sight(filter_, drawn)[:, None]
+    assert inside.sum() > 300
+    assert (filter_.step(view).lines[inside] > 0).mean() > 0.9
