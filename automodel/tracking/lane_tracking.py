@@ -157,14 +157,14 @@ class LaneTracking:
         self._t_ns = self._started_ns = self._learnt_ns = 0
         self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
         self._belief: LaneBelief | None = None
-        self._placed = True  # in its lane, by a person
+        self._unled_m = 0.0  # driven without a lane, since a person has put the car into its own
         self.forget()
 
     def forget(self) -> None:
         """Forget the lane."""
         if self._belief is not None:
             self._profile.fade(self.config.next_lane)
-        self._placed = self._placed and self._belief is None
+            self._unled_m = math.inf
         self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
         self._on_any_road: LaneBelief | None = None  # the same where the road may have become another one
@@ -192,7 +192,8 @@ class LaneTracking:
     def paired(self) -> bool:
         """Whether both lines were seen for a lane width of way: a lone line, or a chance pair, may be anything.
 
-        Not that of the first lane, if its lines are both in view: a person has put the car there.
+        Not that of the first lane, if its lines are both in view before the car has driven so far: a person has put
+        the car there.
         """
         return self._pair_m >= self._unit
 
@@ -218,7 +219,11 @@ class LaneTracking:
         if moved is None or given is None:
             self.forget()
             return None
-        before = self._belief
+        before, driven = self._belief, abs(moved.distance_m)
+        if not moved.known:
+            driven = self.road.lost_pace * self._unit * moved.dt_s
+        if before is None:
+            self._unled_m += driven
         self._paint.move(given)
         if self._unmoved is not None:
             self._unmoved = self._unmoved.moved(given.distance_m, given.turn_rad, given.dt_s, given.known)
@@ -229,7 +234,6 @@ class LaneTracking:
                 self._belief = before.moved(*step)
             if self._reckoned is not None and self._on_any_road is not None:
                 self._reckoned, self._on_any_road = self._reckoned.moved(*step), self._on_any_road.moved(*step)
-            driven = abs(moved.distance_m) if moved.known else self.road.lost_pace * self._unit * moved.dt_s
             self._blind_m += driven
             # By a wrong pitch the ground contradicts an odometry that is right; an unknown motion tells nothing.
             self._marked_m += (moved if moved.known else given).distance_m
@@ -335,7 +339,8 @@ class LaneTracking:
             return None
         self._started_ns = self._seen_ns = t_ns
         both = min(roles, default=0.0) < 0.0 < max(roles, default=0.0)
-        self._pair_m = self._unit if self._placed and both and best.bounds_a_lane else 0.0
+        placed = self._unled_m < self._unit
+        self._pair_m = self._unit if placed and both and best.bounds_a_lane else 0.0
         return best.belief
 
     def begin(self, t_ns: int, pose: LanePose) -> None:

@@ -727,6 +727,11 @@ BOUNDS = (
         "automodel/tracking/lane_tracking.py",
         "tests/tracking/test_lane_tracking.py",
         (
+            "placed-wherever-it-has-driven",
+            "if before is None:\n            self._unled_m += driven",
+            "if False:\n            self._unled_m += driven",
+        ),
+        (
             "reckoned-wrong-and-sure",
             "if here > self.config.gate:\n            return 1.0, 1.0",
             "if False:\n            return 1.0, 1.0",

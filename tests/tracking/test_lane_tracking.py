@@ -132,6 +132,20 @@ def test_two_lines_in_view_are_a_lane_at_once() -> None:
     assert bound(estimate) < LANE_M
 
 
+@pytest.mark.parametrize(("lanes", "placed"), [(0.5, True), (1.5, False)])
+def test_a_car_that_has_driven_without_a_lane_is_not_where_a_person_put_it(lanes: float, placed: bool) -> None:
+    """Two lines that come into view then may be anything, and the bound fills the lane."""
+    drive = Drive()
+    drive.predict()
+    for _ in range(round(lanes * LANE_M / (SPEED_MPS * STEP_S))):
+        assert drive.tracking.start(drive.t_ns, ()) is None
+        drive.predict()
+    start = drive.tracking.start(drive.t_ns, sights(0.0))
+    assert start is not None
+    assert drive.tracking.paired == placed
+    assert (bound(drive.tracking.follow(drive.frame, said(start.offset_m))) < 0.5 * LANE_M) == placed
+
+
 def test_the_bound_holds_a_lane_that_a_line_inside_it_would_make_with_its_other_line() -> None:
     """Both have been in view since the lane began: which one bounds it cannot be known."""
     inside = -0.3  # 0.2 lane widths from the right line: the lane's middle would be 0.1 of them aside
