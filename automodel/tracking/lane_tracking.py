@@ -157,14 +157,14 @@ class LaneTracking:
         self._t_ns = self._started_ns = self._learnt_ns = 0
         self._seen_ns = self._borne_out_ns = 0  # a line, last, by the estimator; by what is believed
         self._belief: LaneBelief | None = None
-        self._unled_m = 0.0  # driven without a lane, since a person has put the car into its own
+        self._without_lane_m = 0.0  # driven without a lane, since a person has put the car into its own
         self.forget()
 
     def forget(self) -> None:
         """Forget the lane."""
         if self._belief is not None:
             self._profile.fade(self.config.next_lane)
-            self._unled_m = math.inf
+            self._without_lane_m = math.inf
         self._belief = None
         self._reckoned: LaneBelief | None = None  # by odometry alone, since the doubt began
         self._on_any_road: LaneBelief | None = None  # the same where the road may have become another one
@@ -223,7 +223,7 @@ class LaneTracking:
         if not moved.known:
             driven = self.road.lost_pace * self._unit * moved.dt_s
         if before is None:
-            self._unled_m += driven
+            self._without_lane_m += driven
         self._paint.move(given)
         if self._unmoved is not None:
             self._unmoved = self._unmoved.moved(given.distance_m, given.turn_rad, given.dt_s, given.known)
@@ -339,7 +339,7 @@ class LaneTracking:
             return None
         self._started_ns = self._seen_ns = t_ns
         both = min(roles, default=0.0) < 0.0 < max(roles, default=0.0)
-        placed = self._unled_m < self._unit
+        placed = self._without_lane_m < self._unit
         self._pair_m = self._unit if placed and both and best.bounds_a_lane else 0.0
         return best.belief
 

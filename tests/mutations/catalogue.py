@@ -728,8 +728,8 @@ BOUNDS = (
         "tests/tracking/test_lane_tracking.py",
         (
             "placed-wherever-it-has-driven",
-            "if before is None:\n            self._unled_m += driven",
-            "if False:\n            self._unled_m += driven",
+            "if before is None:\n            self._without_lane_m += driven",
+            "if False:\n            self._without_lane_m += driven",
         ),
         (
             "reckoned-wrong-and-sure",

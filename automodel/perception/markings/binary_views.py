@@ -180,7 +180,7 @@ class WhiteAreas:
     "light" or "dark" against the ground, or "both": then what is darker than its surroundings counts as bright too.
 
     The road between two dark seams is no line: `AS_BRIGHT` of the places `BEYOND` it on one side are as bright,
-    and so is half of its row.
+    and so is the median of its row: a white wall beside a line is not the ground.
 
     That does not tell paint in a lamp's beam from the beam, which is as bright and lifts the mean. Along the ground's
     rays from the camera a beam hardly changes, and paint that crosses them is a ridge: such runs are lines, too. The
@@ -345,9 +345,9 @@ def is_usual(view: Image, row: int, column: int, level: float, visible: Image) -
 def narrow_lines(ridges: Ints, view: Image, level: float, run: Run, visible: Image) -> Image:
     """Runs of pixels along the rows of a view (h, w) that are as long as a line is wide: 0 or 255, where `visible`.
 
-    The pixels are `ridges` (n,), indices of the flat view, in their order; what is not above the ground by a share of
-    `level` is ground. Masked only at the end: an area cut by the image's edge is replicated beyond it and counts as
-    wide, not as narrow.
+    The pixels are `ridges` (n,), indices of the flat view, in their order, found by a threshold `level` [grey levels];
+    a run as bright as the ground beyond its sides is none. Masked only at the end: an area cut by the image's edge is
+    replicated beyond it and counts as wide, not as narrow.
     """
     width, lines, k = visible.shape[1], np.zeros_like(visible), 0
     while k < len(ridges):
